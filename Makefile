@@ -1,0 +1,59 @@
+# Everything works in a fresh clone: each target makes .venv and installs what it needs, once.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+# setuptools explains at length what an editable installation is.
+PIP_INSTALL := PYTHONWARNINGS='ignore:Editable installation' $(BIN)/python -m pip install --quiet
+
+# A sourced ROS workspace or a user's site-packages must not leak in.
+unexport PYTHONPATH PYTHONHOME PIP_USER PIP_TARGET PIP_PREFIX
+export PYTHONNOUSERSITE := 1
+export PIP_DISABLE_PIP_VERSION_CHECK := 1
+
+.DEFAULT_GOAL := help
+.DELETE_ON_ERROR:
+.NOTPARALLEL:
+.PHONY: help demo test check bench campaign clean
+
+help:  ## this list
+	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+	@echo "  PYTHON=python3.13 chooses the interpreter of $(VENV) (3.11 to 3.13); now: $(PYTHON)"
+
+demo: $(VENV)/.installed  ## six drones in six processes plan and fly pickups and deliveries; 20 % of messages lost
+	@mkdir -p out
+	$(BIN)/crazychoir run pickup_delivery --processes 6 --loss 0.2 --seed 1 --picture out/routes.png
+
+test: $(VENV)/.installed-test  ## all tests but the campaigns, with ruff, mypy and the import contract
+	$(BIN)/python -m pytest
+
+check: $(VENV)/.installed-test  ## ruff, mypy --strict and the import contract alone: seconds
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports --no-logo
+
+bench: $(VENV)/.installed-bench  ## measure, beside CycloneDDS and MPI
+	$(BIN)/crazychoir bench all
+
+campaign: $(VENV)/.installed-test  ## the long tests: many seeds, many faults
+	$(BIN)/python -m pytest -m slow
+
+clean:  ## remove the environment and all caches; out/ stays
+	rm -rf $(VENV) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
+	find agents crazychoir deploy tests -name __pycache__ -prune -exec rm -rf {} +
+
+$(VENV)/.created:
+	@$(PYTHON) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info < (3, 14))' || \
+		{ echo "$$($(PYTHON) --version 2>&1) ($(PYTHON)): allowed: Python 3.11 to 3.13. Try: make PYTHON=python3.13"; exit 1; }
+	$(PYTHON) -m venv $(VENV)
+	@$(PIP_INSTALL) --upgrade pip
+	@touch $@
+
+$(VENV)/.installed: pyproject.toml $(VENV)/.created
+	@echo "Installing crazychoir into $(VENV) (the first time it takes a minute or two)"
+	@$(PIP_INSTALL) --editable .
+	@touch $@
+
+$(VENV)/.installed-%: pyproject.toml $(VENV)/.created
+	@echo "Installing crazychoir with its $* extra into $(VENV) (the first time it takes a minute or two)"
+	@$(PIP_INSTALL) --editable ".[$*]"
+	@touch $@ $(VENV)/.installed

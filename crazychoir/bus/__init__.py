@@ -1,0 +1,1 @@
+"""How messages travel: topics, codec, frames, local delivery, Zenoh, presence, commands, impairment."""

@@ -1,0 +1,97 @@
+"""Arrays, and wire types made of one, to bytes and back: the bodies of the codec that are not msgpack.
+
+Numbers are little endian and begin at a multiple of 8 bytes, so that an array read from a payload is an aligned,
+read-only view of it.
+"""
+
+import struct
+from collections.abc import Callable
+from math import prod
+from typing import Any, Final, TypeVar
+
+import msgspec
+import numpy as np
+
+from crazychoir.errors import CodecError
+from crazychoir.types import Vec, Wire
+
+FORMAT: Final = 1
+"""Version of the format: the upper 2 bits of a payload's first byte."""
+VECTOR, ARRAY = FORMAT << 6 | 2, FORMAT << 6 | 3
+"""First bytes of a one-dimensional float64 array, and of any array."""
+MAX_DIMENSIONS: Final = 8
+DTYPES: Final = ("float64", "float32", "int64", "int32", "int16", "uint8", "uint16", "uint32", "uint64", "bool")
+
+Payload = bytes | bytearray | memoryview
+Encode = Callable[[Any], bytes]
+Decode = Callable[[Any], Any]
+W = TypeVar("W", bound=Wire)
+
+_LITTLE = [np.dtype(np.dtype(name).newbyteorder("<").str) for name in DTYPES]
+_CODES = {dtype: code for code, dtype in enumerate(_LITTLE)}
+_BOOL = np.dtype(bool)
+_F8 = np.dtype("<f8")
+_VECTOR_HEAD = bytes([VECTOR]) + bytes(7)
+_ARRAY_HEADS = [struct.Struct(f"<BBB5x{n}Q") for n in range(MAX_DIMENSIONS + 1)]
+
+
+def encode_array(value: Any) -> bytes:
+    """A payload: for a vector, head (8 bytes) and numbers; else head with dtype and dimensions, shape, numbers.
+
+    Raises KeyError for another dtype, IndexError for too many dimensions.
+    """
+    if value.dtype is _F8 and value.ndim == 1:
+        numbers: bytes = value.tobytes()
+        return _VECTOR_HEAD + numbers
+    little = value.astype(value.dtype.newbyteorder("<"), copy=False)
+    numbers = little.tobytes()
+    head: bytes = _ARRAY_HEADS[value.ndim].pack(ARRAY, _CODES[little.dtype], value.ndim, *value.shape)
+    return head + numbers
+
+
+def decode_vector(payload: Payload) -> Vec:
+    """(n,) view of a payload of kind VECTOR."""
+    return np.frombuffer(payload, _F8, -1, 8)
+
+
+def decode_array(payload: Payload) -> Any:
+    """View of a payload of kind ARRAY; raises CodecError unless its shape and its length agree."""
+    dtype, ndim = _LITTLE[payload[1]], payload[2]
+    head = _ARRAY_HEADS[ndim]
+    shape = head.unpack_from(payload)[3:]
+    count = prod(shape)
+    if count * dtype.itemsize != len(payload) - head.size:
+        raise CodecError(f"payload: shape {shape} of {dtype} does not fit its {len(payload)} bytes.")
+    if dtype is _BOOL and np.frombuffer(payload, np.uint8, count, head.size).max(initial=0) > 1:
+        raise CodecError("payload: a truth value is neither 0 nor 1.")
+    return np.frombuffer(payload, dtype, count, head.size).reshape(shape)
+
+
+def flat_layout(cls: type[W], tag: int, size: int) -> tuple[Encode, Decode]:
+    """Codec of a wire type of one (size,) vector followed by floats: head (8 bytes), the floats, the vector."""
+    floats = len(cls.__struct_fields__) - 1
+    pack, unpack = struct.Struct(f"<B7x{floats}d").pack, struct.Struct(f"<8x{floats}d").unpack_from
+    offset, shape, fields, from_buffer = 8 + 8 * floats, (size,), msgspec.structs.astuple, np.frombuffer
+    length = offset + 8 * size
+
+    def encode_flat(value: Any) -> bytes:
+        values = fields(value)
+        vector = values[0]
+        if type(vector) is not np.ndarray or vector.dtype is not _F8 or vector.shape != shape:
+            vector = _vector(vector, shape)
+        numbers: bytes = vector.tobytes()
+        return pack(tag, *values[1:]) + numbers
+
+    def decode_flat(payload: Payload) -> W:
+        if len(payload) != length:
+            raise CodecError(f"payload: {len(payload)} bytes; allowed for {cls.__name__}: {length}.")
+        return cls(from_buffer(payload, _F8, size, offset), *unpack(payload))
+
+    return encode_flat, decode_flat
+
+
+def _vector(vector: Any, shape: tuple[int]) -> Vec:
+    array = np.asarray(vector, dtype=np.float64)
+    if array.shape != shape:
+        raise TypeError(f"its vector has shape {array.shape}, not {shape}")
+    return array

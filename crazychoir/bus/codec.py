@@ -1,0 +1,275 @@
+"""Any value to bytes and back, for the payload of a message; nothing received can run code.
+
+    payload = tag (1 byte: format version in the upper 2 bits, kind in the lower 6) + body
+
+Kinds: 0 msgpack, 1 float, 2 and 3 arrays (arrays.py), from 16 wire types. Inside a container, an array or a wire type
+is a msgpack extension that holds a whole payload.
+"""
+
+import re
+import struct
+from collections.abc import Callable, Iterable
+from typing import Any, Final
+
+import msgspec
+import numpy as np
+
+from crazychoir import types
+from crazychoir.bus.arrays import (
+    ARRAY,
+    DTYPES,
+    FORMAT,
+    MAX_DIMENSIONS,
+    VECTOR,
+    Decode,
+    Encode,
+    Payload,
+    W,
+    decode_array,
+    decode_vector,
+    encode_array,
+    flat_layout,
+)
+from crazychoir.errors import CodecError
+
+MAX_PAYLOAD: Final = 1 << 20
+"""Bytes of one payload, unless the caller says otherwise."""
+MAX_DEPTH: Final = 32
+"""Containers within containers."""
+LAYOUTS: Final = {
+    "Pose": (16, 7),
+    "State": (17, 13),
+    "Acceleration": (18, 3),
+    "FullState": (19, 14),
+    "Goto": (20, 3),
+    "FPQR": (21, 4),
+    "Status": (22, 0),
+}
+"""Wire types by class name: kind (16 to 63), and n if the fields are one (n,) float64 vector, then floats; else 0.
+
+A kind that was ever used is never given to another class.
+"""
+
+_GENERIC, _FLOAT = FORMAT << 6, FORMAT << 6 | 1
+_EXTENSION = 1  # msgpack extension code: its data is the whole payload of an array or of a wire value
+_LEAVES = frozenset({type(None), bool, int, float, str, bytes})
+_F8 = np.dtype("<f8")
+_FLOAT_BODY = struct.Struct("<Bd")
+_GENERIC_HEAD = bytes([_GENERIC])
+
+
+def encode(value: Any, limit: int = MAX_PAYLOAD) -> bytes:
+    """Bytes of None, bool, int, float, str, bytes, list, tuple, dict, numpy array or scalar, wire type; nested.
+
+    Tuples arrive as lists (as tuples in the keys of a dict), numpy scalars as Python's.
+    Raises CodecError: where in the value, what was found, what is allowed.
+    """
+    try:
+        payload = _ENCODERS.get(type(value), _encode_generic)(value)
+    except Exception as error:
+        raise _refusal(value, error) from error
+    if len(payload) > limit:
+        raise CodecError(f"value: {len(payload)} bytes when encoded; allowed: {limit}. Send less, or in parts.")
+    return payload
+
+
+def decode(payload: Payload, limit: int = MAX_PAYLOAD) -> Any:
+    """Value of a payload. Arrays are read-only; not inside a container, they are views of the payload.
+
+    Raises CodecError for whatever is wrong with the bytes, and nothing else.
+    """
+    try:
+        if type(payload) is not bytes:
+            payload = memoryview(payload).toreadonly()
+        if len(payload) > limit:
+            raise CodecError(f"payload: {len(payload)} bytes; allowed: {limit}.")
+        return _DECODERS[payload[0]](payload)
+    except CodecError:
+        raise
+    except Exception as error:
+        raise CodecError(f"payload: cannot be decoded: {type(error).__name__}: {error}") from error
+
+
+def register(cls: type[W]) -> type[W]:
+    """Let a wire type travel; its kind is in LAYOUTS. Usable as a decorator."""
+    if cls.__name__ not in LAYOUTS:
+        raise CodecError(f"{cls.__qualname__}: is not in codec.LAYOUTS, which has {', '.join(LAYOUTS)}. Add it there.")
+    kind, size = LAYOUTS[cls.__name__]
+    tag = FORMAT << 6 | kind
+    _ARRIVING.add(cls)
+    _ENCODERS[cls], _DECODERS[tag] = flat_layout(cls, tag, size) if size else _typed(cls, tag)
+    return cls
+
+
+def _encode_float(value: float) -> bytes:
+    return _FLOAT_BODY.pack(_FLOAT, value)
+
+
+def _decode_float(payload: Payload) -> float:
+    number: float = _FLOAT_BODY.unpack(payload)[1]
+    return number
+
+
+def _typed(cls: type[W], tag: int) -> tuple[Encode, Decode]:
+    """Any fields: msgpack of their list, checked against their types on arrival; arrays are float64, of any shape."""
+    shown = repr(msgspec.inspect.type_info(cls))
+    if re.search(r"AnyType|CustomType\(cls=<class '(?!numpy\.ndarray)|.StructType", shown):
+        raise CodecError(f"{cls.__qualname__}: a field is Any, a struct or a class; allowed: plain types and arrays.")
+    head, fields = bytes([tag]), msgspec.msgpack.Encoder(enc_hook=_hooked_field).encode
+    decoder = msgspec.msgpack.Decoder(cls, ext_hook=_field_extension)
+
+    def encode_fields(value: Any) -> bytes:
+        body = fields(value)
+        decoder.decode(body)  # a wrong type is the sender's mistake: it shall see it
+        return head + body
+
+    return encode_fields, lambda payload: decoder.decode(payload[1:])
+
+
+def _encode_generic(value: Any) -> bytes:
+    return _GENERIC_HEAD + _encode_msgpack(value if type(value) in _LEAVES else _item(value, 1))
+
+
+def _item(value: Any, depth: int) -> Any:
+    """What msgpack takes: arrays and wire types as extensions; a container without such is passed as it is."""
+    kind = type(value)
+    if kind in _LEAVES:
+        return value
+    if kind is dict and depth <= MAX_DEPTH:
+        if _plain(map(type, value)) and _plain(map(type, value.values())):
+            return value
+        return {_key(key): _item(item, depth + 1) for key, item in value.items()}
+    if (kind is list or kind is tuple) and depth <= MAX_DEPTH:
+        return value if _plain(map(type, value)) else [_item(item, depth + 1) for item in value]
+    if kind in _ENCODERS:
+        return msgspec.msgpack.Ext(_EXTENSION, _ENCODERS[kind](value))
+    return _leaf(value)
+
+
+def _leaf(value: Any) -> Any:
+    """A leaf, or the Python value of a numpy scalar."""
+    if isinstance(value, np.generic):
+        value = value.item()
+    if type(value) not in _LEAVES:
+        raise TypeError
+    return value
+
+
+def _key(key: Any) -> Any:
+    """A leaf, or a tuple of leaves (an edge of a graph)."""
+    return tuple(map(_leaf, key)) if type(key) is tuple else _leaf(key)
+
+
+def _hooked_field(value: Any) -> Any:
+    """What msgpack doesn't take in a field of a wire type."""
+    if type(value) is np.ndarray and value.dtype == _F8:
+        return msgspec.msgpack.Ext(_EXTENSION, encode_array(value))
+    return _leaf(value)
+
+
+def _decode_generic(payload: Payload) -> Any:
+    value = _decode_msgpack(payload[1:])
+    _check([value], 0)
+    return value
+
+
+def _check(value: Any, depth: int) -> None:
+    """Refuse what no sender encodes: containers too deep, the timestamps of msgpack, strange keys."""
+    if depth > MAX_DEPTH:
+        raise CodecError(f"payload: more than {MAX_DEPTH} containers within each other.")
+    if type(value) is dict:
+        if not _plain(map(type, value)):
+            _check_keys(value)
+        value = value.values()
+    if not _arrived(map(type, value)):
+        for item in value:
+            if type(item) is list or type(item) is dict:
+                _check(item, depth + 1)
+            elif type(item) not in _ARRIVING:
+                raise CodecError(f"payload: found a {type(item).__name__}.")
+
+
+def _check_keys(keys: Iterable[Any]) -> None:
+    for key in keys:
+        if type(key) not in _LEAVES and not (type(key) is tuple and _plain(map(type, key))):
+            raise CodecError(f"payload: found a {type(key).__name__} in a key.")
+
+
+def _extension(code: int, data: memoryview) -> Any:
+    """An array or wire type inside a container; copied, so that its numbers are aligned."""
+    payload = bytes(data)
+    if code != _EXTENSION or payload[0] in (_GENERIC, _FLOAT):
+        raise CodecError(f"payload: found extension {code}, kind {payload[0]}.")
+    return _DECODERS[payload[0]](payload)
+
+
+def _field_extension(code: int, data: memoryview) -> types.Vec:
+    """A float64 array in a field of a wire type."""
+    payload = bytes(data)
+    if code != _EXTENSION or payload[0] not in (VECTOR, ARRAY):
+        raise CodecError(f"payload: found extension {code}, kind {payload[0]} in a field.")
+    array: types.Vec = _DECODERS[payload[0]](payload)
+    if array.dtype is not _F8:
+        raise CodecError(f"payload: found an array of {array.dtype} in a field; allowed: float64.")
+    return array
+
+
+def _unknown(payload: Payload) -> Any:
+    version, kind = payload[0] >> 6, payload[0] & 63
+    if version != FORMAT:
+        raise CodecError(f"payload: format version {version}; allowed: {FORMAT}. Run one version of crazychoir.")
+    raise CodecError(f"payload: kind {kind} is not registered.")
+
+
+def _refusal(value: Any, error: Exception) -> CodecError:
+    where, found = _blame(value, "value", 1) or ("value", f"{_shown(value)} ({error})")
+    names = ", ".join(cls.__name__ for cls in _ENCODERS if issubclass(cls, types.Wire))
+    return CodecError(
+        f"{where}: found {found}; allowed: None, bool, int of 64 bits, float, str, bytes, list, tuple, dict (its keys: "
+        f"scalars and tuples of them), at most {MAX_DEPTH} within each other; numpy arrays of {', '.join(DTYPES)}, "
+        f"at most {MAX_DIMENSIONS} dimensions; {names}."
+    )
+
+
+def _blame(value: Any, where: str, depth: int) -> tuple[str, str] | None:
+    """Place and description of the first part that cannot be encoded."""
+    if type(value) not in (list, tuple, dict):
+        return _trouble(lambda part: _item(part, depth), value, where)
+    if depth > MAX_DEPTH:
+        return where, "one container more than is allowed"
+    found = None
+    for name, item in value.items() if type(value) is dict else enumerate(value):
+        if type(value) is dict:
+            found = _trouble(_key, name, f"a key of {where}")
+        found = found or _blame(item, f"{where}[{name!r}]", depth + 1)
+        if found:
+            break
+    return found
+
+
+def _trouble(form: Callable[[Any], Any], value: Any, where: str) -> tuple[str, str] | None:
+    try:
+        _encode_msgpack(form(value))
+    except Exception as error:  # noqa: BLE001 - whatever stops this part is what the text tells
+        return where, f"{_shown(value)} ({error})" if str(error) else _shown(value)
+    return None
+
+
+def _shown(value: Any) -> str:
+    if isinstance(value, np.ndarray):
+        return f"a {type(value).__name__} of {value.dtype}, shape {value.shape}"
+    kind = type(value)
+    return f"a {kind.__qualname__}" if kind.__module__ == "builtins" else f"a {kind.__module__}.{kind.__qualname__}"
+
+
+_plain = _LEAVES.issuperset
+_ARRIVING: set[type] = {*_LEAVES, np.ndarray}
+_arrived = _ARRIVING.issuperset
+_encode_msgpack = msgspec.msgpack.Encoder().encode
+_decode_msgpack = msgspec.msgpack.Decoder(ext_hook=_extension).decode
+_ENCODERS: dict[type, Encode] = {float: _encode_float, np.ndarray: encode_array}
+_DECODERS: list[Decode] = [_unknown] * 256
+_DECODERS[_GENERIC], _DECODERS[_FLOAT] = _decode_generic, _decode_float
+_DECODERS[VECTOR], _DECODERS[ARRAY] = decode_vector, decode_array
+for _cls in (types.Pose, types.State, types.Acceleration, types.FullState, types.Goto, types.FPQR, types.Status):
+    register(_cls)

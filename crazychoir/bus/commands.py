@@ -1,0 +1,168 @@
+"""Commands with answers: (id, issuer, target, deadline, body) -> ACCEPTED, REFUSED (reason), DONE.
+
+A request is resent until it is answered, executed once an id, refused past its deadline. The emergency stop has
+a class of its own: resent until every drone has acknowledged; it persists until an operator clears it.
+"""
+
+import asyncio
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass
+from typing import Any
+
+from crazychoir.bus.codec import decode, encode
+from crazychoir.bus.local import Port
+from crazychoir.bus.topics import ANSWER, ESTOP, REQUEST
+from crazychoir.errors import CodecError, Refused
+
+RESEND = 0.1
+REMEMBERED = 256
+ACCEPTED, REFUSED, DONE = "accepted", "refused", "done"
+_ACCEPTED = encode([ACCEPTED, None])
+_Key = tuple[int, str, int]
+"""Of a request: its issuer, the issuer's incarnation, its number."""
+
+Execute = Callable[[str, dict[str, Any]], Awaitable[Any]]
+"""Called with (verb, arguments); returns what DONE carries; raises Refused (or anything) to refuse."""
+
+
+@dataclass(frozen=True)
+class Answer:
+    """How a request ended: kind is DONE or REFUSED."""
+
+    target: int
+    kind: str
+    detail: Any
+
+
+class Commander:
+    """The issuing side: asks drones to do things and waits for their answers."""
+
+    def __init__(self, port: Port) -> None:
+        self.port = port
+        self._count = 0
+        self._waiting: dict[int, asyncio.Future[Answer]] = {}
+        self._acknowledged: dict[int, dict[int, None]] = {}
+        port.handlers[ANSWER.number] = self._answered
+
+    async def request(self, target: int, verb: str, deadline: float = 5.0, **arguments: Any) -> Answer:
+        """Ask drone `target`; raises TimeoutError when nothing answers within `deadline` s."""
+        self._count += 1
+        number = self._count
+        future: asyncio.Future[Answer] = asyncio.get_running_loop().create_future()
+        self._waiting[number] = future
+        clock = self.port.bus.clock
+        ends = clock.now() + deadline
+        try:
+            async with asyncio.timeout(deadline):
+                attempt = 0
+                while not future.done():
+                    body = encode([verb, arguments, ends - clock.now()])
+                    self.port.send(REQUEST, (target,), body, number, f"{self.port.incarnation:x}", 0, attempt)
+                    attempt += 1
+                    await asyncio.wait([future], timeout=RESEND)
+                return future.result()
+        except TimeoutError:
+            text = f"drone {target}: no answer to {verb!r} within {deadline:g} s; is its agent running?"
+            raise TimeoutError(text) from None
+        finally:
+            del self._waiting[number]
+
+    async def emergency_stop(self, targets: list[int], clear: bool = False, deadline: float = 10.0) -> list[int]:
+        """Stop (or clear the stop of) all targets, resent until each acknowledges; returns those that did not."""
+        self._count += 1
+        number = self._count
+        answered = self._acknowledged[number] = {}
+        clock = self.port.bus.clock
+        ends = clock.now() + deadline
+        try:
+            while missing := [j for j in targets if j not in answered]:
+                if clock.now() > ends:
+                    break
+                self.port.send(ESTOP, tuple(missing), encode(clear), number, f"{self.port.incarnation:x}")
+                await clock.sleep(RESEND)
+            return missing
+        finally:
+            del self._acknowledged[number]
+
+    def _answered(self, source: int, payload: bytes, number: int, channel: str, flags: int, age: float) -> None:
+        if channel != f"{self.port.incarnation:x}":
+            return
+        if number in self._acknowledged:
+            self._acknowledged[number][source] = None
+        future = self._waiting.get(number)
+        try:
+            kind, detail = decode(payload)
+        except (CodecError, TypeError, ValueError):
+            self.port.counters.malformed += 1
+            return
+        if future is not None and not future.done() and kind != ACCEPTED:
+            future.set_result(Answer(source, kind, detail))
+
+
+class CommandServer:
+    """The executing side, at one drone. A repeated request gets the answer that it had; it is not executed again."""
+
+    def __init__(self, port: Port, execute: Execute, on_stop: Callable[[bool], None]) -> None:
+        self.port, self.execute, self.on_stop = port, execute, on_stop
+        self._answers: dict[_Key, bytes] = {}
+        self._running: dict[_Key, asyncio.Task[None]] = {}
+        port.handlers[REQUEST.number] = self._requested
+        port.handlers[ESTOP.number] = self._stopped
+
+    def _requested(self, source: int, payload: bytes, number: int, channel: str, flags: int, age: float) -> None:
+        key = (source, channel, number)
+        if key in self._answers:
+            self._send(key, self._answers[key])
+            return
+        if key in self._running:
+            self._send(key, _ACCEPTED)
+            return
+        try:
+            verb, arguments, remaining = decode(payload)
+            late = float(remaining) <= age
+            known = isinstance(verb, str) and isinstance(arguments, dict)
+        except (CodecError, TypeError, ValueError):
+            known = late = False
+        if not known:
+            self.port.counters.malformed += 1
+        elif late:
+            self._answer(key, REFUSED, "the deadline has passed")
+        else:
+            self._start(key, verb, arguments)
+
+    def _start(self, key: _Key, verb: str, arguments: dict[str, Any]) -> None:
+        name = f"drone {self.port.address} command {verb}"
+        task = asyncio.get_running_loop().create_task(self._run(key, verb, arguments), name=name)
+        self._running[key] = task
+        task.add_done_callback(lambda task: self._running.pop(key))
+        self._send(key, _ACCEPTED)
+
+    async def _run(self, key: _Key, verb: str, arguments: dict[str, Any]) -> None:
+        try:
+            self._answer(key, DONE, await self.execute(verb, arguments))
+        except Refused as refused:
+            self._answer(key, REFUSED, refused.reason)
+        except Exception as error:  # noqa: BLE001 - the issuer is told; the drone flies on
+            self._answer(key, REFUSED, f"{type(error).__name__}: {error}")
+
+    def _answer(self, key: _Key, kind: str, detail: Any) -> None:
+        payload = self._answers[key] = encode([kind, detail])
+        while len(self._answers) > REMEMBERED:
+            del self._answers[next(iter(self._answers))]
+        self._send(key, payload)
+
+    def _send(self, key: _Key, payload: bytes) -> None:
+        source, channel, number = key
+        self.port.send(ANSWER, (source,), payload, number, channel)
+
+    def _stopped(self, source: int, payload: bytes, number: int, channel: str, flags: int, age: float) -> None:
+        """Stop, or clear; a late repeat of what was done is acknowledged, and does not undo what came after it."""
+        key = (source, channel, number)
+        if key not in self._answers:
+            try:
+                clear = decode(payload) is True
+            except CodecError:
+                clear = False
+            self.port.bus.stopped = not clear
+            self.on_stop(not clear)
+        self._answer(key, DONE, None)

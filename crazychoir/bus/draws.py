@@ -1,0 +1,78 @@
+"""Random numbers that are a pure function of a key and counters: any of them can be had in any order, anywhere.
+
+Source of the mixing function: Steele, Lea & Flood 2014, OOPSLA (SplitMix64).
+"""
+
+from hashlib import blake2b
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+ONE: Final = 1 << 64
+"""Draws are integers from 0 to ONE - 1."""
+BLOCK: Final = 256
+"""States of a burst chain that are computed together."""
+LOOK_BACK: Final = 8
+"""Blocks before its own in which a state looks for its cause."""
+
+_MASK: Final = ONE - 1
+_NUMBER, _ATTEMPT = 0x9E3779B97F4A7C15, 0xD1342543DE82EF95
+_M1, _M2 = 0xBF58476D1CE4E5B9, 0x94D049BB133111EB
+_BURST, _START = 0x6A09E667F3BCC909, 0xBB67AE8584CAA73B
+
+
+def key(*parts: object) -> int:
+    """64-bit key of a tuple of numbers and strings; the same in every process."""
+    return int.from_bytes(blake2b(repr(parts).encode(), digest_size=8).digest(), "little")
+
+
+def draw(key: int, number: int, attempt: int) -> int:
+    """Uniform in 0 .. ONE - 1."""
+    z = (key + number * _NUMBER + attempt * _ATTEMPT) & _MASK
+    z = ((z ^ (z >> 30)) * _M1) & _MASK
+    z = ((z ^ (z >> 27)) * _M2) & _MASK
+    return z ^ (z >> 31)
+
+
+def bad_states(key: int, block: int, p_good_bad: float, p_bad_good: float) -> bytes:
+    """States of the Gilbert-Elliott chain at BLOCK * block and the BLOCK - 1 indices after it: 1 bad, 0 good.
+
+        u_t < p_gb: bad;   u_t >= 1 - p_bg: good;   else as at t - 1         (p_gb + p_bg <= 1)
+
+    u_t: the draw of index t. Good turns bad with p_gb and bad turns good with p_bg, and yet the state at t follows
+    from the last u that decided, so that nobody need walk from 0. Whoever finds none in LOOK_BACK blocks draws from
+    the stationary law, P(bad) = p_gb / (p_gb + p_bg).
+    """
+    decided, bad = _decisions(key, block, p_good_bad, p_bad_good)
+    cause = np.maximum.accumulate(np.where(decided, np.arange(BLOCK), -1))
+    states = np.where(
+        cause >= 0, bad[cause], _state_before(key, block, p_good_bad, p_bad_good) if cause[0] < 0 else False
+    )
+    return states.astype(np.uint8).tobytes()
+
+
+def _state_before(key: int, block: int, p_good_bad: float, p_bad_good: float) -> bool:
+    first = max(block - LOOK_BACK, 0)
+    for earlier in range(block - 1, first - 1, -1):
+        decided, bad = _decisions(key, earlier, p_good_bad, p_bad_good)
+        if decided.any():
+            return bool(bad[np.flatnonzero(decided)[-1]])
+    return draw(key ^ _START, first, 0) * (p_good_bad + p_bad_good) < p_good_bad * ONE
+
+
+def _decisions(key: int, block: int, p_good_bad: float, p_bad_good: float) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
+    """Which indices of a block decide the state, and which of them for bad."""
+    u = _uniforms(key ^ _BURST, block * BLOCK)
+    bad = u < p_good_bad
+    return bad | (u >= 1.0 - p_bad_good), bad
+
+
+def _uniforms(key: int, first: int) -> npt.NDArray[np.float64]:
+    """The BLOCK draws from `first` on, in [0, 1)."""
+    start = np.uint64((key + first * _NUMBER) & _MASK)
+    z = start + np.arange(BLOCK, dtype=np.uint64) * np.uint64(_NUMBER)
+    z = (z ^ (z >> np.uint64(30))) * np.uint64(_M1)
+    z = (z ^ (z >> np.uint64(27))) * np.uint64(_M2)
+    z ^= z >> np.uint64(31)
+    return (z >> np.uint64(11)).astype(np.float64) * 2.0**-53

@@ -1,0 +1,86 @@
+"""How a process is reached: endpoints, Zenoh's settings, and what is said when one cannot be used."""
+
+import re
+from collections.abc import Iterable
+from typing import Any
+
+from crazychoir.errors import ConfigError
+
+MAX_MESSAGE = 8 << 20
+"""Bytes that Zenoh puts together from fragments; more ends the link to the sender."""
+LOCAL_LEASE = 10.0
+"""s, where all processes are on one host: 4 keep-alives a lease and connection cost CPU."""
+BATCHES = 16
+"""Of 64 kB, that wait for the network, a class; Zenoh's most. As no put waits, a frame must fit into them."""
+MAX_FRAME = 10 * 65_000
+"""Bytes of a frame that leaves the process: of 12 batches at once Zenoh drops some, also on an idle link."""
+
+_ENDPOINT = re.compile(
+    r"(tcp|udp|tls|quic|ws)/(\[[0-9A-Fa-f:.%]+\]|[^/:\[\]\s]+):(?P<port>\d{1,5})([?#]\S*)?|unixsock-stream/\S+"
+)
+_PRIORITIES = (
+    *("control", "real_time", "interactive_high", "interactive_low"),
+    *("data_high", "data", "data_low", "background"),
+)
+_LOOPBACK = re.compile(r"unixsock-stream/|\w+/(127\.|localhost:|\[::1\])")
+_CHUNK = re.compile(r"[A-Za-z0-9_.-]{1,100}")
+_REASON = re.compile(r"([A-Z][\w ]+) \(os error|message: \"([^\"]+)\"")
+_DROP = "transport/link/tx/queue/congestion_control/drop"
+
+
+def settings(listen: list[str], connect: list[str], lease: float) -> dict[str, Any]:
+    """Zenoh's settings by path: explicit endpoints, no multicast, puts that never wait; raises ConfigError.
+
+    lease: s without a sign of another host before its tokens go; a process that dies here closes its connections,
+    so that on one host only a longer one is needed. No gossip: all endpoints are given, and of 30 processes that also
+    tell each other of each other, each needs 1 s of CPU to start instead of 0.25 s.
+    """
+    check(listen, connect)
+    if all(_LOOPBACK.match(endpoint) for endpoint in listen + connect):
+        lease = max(lease, LOCAL_LEASE)
+    return {
+        "mode": "peer",
+        "listen/endpoints": listen,
+        "connect/endpoints": connect,
+        "connect/retry": {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 2},
+        "open/return_conditions": {"connect_scouted": False, "declares": False},
+        "scouting/multicast/enabled": False,
+        "scouting/gossip/enabled": True,
+        "transport/link/tx/lease": round(1000 * lease),
+        "transport/link/tx/queue/size": dict.fromkeys(_PRIORITIES, BATCHES),
+        f"{_DROP}/wait_before_drop": 0,
+        f"{_DROP}/max_wait_before_drop_fragments": 0,
+        "transport/link/rx/max_message_size": MAX_MESSAGE,
+        "transport/shared_memory/enabled": False,
+    }
+
+
+def check(listen: Iterable[str], connect: Iterable[str]) -> None:
+    """Raises ConfigError for what is not an endpoint."""
+    for where, endpoints in (("listen", listen), ("connect", connect)):
+        for endpoint in endpoints:
+            found = _ENDPOINT.fullmatch(endpoint)
+            if found is None or int(found["port"] or 0) > 65535:
+                allowed = "tcp/<address>:<port>, as tcp/192.168.1.10:7460, port 0 to 65535; also udp, tls, quic, ws"
+                do = "Look at base_port and [hosts] in the swarm file."
+                raise ConfigError(f"{where} endpoint", endpoint, allowed, do)
+
+
+def check_name(where: str, name: str) -> None:
+    """Raises ConfigError for a name that cannot be part of a key."""
+    if not _CHUNK.fullmatch(name):
+        raise ConfigError(f"name of the {where}", name, "1 to 100 of A-Z, a-z, 0-9, _, . and -")
+
+
+def cannot_open(listen: list[str], connect: list[str], error: str) -> ConfigError:
+    """What to tell the user of Zenoh's error."""
+    at_fault = next((endpoint for endpoint in listen if endpoint in error), "")
+    reason = _REASON.search(error)
+    said = next((text for text in reason.groups() if text), "") if reason else error.split(" at /", 1)[0]
+    return ConfigError(
+        "listen endpoint" if at_fault else "endpoints",
+        at_fault or ", ".join(listen + connect),
+        "it must be a free port of an address of this host",
+        "Is another agent with this id running here? Stop it, or set another base_port in the swarm file.",
+        problem=said,
+    )

@@ -1,0 +1,172 @@
+"""What one put of a process to another carries: many messages, each with its header.
+
+    frame = version (1 byte) + msgpack [process, incarnation, kind, [envelope, ...]]
+
+Pure: no clock, no session. All limits are checked before memory is taken for what they limit.
+"""
+
+from typing import Annotated, Final
+
+import msgspec
+from msgspec import Meta
+
+from crazychoir.errors import CodecError
+
+VERSION: Final = 1
+MAX_FRAME: Final = 4 << 20
+"""Bytes of one frame, unless the caller says otherwise."""
+MAX_ENVELOPES: Final = 4096
+MAX_DESTINATIONS: Final = 1024
+MAX_AGE: Final = 1e9
+"""s."""
+MAX_NAME: Final = 255
+"""Characters of a channel's or a process' name."""
+
+_Small = Annotated[int, Meta(ge=0, lt=1 << 16)]
+_Address = Annotated[int, Meta(ge=0, lt=1 << 32)]
+_Count = Annotated[int, Meta(ge=0)]
+_Age = Annotated[float, Meta(ge=0.0, le=MAX_AGE)]
+_Name = Annotated[str, Meta(max_length=MAX_NAME)]
+
+
+class FrameVersionError(CodecError):
+    """A frame of another version of the format: a host that runs another crazychoir."""
+
+    def __init__(self, found: int) -> None:
+        self.found = found
+        super().__init__(f"frame: version {found}; allowed: {VERSION}. Run the same crazychoir on all hosts.")
+
+
+class Envelope(msgspec.Struct, frozen=True, array_like=True, gc=False):
+    """One message and where it goes.
+
+    topic: number in the table of topics;  source: address of the sender (drone or observer);  to: addresses, empty for
+    "whoever is interested";  number: sequence or round;  flags: as the topic says;  age: s, of the content when it was
+    sent;  channel: of a round algorithm, or the sender's label;  payload: of the codec.
+    """
+
+    topic: _Small
+    source: _Address
+    to: Annotated[tuple[_Address, ...], Meta(max_length=MAX_DESTINATIONS)]
+    number: _Count
+    flags: _Address
+    age: _Age
+    channel: _Name
+    payload: bytes
+
+
+class Frame(msgspec.Struct, frozen=True, array_like=True, gc=False):
+    """Envelopes of one class from one process.
+
+    process: name of the sender;  incarnation: 64 random bits, drawn when it started;  kind: number of the class.
+    """
+
+    process: _Name
+    incarnation: _Count
+    kind: Annotated[int, Meta(ge=0, lt=256)]
+    envelopes: Annotated[list[Envelope], Meta(max_length=MAX_ENVELOPES)]
+
+
+def encode_frame(frame: Frame, limit: int = MAX_FRAME) -> bytes:
+    """Bytes of a frame; raises CodecError if they are more than `limit`, or a field cannot be encoded."""
+    try:
+        data = _HEAD + _encode(frame)
+    except Exception as error:
+        raise CodecError(f"frame: cannot be encoded: {type(error).__name__}: {error}") from error
+    if len(data) > limit:
+        raise CodecError(f"frame: {len(data)} bytes; allowed: {limit}. Collect with a FrameBuffer, which splits.")
+    return data
+
+
+def decode_frame(data: bytes | bytearray | memoryview, limit: int = MAX_FRAME) -> Frame:
+    """Frame of received bytes; raises FrameVersionError for another version, CodecError for all else."""
+    if not 0 < len(data) <= limit:
+        raise CodecError(f"frame: {len(data)} bytes; allowed: 1 to {limit}.")
+    if data[0] != VERSION:
+        raise FrameVersionError(data[0])
+    try:
+        return _decode(memoryview(data)[1:])
+    except Exception as error:
+        raise CodecError(f"frame: cannot be decoded: {type(error).__name__}: {error}") from error
+
+
+class FrameBuffer:
+    """The envelopes for one peer and one class, collected during one pass of the event loop.
+
+    conflate: of envelopes with equal (topic, source, to, channel), only the newest is kept, at the place of the oldest.
+    """
+
+    def __init__(
+        self, process: str, incarnation: int, kind: int, conflate: bool = False, limit: int = MAX_FRAME
+    ) -> None:
+        self.process, self.incarnation, self.kind = process, incarnation, kind
+        self.conflate, self.limit = conflate, limit
+        self.conflated = 0
+        self._room = limit - 4 * len(process) - 32
+        self._total = 0
+        self._envelopes: list[Envelope] = []
+        self._places: dict[tuple[int, int, tuple[int, ...], str], int] = {}
+
+    def __len__(self) -> int:
+        return len(self._envelopes)
+
+    def add(self, envelope: Envelope) -> None:
+        """Take an envelope along; raises CodecError if no frame can hold it, or the receiver would refuse the frame."""
+        size = _size(envelope)
+        if size > self._room or not _acceptable(envelope):
+            raise self._refusal(envelope, size)
+        self._total += size
+        if self.conflate:
+            key = (envelope.topic, envelope.source, envelope.to, envelope.channel)
+            place = self._places.setdefault(key, len(self._envelopes))
+            if place < len(self._envelopes):
+                self._envelopes[place] = envelope
+                self.conflated += 1
+                return
+        self._envelopes.append(envelope)
+
+    def take(self) -> list[bytes]:
+        """Frames of all that was added, in its order; the buffer is empty afterwards."""
+        envelopes, total = self._envelopes, self._total
+        self._envelopes, self._total = [], 0
+        self._places.clear()
+        fits = total <= self._room and 0 < len(envelopes) <= MAX_ENVELOPES
+        return [self._frame(part) for part in ([envelopes] if fits else self._parts(envelopes))]
+
+    def _refusal(self, envelope: Envelope, size: int) -> CodecError:
+        return CodecError(
+            f"topic {envelope.topic} of {envelope.source}: found {size} bytes, age {envelope.age} s, a channel's name "
+            f"of {len(envelope.channel)}, {len(envelope.to)} destinations; allowed: {self._room} bytes, 0 to "
+            f"{MAX_AGE:g} s, {MAX_NAME} characters, {MAX_DESTINATIONS} destinations."
+        )
+
+    def _frame(self, envelopes: list[Envelope]) -> bytes:
+        return encode_frame(Frame(self.process, self.incarnation, self.kind, envelopes), self.limit)
+
+    def _parts(self, envelopes: list[Envelope]) -> list[list[Envelope]]:
+        parts: list[list[Envelope]] = []
+        room = -1
+        for envelope in envelopes:
+            size = _size(envelope)
+            if size > room or len(parts[-1]) == MAX_ENVELOPES:
+                parts.append([])
+                room = self._room
+            parts[-1].append(envelope)
+            room -= size
+        return parts
+
+
+def _acceptable(envelope: Envelope) -> bool:
+    """Whether the receiver takes what a sender could get wrong."""
+    short = len(envelope.channel) <= MAX_NAME and len(envelope.to) <= MAX_DESTINATIONS
+    return short and 0.0 <= envelope.age <= MAX_AGE
+
+
+def _size(envelope: Envelope) -> int:
+    """Bytes at most of an envelope in a frame: each number 9, each character 4, three heads of 5."""
+    return len(envelope.payload) + 9 * len(envelope.to) + 4 * len(envelope.channel) + 61
+
+
+_HEAD = bytes([VERSION])
+_encode = msgspec.msgpack.Encoder().encode
+_decode = msgspec.msgpack.Decoder(Frame).decode

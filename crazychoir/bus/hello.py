@@ -1,0 +1,69 @@
+"""What a process says of itself to every other process, and what of it is believed."""
+
+from typing import Annotated, Any
+
+import msgspec
+from msgspec import Meta
+
+from crazychoir.bus.codec import decode, encode
+from crazychoir.bus.frames import MAX_NAME
+from crazychoir.bus.local import Interest
+from crazychoir.errors import CodecError
+
+MAX_ADDRESSES = 4096
+MAX_INTERESTS = 16_384
+MIN_RATE, MAX_RATE = 1e-3, 1e6
+"""Hz, of an interest; 0 asks for everything."""
+TIE = 0.05
+"""s: more than a HELLO is on its way, so that two processes agree on who was there first."""
+
+_Name = Annotated[str, Meta(max_length=MAX_NAME)]
+_Address = Annotated[int, Meta(ge=0, lt=1 << 32)]
+_Addresses = Annotated[list[_Address], Meta(max_length=MAX_ADDRESSES)]
+
+
+class Hello(msgspec.Struct, frozen=True):
+    """Sent when it changes and repeated; its envelope says how old it is, so that repeats are the same bytes.
+
+    incarnation: of the process;  version: of crazychoir;  uptime: s, when this was said;
+    heard: processes whose HELLO has arrived here;  stopped: an emergency stop is in force.
+    """
+
+    process: _Name
+    host: _Name
+    incarnation: Annotated[int, Meta(ge=0)]
+    version: _Name
+    uptime: Annotated[float, Meta(ge=0.0, le=1e9)]
+    drones: _Addresses
+    observers: _Addresses
+    interests: Annotated[list[Interest], Meta(max_length=MAX_INTERESTS)]
+    heard: Annotated[list[_Name], Meta(max_length=MAX_ADDRESSES)]
+    stopped: bool
+
+    @classmethod
+    def of(cls, payload: bytes) -> "Hello":
+        """From the wire; raises CodecError."""
+        value: Any = decode(payload)
+        try:
+            return msgspec.convert(value, cls)
+        except Exception as error:
+            raise CodecError(f"HELLO: {type(error).__name__}: {error}") from error
+
+    def payload(self) -> bytes:
+        """For the wire."""
+        return encode(msgspec.to_builtins(self))
+
+    @property
+    def addresses(self) -> list[int]:
+        """Ports of the process."""
+        return [*self.drones, *self.observers]
+
+    def wants(self) -> list[Interest]:
+        """Its interests, without those for readers of others and those with senseless rates."""
+        own = frozenset(self.addresses)
+        sensible = [one for one in self.interests if one.rate == 0.0 or MIN_RATE <= one.rate <= MAX_RATE]
+        return [one for one in sensible if one.reader in own]
+
+    def precedes(self, process: str, lead: float) -> bool:
+        """Whether the sender, which is up for `lead` s longer, was there before `process`; the lesser name in a tie."""
+        return lead > 0.0 or (lead > -TIE and self.process < process)

@@ -1,0 +1,346 @@
+"""The bus of one process: its ports, who reads what, and the way of a message to the next mailbox.
+
+A message between two drones always passes the codec and the simulated network, in one process too. Actors of
+one drone hand each other frozen values by reference. What is for another process goes to the `Forwarder`.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+from crazychoir.bus.codec import decode, encode
+from crazychoir.bus.impairment import Impairment
+from crazychoir.bus.topics import BY_NAME, BY_NUMBER, OBSERVABLE, Topic
+from crazychoir.errors import CodecError
+from crazychoir.runtime.clock import MESSAGE, SECOND, Clock
+from crazychoir.runtime.mailbox import AnyMailbox
+from crazychoir.types import Wire
+
+ANY = -1
+"""In an interest: every drone but the reader; a mailbox then gets (drone, value)."""
+OBSERVER = 10_000
+"""Addresses from here on are observers and operators; below are drones."""
+
+Handler = Callable[[int, bytes, int, str, int, float], None]
+"""Called with (source, payload, number, channel, flags, age)."""
+
+
+class Forwarder(Protocol):
+    """The way to other processes."""
+
+    def forward(
+        self,
+        topic: Topic,
+        source: int,
+        to: list[int],
+        payload: bytes,
+        number: int,
+        channel: str,
+        flags: int,
+        age: float,
+    ) -> None:
+        """Take a message for ports elsewhere."""
+
+    def interested(self) -> None:
+        """The interests of this process have changed."""
+
+
+@dataclass(slots=True)
+class Reader:
+    """One reader of a topic of one drone: its own mailbox, or (mailbox None) the port of another drone or observer.
+
+    interval_ns: between two values, 0 for all, for other ports only;  due_ns: when the next may go.
+    """
+
+    address: int
+    mailbox: AnyMailbox | None
+    interval_ns: int = 0
+    due_ns: int = 0
+
+    def due(self, now_ns: int) -> bool:
+        """Whether a value may go now: one in each interval of a fixed grid."""
+        if now_ns < self.due_ns:
+            return False
+        self.due_ns += ((now_ns - self.due_ns) // self.interval_ns + 1) * self.interval_ns
+        return True
+
+
+@dataclass(slots=True)
+class Counters:
+    """What a port has exchanged.
+
+    sent, bytes: messages to drones;  lost: verdicts of the simulated network;  malformed: undecodable payloads.
+    """
+
+    sent: int = 0
+    lost: int = 0
+    resent: int = 0
+    received: int = 0
+    malformed: int = 0
+    bytes: int = 0
+
+
+@dataclass(frozen=True)
+class Interest:
+    """`reader` wants `topic` of drone `source` (or ANY) at most `rate` times a second (0: all)."""
+
+    topic: str
+    source: int
+    reader: int
+    rate: float = 0.0
+
+
+class Bus:
+    """All ports of one process."""
+
+    def __init__(
+        self, clock: Clock, impairment: Impairment | None = None, process: str = "local", host: str = "local"
+    ) -> None:
+        self.clock = clock
+        self.impairment = impairment or Impairment(0)
+        self.process, self.host = process, host
+        self.ports: dict[int, Port] = {}
+        self.forwarder: Forwarder | None = None
+        self.interests: list[Interest] = []
+        self.unroutable = 0
+        self.stopped = False
+        self.tap: Callable[[int, int, int, int, bytes], None] | None = None
+        self._readers: dict[int, dict[int, list[Reader]]] = {}
+        self._started_ns = clock.now_ns()
+        self._opened: tuple[bytes | None, Any] = (None, None)
+
+    def port(self, address: int, incarnation: int = 1) -> "Port":
+        """Open the port of a drone or an observer; when it opens again, its readers elsewhere are still there."""
+        readers = self._readers.setdefault(address, {})
+        port = self.ports[address] = Port(self, address, incarnation, _readers=readers)
+        port.drop_readers([address])
+        for interest in self.interests:
+            if address in self._sources(interest):
+                port.add_reader(interest, None)
+        return port
+
+    def close(self, address: int) -> None:
+        """Close a port: what is for it is lost from now on, as if its drone had crashed."""
+        self.ports.pop(address, None)
+
+    def elapsed(self) -> float:
+        """Seconds since this bus began: the time of scheduled partitions."""
+        return (self.clock.now_ns() - self._started_ns) / SECOND
+
+    def open(self, topic: int, payload: bytes) -> Any:
+        """The value of a payload of this topic; raises CodecError. Decoded once for all who share the frozen value."""
+        opened, value = self._opened
+        if payload is opened:
+            return value
+        value, expected = decode(payload), BY_NUMBER[topic].type
+        if expected is not None and not isinstance(value, expected):
+            raise CodecError(f"{BY_NUMBER[topic].name}: found a {type(value).__name__}; allowed: {expected.__name__}.")
+        if isinstance(value, Wire):
+            self._opened = payload, value
+        return value
+
+    def drones(self) -> list[int]:
+        """Ids of the drones of this process."""
+        return [address for address in self.ports if address < OBSERVER]
+
+    def subscribe(self, topic: Topic, source: int, reader: int, mailbox: AnyMailbox, rate: float = 0.0) -> None:
+        """Let `mailbox` of `reader` get `topic` of drone `source` (or ANY)."""
+        interest = Interest(topic.name, source, reader, rate)
+        self.ports[reader].mailboxes.setdefault(topic.number, {}).setdefault(source, []).append(mailbox)
+        for address in self._sources(interest):
+            self.ports[address].add_reader(interest, mailbox if address == reader else None)
+        if (source == ANY or source not in self.ports) and interest not in self.interests:
+            self.interests.append(interest)
+            if self.forwarder is not None:
+                self.forwarder.interested()
+
+    def add_remote_interests(self, interests: list[Interest]) -> None:
+        """Another process has said what it wants."""
+        for interest in interests:
+            if interest.topic in OBSERVABLE:
+                for address in self._sources(interest):
+                    self.ports[address].add_reader(interest, None)
+
+    def _sources(self, interest: Interest) -> list[int]:
+        """The open ports here that an interest is about."""
+        if interest.source != ANY:
+            return [interest.source] if interest.source in self.ports else []
+        return [address for address in self.drones() if address != interest.reader]
+
+    def drop_readers(self, addresses: list[int]) -> None:
+        """These ports of another process are gone."""
+        for port in self.ports.values():
+            port.drop_readers(addresses)
+
+
+@dataclass(eq=False)
+class Port:
+    """The place on the bus of one drone, or of one observer."""
+
+    bus: Bus
+    address: int
+    incarnation: int
+    counters: Counters = field(default_factory=Counters)
+    handlers: dict[int, Handler] = field(default_factory=dict)
+    mailboxes: dict[int, dict[int, list[AnyMailbox]]] = field(default_factory=dict)
+    heard_ns: dict[int, int] = field(default_factory=dict)
+    _readers: dict[int, list[Reader]] = field(default_factory=dict)
+    _latched: dict[int, tuple[Any, int]] = field(default_factory=dict)
+    _numbers: dict[int, int] = field(default_factory=dict)
+
+    def send(
+        self,
+        topic: Topic,
+        to: tuple[int, ...],
+        payload: bytes,
+        number: int = 0,
+        channel: str = "",
+        flags: int = 0,
+        attempt: int = 0,
+    ) -> None:
+        """Send along edges: to each address of `to`, here or elsewhere, through the simulated network."""
+        bus = self.bus
+        counters = self.counters
+        counters.sent += len(to)
+        counters.bytes += len(payload) * len(to)
+        if topic.impaired and bus.impairment.active:
+            for j in to:
+                self._send_impaired(topic, j, payload, number, channel, flags, attempt)
+            return
+        ports, far = bus.ports, []
+        for j in to:
+            port = ports.get(j)
+            if port is None:
+                far.append(j)
+            else:
+                port.deliver(topic.number, self.address, payload, number, channel, flags, 0.0)
+        if far:
+            self._forward(topic, far, payload, number, channel, flags, 0.0)
+
+    def publish(self, topic: Topic, value: Any, age: float = 0.0) -> None:
+        """Give a value to all its readers; costs nothing where nobody reads."""
+        if topic.latched:
+            self._latched[topic.number] = value, self.bus.clock.now_ns() - round(age * SECOND)
+        readers = self._readers.get(topic.number)
+        if not readers:
+            return
+        payload: bytes | None = None
+        number = self._numbers[topic.number] = self._numbers.get(topic.number, 0) + 1
+        for reader in readers:
+            if reader.mailbox is not None:
+                reader.mailbox.put(value, age)
+            elif not reader.interval_ns or reader.due(self.bus.clock.now_ns()):
+                payload = payload or encode(value)
+                self._publish_to(topic, reader.address, payload, number, age)
+
+    def deliver(
+        self, topic: int, source: int, payload: bytes, number: int, channel: str, flags: int, age: float
+    ) -> None:
+        """A message has arrived for this port."""
+        bus = self.bus
+        self.counters.received += 1
+        if bus.tap is not None:
+            bus.tap(self.address, topic, source, number, payload)
+        self.heard_ns[source] = bus.clock.now_ns()
+        handler = self.handlers.get(topic)
+        if handler is not None:
+            handler(source, payload, number, channel, flags, age)
+            return
+        inputs = self.mailboxes.get(topic)
+        if inputs is None:
+            return
+        boxes, every = inputs.get(source, ()), inputs.get(ANY, ())
+        if not boxes and not every:
+            return
+        try:
+            value = bus.open(topic, payload)
+        except CodecError:
+            self.counters.malformed += 1
+            return
+        for box in boxes:
+            box.put(value, age)
+        for box in every:
+            box.put((source, value), age)
+
+    def add_reader(self, interest: Interest, mailbox: AnyMailbox | None) -> None:
+        """From now on `interest.reader` gets the topic; a latched value at once.
+
+        mailbox: of an actor of this drone itself, None for another port. A port is served once, at its fastest rate.
+        """
+        topic = BY_NAME[interest.topic]
+        interval_ns = round(SECOND / interest.rate) if interest.rate > 0 else 0
+        readers = self._readers.setdefault(topic.number, [])
+        for reader in readers:
+            if reader.address == interest.reader and reader.mailbox is mailbox:
+                reader.interval_ns = min(reader.interval_ns, interval_ns)
+                break
+        else:
+            readers.append(Reader(interest.reader, mailbox, interval_ns))
+        if topic.number in self._latched:
+            self._give_latched(topic, interest.reader, mailbox)
+
+    def _give_latched(self, topic: Topic, j: int, mailbox: AnyMailbox | None) -> None:
+        value, born_ns = self._latched[topic.number]
+        age = (self.bus.clock.now_ns() - born_ns) / SECOND
+        if mailbox is not None:
+            mailbox.put(value, age)
+        else:
+            self._publish_to(topic, j, encode(value), 0, age)
+
+    def drop_readers(self, addresses: list[int]) -> None:
+        """Forget the readers at these addresses."""
+        for number, readers in self._readers.items():
+            self._readers[number] = [reader for reader in readers if reader.address not in addresses]
+
+    def _publish_to(self, topic: Topic, j: int, payload: bytes, number: int, age: float) -> None:
+        bus, counters = self.bus, self.counters
+        if j < OBSERVER:
+            counters.sent += 1
+            counters.bytes += len(payload)
+        if topic.impaired and bus.impairment.active and j < OBSERVER:
+            self._send_impaired(topic, j, payload, number, topic.name, 0, 0, age)
+            return
+        port = bus.ports.get(j)
+        if port is not None:
+            port.deliver(topic.number, self.address, payload, number, "", 0, age)
+        else:
+            self._forward(topic, [j], payload, number, "", 0, age)
+
+    def _send_impaired(
+        self,
+        topic: Topic,
+        j: int,
+        payload: bytes,
+        number: int,
+        channel: str,
+        flags: int,
+        attempt: int,
+        age: float = 0.0,
+    ) -> None:
+        bus = self.bus
+        lane = channel or topic.name
+        verdict = bus.impairment.verdict(self.address, j, lane, number, attempt, len(payload), bus.elapsed())
+        if not verdict.deliveries:
+            self.counters.lost += 1
+        for delay in verdict.deliveries:
+            if delay > 0.0:
+                when_ns = bus.clock.now_ns() + round(delay * SECOND)
+                arguments = (topic, j, payload, number, channel, flags, age + delay)
+                bus.clock.call_at(when_ns, self._arrive, *arguments, priority=MESSAGE, drone=j)
+            else:
+                self._arrive(topic, j, payload, number, channel, flags, age)
+
+    def _arrive(self, topic: Topic, j: int, payload: bytes, number: int, channel: str, flags: int, age: float) -> None:
+        port = self.bus.ports.get(j)
+        if port is not None:
+            port.deliver(topic.number, self.address, payload, number, channel, flags, age)
+        else:
+            self._forward(topic, [j], payload, number, channel, flags, age)
+
+    def _forward(
+        self, topic: Topic, far: list[int], payload: bytes, number: int, channel: str, flags: int, age: float
+    ) -> None:
+        if self.bus.forwarder is None:
+            self.bus.unroutable += len(far)
+        else:
+            self.bus.forwarder.forward(topic, self.address, far, payload, number, channel, flags, age)

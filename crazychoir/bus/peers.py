@@ -1,0 +1,175 @@
+"""The other processes: whose token is there, what they have said, and which of them holds which address.
+
+Pure but for its callbacks: keys, tokens and bytes in. A HELLO counts only from a process whose token is there.
+"""
+
+import logging
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+from crazychoir.bus.hello import Hello
+from crazychoir.bus.local import OBSERVER, Bus
+from crazychoir.bus.topics import Class
+from crazychoir.errors import CodecError, Refused
+from crazychoir.runtime.clock import SECOND
+
+log = logging.getLogger(__name__)
+MAX_PEERS = 512
+
+OnToken = Callable[[list[int], bool], None]
+"""Called with the drones of a process whose token has gone (False), or is there and its HELLO has come (True)."""
+OnRefused = Callable[[Refused], None]
+"""Called when another process had one of our drones before us."""
+
+
+@dataclass(slots=True, eq=False)
+class Peer:
+    """Another process whose liveliness token is there; without `hello` it is not yet, or not, talked to.
+
+    since_ns: when it began, by our clock;  said: its last HELLO as it came;  refusal: why it was not taken;
+    lanes: of the link.
+    """
+
+    process: str
+    host: str
+    hello: Hello | None = None
+    since_ns: int = 0
+    said: bytes | None = None
+    refusal: str = ""
+    lanes: dict[Class, Any] = field(default_factory=dict)
+
+
+class Peers:
+    """What this process knows of the others, by name, and the way to each address."""
+
+    def __init__(
+        self, bus: Bus, swarm: str, incarnation: int, version: str, on_token: OnToken, on_refused: OnRefused
+    ) -> None:
+        self.bus, self.swarm, self.incarnation, self.version = bus, swarm, incarnation, version
+        self.on_token, self.on_refused = on_token, on_refused
+        self.by_name: dict[str, Peer] = {}
+        self.directory: dict[int, Peer] = {}
+        self._born = bus.clock.now()
+        self._ports: list[int] = []
+        self._offered: list[int] = []
+        self._said: Hello | None = None
+        self._payload = b""
+
+    def came(self, host: str, process: str) -> Peer | None:
+        """A token is there; returns the peer if it is new."""
+        known = process == self.bus.process or process in self.by_name
+        if known or len(self.by_name) >= MAX_PEERS:
+            return None
+        peer = self.by_name[process] = Peer(process, host)
+        return peer
+
+    def went(self, host: str, process: str) -> Peer | None:
+        """A token has gone; returns the peer that was lost."""
+        peer = self.by_name.get(process)
+        if peer is None or peer.host != host:
+            return None
+        del self.by_name[process]
+        self._route()
+        if peer.hello is not None:
+            self.bus.drop_readers(peer.hello.addresses)
+            self.on_token(peer.hello.drones, False)
+        return peer
+
+    def mutual(self, peer: Peer) -> bool:
+        """Whether HELLO has gone both ways."""
+        return peer.hello is not None and self.bus.process in peer.hello.heard
+
+    def hello(self) -> tuple[bytes, float]:
+        """What we say of ourselves, and for how many s we have been saying so."""
+        self._ports = list(self.bus.ports)
+        uptime, said = self._uptime(), self._said
+        if said is None or said != self._hello(said.uptime):
+            said = self._said = self._hello(uptime)
+            self._payload = said.payload()
+        return self._payload, uptime - said.uptime
+
+    def _hello(self, uptime: float) -> Hello:
+        return Hello(
+            process=self.bus.process,
+            host=self.bus.host,
+            incarnation=self.incarnation,
+            version=self.version,
+            uptime=uptime,
+            drones=[i for i in self._ports if i < OBSERVER],
+            observers=[i for i in self._ports if i >= OBSERVER],
+            interests=list(self.bus.interests),
+            heard=[peer.process for peer in self.by_name.values() if peer.hello is not None],
+            stopped=self.bus.stopped and bool(self.bus.drones()),  # observers are not told when it is cleared
+        )
+
+    def greeted(self, peer: Peer, payload: bytes, age: float) -> bool:
+        """A HELLO has come, `age` s old; returns whether the peer needs ours. Raises CodecError."""
+        if payload == peer.said:
+            return False
+        hello = Hello.of(payload)
+        if (hello.process, hello.host) != (peer.process, peer.host):
+            raise CodecError(f"HELLO of {hello.process} on {hello.host}, sent by {peer.process} on {peer.host}")
+        peer.said = payload
+        uptime = hello.uptime + age
+        peer.since_ns = peer.since_ns or self.bus.clock.now_ns() - round(uptime * SECOND)
+        refusal = self._refusal(hello)
+        if refusal:
+            return self._refuse(peer, hello, refusal, uptime)
+        self._take_in(peer, hello)
+        return not self.mutual(peer)
+
+    def _uptime(self) -> float:
+        return self.bus.clock.now() - self._born
+
+    def offer_new_ports(self) -> None:
+        """Let ports that the others have been told of serve what they asked for before."""
+        if self._ports == self._offered:
+            return
+        self._offered = self._ports
+        for peer in self.by_name.values():
+            if peer.hello is not None and self.mutual(peer):
+                self.bus.add_remote_interests(peer.hello.wants())
+
+    def _refusal(self, hello: Hello) -> str:
+        who = f"process {hello.process} on host {hello.host}"
+        doubles = ", ".join(str(i) for i in hello.drones if i in self.bus.ports)
+        if doubles:
+            return f"{who} flies drone(s) {doubles} too"
+        if hello.version != self.version:
+            return f"{who} runs version {hello.version}, this one runs {self.version}"
+        return ""
+
+    def _refuse(self, peer: Peer, hello: Hello, refusal: str, uptime: float) -> bool:
+        """Say so, once; of two agents with one id, the one that came later gives way."""
+        said, peer.refusal = peer.refusal, refusal
+        if said == refusal:
+            return False
+        if hello.version == self.version and hello.precedes(self.bus.process, uptime - self._uptime()):
+            since = f"and has done so for {uptime:.1f} s"
+            do = "Give this agent another --id, or stop that one."
+            self.on_refused(Refused(f"swarm {self.swarm}", f"{refusal} {since}. {do}"))
+        else:
+            log.warning("%s: it is refused", refusal)
+        return True
+
+    def _take_in(self, peer: Peer, hello: Hello) -> None:
+        was_mutual = self.mutual(peer)
+        previous, peer.hello = peer.hello, hello
+        if previous is None:
+            self.bus.stopped = self.bus.stopped or hello.stopped
+        if previous is None or previous.addresses != hello.addresses:
+            self._route()
+        # Not before it knows us: it would take a latched value for a stranger's.
+        if self.mutual(peer) and not (was_mutual and previous is not None and previous.interests == hello.interests):
+            self.bus.drop_readers(previous.addresses if previous else [])
+            self.bus.add_remote_interests(hello.wants())
+        if previous is None or previous.drones != hello.drones:
+            self.on_token(hello.drones, True)
+
+    def _route(self) -> None:
+        """Who holds which address: of two that claim one, the process that has been up for longer."""
+        self.directory.clear()
+        for peer in sorted(self.by_name.values(), key=lambda peer: peer.since_ns):
+            for address in peer.hello.addresses if peer.hello is not None else ():
+                self.directory.setdefault(address, peer)

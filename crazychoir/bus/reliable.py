@@ -1,0 +1,152 @@
+"""Our own reliable class: sequence, acknowledgement and resend between two ports, over whatever loses messages.
+
+Bounded in messages and in age: what is not acknowledged within `MAX_AGE` is given up and counted, and the sequence
+goes on after it. Delivered in order, once. A sender that restarts begins a new sequence under its new incarnation.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from crazychoir.bus.local import Port
+from crazychoir.bus.topics import ACK, Topic
+from crazychoir.runtime.clock import SECOND, Alarm
+
+RTO = 0.03
+"""s, first resend; doubles up to MAX_RTO."""
+MAX_RTO = 0.5
+MAX_AGE = 15.0
+MAX_PENDING = 256
+
+Receive = Callable[[int, bytes], None]
+"""Called with (source, payload), in the sender's order."""
+
+
+@dataclass
+class _Pending:
+    topic: Topic
+    payload: bytes
+    sent_ns: int
+    due_ns: int
+    rto: float = RTO
+    attempt: int = 0
+
+
+@dataclass
+class _Outgoing:
+    number: int = 0
+    pending: dict[int, _Pending] = field(default_factory=dict)
+
+
+@dataclass
+class _Incoming:
+    incarnation: str
+    expected: int = 0
+    early: dict[int, tuple[int, bytes]] = field(default_factory=dict)
+    acks: int = 0
+    former: dict[str, None] = field(default_factory=dict)
+    """incarnations before this one: what still arrives of them is too late"""
+
+    def skip(self, oldest: int) -> None:
+        """The sender will not repeat what is before `oldest`: it has our acknowledgement, or has given up."""
+        if oldest > self.expected:
+            self.expected = oldest
+            self.early = {k: message for k, message in self.early.items() if k >= oldest}
+
+
+class Reliable:
+    """The reliable messages of one port."""
+
+    def __init__(self, port: Port) -> None:
+        self.port, self.clock = port, port.bus.clock
+        self.given_up = 0
+        self._label = f"{port.incarnation:x}"
+        self._outgoing: dict[int, _Outgoing] = {}
+        self._incoming: dict[int, _Incoming] = {}
+        self._receivers: dict[int, Receive] = {}
+        self._alarm: Alarm | None = None
+        port.handlers[ACK.number] = self._acknowledged
+
+    def listen(self, topic: Topic, receive: Receive) -> None:
+        """Hand the messages of a reliable topic to `receive`."""
+        self._receivers[topic.number] = receive
+
+        def arrived(source: int, payload: bytes, number: int, channel: str, flags: int, age: float) -> None:
+            self._arrived(topic.number, source, payload, number, channel, flags)
+
+        self.port.handlers[topic.number] = arrived
+
+    def send(self, topic: Topic, j: int, payload: bytes) -> None:
+        """Send to port j; arrives once, after all that was sent before, or is counted in `given_up`."""
+        outgoing = self._outgoing.setdefault(j, _Outgoing())
+        if len(outgoing.pending) >= MAX_PENDING:
+            self.given_up += 1
+            return
+        now_ns = self.clock.now_ns()
+        message = _Pending(topic, payload, now_ns, now_ns + round(RTO * SECOND))
+        outgoing.pending[outgoing.number] = message
+        self._transmit(j, outgoing.number, message)
+        outgoing.number += 1
+        self._schedule()
+
+    def forget(self, j: int) -> None:
+        """Port j is gone: nothing more is resent. Should it come back, the sequence goes on."""
+        if j in self._outgoing:
+            self._outgoing[j].pending.clear()
+
+    def _transmit(self, j: int, number: int, message: _Pending) -> None:
+        # A receiver that comes late, or again, must know where the sequence begins for it: the oldest pending number.
+        oldest = min(self._outgoing[j].pending)
+        self.port.send(message.topic, (j,), message.payload, number, self._label, number - oldest, message.attempt)
+
+    def _arrived(self, topic: int, source: int, payload: bytes, number: int, label: str, after_oldest: int) -> None:
+        incoming = self._incoming.get(source)
+        if incoming is None:
+            incoming = self._incoming[source] = _Incoming(label)
+        elif incoming.incarnation != label:
+            if label in incoming.former:
+                return
+            former = {**incoming.former, incoming.incarnation: None}
+            incoming = self._incoming[source] = _Incoming(label, former=former)
+        incoming.skip(number - after_oldest)
+        if number >= incoming.expected and len(incoming.early) < MAX_PENDING:
+            incoming.early[number] = (topic, payload)
+        while incoming.expected in incoming.early:
+            kind, content = incoming.early.pop(incoming.expected)
+            incoming.expected += 1
+            self._receivers[kind](source, content)
+        incoming.acks += 1
+        self.port.send(ACK, (source,), b"", incoming.expected, label, 0, incoming.acks)
+
+    def _acknowledged(self, source: int, payload: bytes, number: int, label: str, flags: int, age: float) -> None:
+        outgoing = self._outgoing.get(source)
+        if outgoing is not None and label == self._label:
+            for done in [k for k in outgoing.pending if k < number]:
+                del outgoing.pending[done]
+
+    def _schedule(self) -> None:
+        if self._alarm is None:
+            due = self.clock.now_ns() + round(RTO / 2 * SECOND)
+            self._alarm = self.clock.call_at(due, self._sweep, drone=self.port.address)
+
+    def _sweep(self) -> None:
+        # Ports of this process answer within `_transmit`: pending messages may go, and new ones come, meanwhile.
+        self._alarm = None
+        now_ns = self.clock.now_ns()
+        for j, outgoing in list(self._outgoing.items()):
+            for number, message in list(outgoing.pending.items()):
+                if number not in outgoing.pending:
+                    continue
+                if now_ns - message.sent_ns > MAX_AGE * SECOND:
+                    del outgoing.pending[number]
+                    self.given_up += 1
+                elif now_ns >= message.due_ns:
+                    self._resend(j, number, message, now_ns)
+        if any(outgoing.pending for outgoing in self._outgoing.values()):
+            self._schedule()
+
+    def _resend(self, j: int, number: int, message: _Pending, now_ns: int) -> None:
+        message.attempt += 1
+        message.rto = min(2.0 * message.rto, MAX_RTO)
+        message.due_ns = now_ns + round(message.rto * SECOND)
+        self.port.counters.resent += 1
+        self._transmit(j, number, message)

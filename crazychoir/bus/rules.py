@@ -1,0 +1,227 @@
+"""What is wrong with the simulated network, and between whom: rules, partitions, and their changes."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass, field, fields, replace
+from math import inf
+from typing import Any, Final
+
+from crazychoir.errors import ConfigError
+
+_CHANCE = (0.0, 1.0, "a probability from 0 to 1")
+_SECONDS = (0.0, 3600.0, "s, from 0 to 3600")
+LIMITS: Final = {
+    "loss": _CHANCE,
+    "p_good_bad": _CHANCE,
+    "p_bad_good": _CHANCE,
+    "loss_bad": _CHANCE,
+    "delay": _SECONDS,
+    "jitter": _SECONDS,
+    "duplicate": _CHANCE,
+    "reorder": _CHANCE,
+    "reorder_delay": _SECONDS,
+    "bandwidth": (0.0, inf, "bytes/s, 0 for no limit"),
+    "queue": _SECONDS,
+}
+"""Of each effect: least, most, in words."""
+SCOPE: Final = ("drone", "edge", "directed")
+
+
+@dataclass(frozen=True, slots=True)
+class Link:
+    """All effects on one directed edge.
+
+    loss: probability, of each message by itself;  p_good_bad, p_bad_good: of the burst chain, a message;  loss_bad:
+    probability in its bad state;  delay: s;  jitter: s, uniform, on top;  duplicate: probability of a second
+    delivery;  reorder: probability of being late by reorder_delay s more;  bandwidth: bytes/s, 0 for no limit;
+    queue: s, the longest wait for it.
+    """
+
+    loss: float = 0.0
+    p_good_bad: float = 0.0
+    p_bad_good: float = 0.0
+    loss_bad: float = 1.0
+    delay: float = 0.0
+    jitter: float = 0.0
+    duplicate: float = 0.0
+    reorder: float = 0.0
+    reorder_delay: float = 0.05
+    bandwidth: float = 0.0
+    queue: float = 0.5
+
+
+@dataclass(frozen=True)
+class Rule:
+    """Effects on all edges, on those of one drone, or on one edge (both ways, unless directed).
+
+    effects: by the names of Link. Where rules meet, a directed edge outdoes an edge, that a drone, and that all;
+    among equals the later rule wins. Raises ConfigError.
+    """
+
+    effects: Mapping[str, float] = field(default_factory=dict)
+    drone: int | None = None
+    edge: tuple[int, int] | None = None
+    directed: bool = False
+
+    def __post_init__(self) -> None:
+        _check_scope(self)
+        for name, value in self.effects.items():
+            _check_effect(name, value)
+        _check_burst(self.effects)
+
+    @property
+    def rank(self) -> int:
+        """0 for all, 1 for a drone, 2 for an edge, 3 for a directed edge."""
+        return 1 if self.drone is not None else 0 if self.edge is None else 2 + self.directed
+
+    @property
+    def scope(self) -> tuple[object, ...]:
+        """Equal for rules on the same edges."""
+        edge = self.edge if self.edge is None or self.directed else tuple(sorted(self.edge))
+        return (self.drone, edge, self.directed)
+
+    def covers(self, source: int, destination: int) -> bool:
+        """Whether this rule is on that edge."""
+        if self.drone is not None:
+            return self.drone in (source, destination)
+        if self.edge is None or self.edge == (source, destination):
+            return True
+        return not self.directed and self.edge == (destination, source)
+
+    def describe(self) -> dict[str, Any]:
+        """The rule in the words of `Impairment.update`."""
+        scope = {"drone": self.drone, "edge": self.edge, "directed": self.directed or None}
+        return {name: value for name, value in scope.items() if value is not None} | dict(self.effects)
+
+
+@dataclass(frozen=True)
+class Partition:
+    """Nothing passes between the drones in a and those in b (empty: everybody else), from since to until.
+
+    since, until: s since the mission's start. Raises ConfigError.
+    """
+
+    since: float
+    until: float
+    a: tuple[int, ...]
+    b: tuple[int, ...] = ()
+
+    def __post_init__(self) -> None:
+        if not (_is_number(self.since) and _is_number(self.until) and 0.0 <= self.since < self.until):
+            raise ConfigError("partition", f"since {self.since!r} until {self.until!r}", "0 <= since < until, in s")
+        if not self.a or not all(_is_id(j) for j in (*self.a, *self.b)):
+            raise ConfigError("partition", f"a = {self.a}, b = {self.b}", "lists of drone ids, a not empty")
+        if any(j in self.a for j in self.b):
+            raise ConfigError("partition", f"a = {self.a}, b = {self.b}", "no drone on both sides")
+
+    def cuts(self, source: int, destination: int) -> bool:
+        """Whether it separates these two."""
+        return self._between(source, destination) or self._between(destination, source)
+
+    def describe(self) -> dict[str, Any]:
+        """The partition in the words of `Impairment.update`."""
+        return asdict(self) | {"until": None if self.until == inf else self.until}
+
+    def _between(self, i: int, j: int) -> bool:
+        return i in self.a and (j in self.b if self.b else j not in self.a)
+
+
+def resolve(rules: Iterable[Rule], source: int, destination: int) -> Link:
+    """The effects of all rules on one edge."""
+    effects: dict[str, float] = {}
+    for rule in sorted(rules, key=lambda rule: rule.rank):
+        if rule.covers(source, destination):
+            effects.update(rule.effects)
+    return Link(**effects)
+
+
+def changed(
+    rules: tuple[Rule, ...], partitions: tuple[Partition, ...], changes: Mapping[str, Any]
+) -> tuple[tuple[Rule, ...], tuple[Partition, ...]]:
+    """Rules and partitions after the changes that `Impairment.update` describes; raises ConfigError."""
+    _check_names("impairment", changes, (*LIMITS, *SCOPE, "clear", "partitions"))
+    if changes.get("clear"):
+        rules, partitions = (), ()
+    if "partitions" in changes:
+        partitions = _partitions(changes["partitions"])
+    edge = changes.get("edge")
+    scope = Rule(
+        drone=changes.get("drone"),
+        edge=tuple(edge) if isinstance(edge, list) else edge,
+        directed=changes.get("directed", False),
+    )
+    effects = {name: changes[name] for name in LIMITS if name in changes}
+    if not effects and "partitions" not in changes and not changes.get("clear"):
+        raise ConfigError("impairment", dict(changes), "at least one of " + ", ".join(LIMITS), "Say what to change.")
+    return _merged(rules, scope, effects) if effects else rules, partitions
+
+
+def _merged(rules: tuple[Rule, ...], scope: Rule, effects: Mapping[str, Any]) -> tuple[Rule, ...]:
+    before = next((dict(rule.effects) for rule in rules if rule.scope == scope.scope), {})
+    after = {name: value for name, value in {**before, **effects}.items() if value is not None}
+    others = tuple(rule for rule in rules if rule.scope != scope.scope)
+    rule = replace(scope, effects=after)
+    return (*others, rule) if after else others
+
+
+def _partitions(entries: Any) -> tuple[Partition, ...]:
+    if not isinstance(entries, list | tuple) or not all(isinstance(entry, Mapping) for entry in entries):
+        raise ConfigError("impairment: partitions", entries, "a list of tables with since, until, a, b")
+    return tuple(map(_partition, entries))
+
+
+def _partition(entry: Mapping[str, Any]) -> Partition:
+    _check_names("partition", entry, [item.name for item in fields(Partition)])
+    a, b, until = entry.get("a", ()), entry.get("b", ()), entry.get("until")
+    if not isinstance(a, list | tuple) or not isinstance(b, list | tuple):
+        raise ConfigError("partition", f"a = {a!r}, b = {b!r}", "lists of drone ids")
+    return Partition(entry.get("since", 0.0), inf if until is None else until, tuple(a), tuple(b))
+
+
+def _check_names(where: str, found: Mapping[str, Any], allowed: Iterable[str]) -> None:
+    for name in found:
+        if name not in allowed:
+            raise ConfigError(where, name, ", ".join(allowed), "Mend the name.")
+
+
+def _check_scope(rule: Rule) -> None:
+    if rule.drone is not None and (not _is_id(rule.drone) or rule.edge is not None):
+        found = f"drone = {rule.drone!r}, edge = {rule.edge!r}"
+        raise ConfigError("impairment", found, "a drone's id, or an edge, not both", "Make two rules.")
+    edge = rule.edge
+    if edge is None and rule.directed:
+        raise ConfigError("impairment: directed", "no edge", "with an edge only", "Add edge = [source, destination].")
+    if edge is not None and not _is_pair(edge):
+        raise ConfigError("impairment: edge", edge, "two drone ids, [source, destination]")
+    if edge is not None and edge[0] == edge[1]:
+        raise ConfigError("impairment: edge", edge, "two different drones")
+
+
+def _check_effect(name: str, value: Any) -> None:
+    if name not in LIMITS:
+        raise ConfigError("impairment", name, ", ".join(LIMITS), "Mend the name.")
+    low, high, words = LIMITS[name]
+    if not _is_number(value) or not low <= value < inf or value > high:
+        raise ConfigError(f"impairment: {name}", value, words)
+
+
+def _check_burst(effects: Mapping[str, float]) -> None:
+    if ("p_good_bad" in effects) != ("p_bad_good" in effects):
+        raise ConfigError("impairment: burst", dict(effects), "p_good_bad and p_bad_good together", "Set both.")
+    worse, better = effects.get("p_good_bad", 0.0), effects.get("p_bad_good", 0.0)
+    if worse > 0.0 and better <= 0.0:
+        raise ConfigError("impairment: p_bad_good", better, "more than 0, or a burst never ends", "Use loss = 1.")
+    if worse + better > 1.0:
+        found = f"p_good_bad + p_bad_good = {worse + better:g}"
+        raise ConfigError("impairment: burst", found, "at most 1", "Above it there are no bursts; use loss.")
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def _is_pair(value: Any) -> bool:
+    return isinstance(value, tuple) and len(value) == 2 and all(map(_is_id, value))
+
+
+def _is_id(value: object) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and value >= 0

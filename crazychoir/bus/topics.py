@@ -1,0 +1,85 @@
+"""The one table of topics. Mailboxes, frames, impairment, latching and public keys are all derived from it."""
+
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any, Literal
+
+from crazychoir.runtime.clock import Clock
+from crazychoir.runtime.mailbox import AnyMailbox, DropOldest, Latest
+from crazychoir.types import FPQR, FullState, Pose, State, Status
+
+
+class Class(IntEnum):
+    """How a message is treated on its way; the number is part of the key of a frame."""
+
+    ESTOP = 0
+    """resent until every drone has acknowledged"""
+    CONTROL = 1
+    """only the newest counts: conflated at the sender"""
+    ROUNDS = 2
+    """best effort; the round resends what is missing"""
+    RELIABLE = 3
+    """sequence, acknowledgement, resend"""
+    BULK = 4
+    """everything that can wait"""
+
+
+@dataclass(frozen=True)
+class Topic:
+    """One row of the table.
+
+    type: of its values, None for any;  rate: Hz, of the sender, 0 for when needed;  max_age: s, beyond which a
+    value is stale;  queue: 0 for a mailbox of the latest value, n for the n newest;  latched: a new reader gets the
+    last value;  impaired: the simulated network acts on it between drones;  public: Hz of the copy for other Zenoh
+    programs, 0 for none;  wire: along an edge, to whoever is interested, or to a process.
+    """
+
+    number: int
+    name: str
+    type: type[Any] | None
+    rate: float
+    max_age: float
+    queue: int
+    klass: Class
+    latched: bool = False
+    impaired: bool = True
+    public: float = 0.0
+    wire: Literal["edge", "interest", "process"] = "interest"
+
+    def mailbox(self, clock: Clock, name: str = "") -> AnyMailbox:
+        """A mailbox with this topic's policy."""
+        if self.queue:
+            return DropOldest(clock, f"{name}{self.name}", self.queue)
+        return Latest(clock, f"{name}{self.name}", self.max_age)
+
+
+NEVER_STALE = float("inf")
+
+# From one drone's actors to each other, and to whoever looks on.
+POSE = Topic(1, "pose", Pose, 100, 0.1, 0, Class.CONTROL, impaired=False)
+STATE = Topic(2, "state", State, 100, 0.25, 0, Class.CONTROL, public=10)
+REFERENCE = Topic(3, "reference", FullState, 100, 0.5, 0, Class.CONTROL, impaired=False)
+COMMAND = Topic(4, "command", FPQR, 100, 0.1, 0, Class.CONTROL, impaired=False)
+TRUTH = Topic(5, "truth", State, 20, 0.5, 0, Class.CONTROL, impaired=False)
+STATUS = Topic(6, "status", Status, 4, 2.0, 0, Class.CONTROL, latched=True, impaired=False, public=2)
+RESULT = Topic(7, "result", dict, 0, NEVER_STALE, 0, Class.BULK, latched=True, impaired=False)
+LOG = Topic(8, "log", str, 0, NEVER_STALE, 256, Class.BULK, impaired=False)
+# Along the edges of the graph.
+ROUND = Topic(16, "round", None, 0, NEVER_STALE, 0, Class.ROUNDS, wire="edge")
+HEARTBEAT = Topic(17, "heartbeat", None, 4, 1.0, 0, Class.CONTROL, wire="edge")
+ROSTER = Topic(18, "roster", None, 0, NEVER_STALE, 0, Class.RELIABLE, wire="edge")
+ACK = Topic(19, "ack", None, 0, NEVER_STALE, 0, Class.ROUNDS, wire="edge")
+# Commands of operators.
+REQUEST = Topic(24, "request", None, 0, NEVER_STALE, 0, Class.ROUNDS, impaired=False, wire="edge")
+ANSWER = Topic(25, "answer", None, 0, NEVER_STALE, 0, Class.ROUNDS, impaired=False, wire="edge")
+ESTOP = Topic(26, "estop", None, 0, NEVER_STALE, 0, Class.ESTOP, impaired=False, wire="edge")
+# Between processes.
+HELLO = Topic(32, "hello", None, 1, NEVER_STALE, 0, Class.ROUNDS, impaired=False, wire="process")
+
+TOPICS = (
+    POSE, STATE, REFERENCE, COMMAND, TRUTH, STATUS, RESULT, LOG,
+    ROUND, HEARTBEAT, ROSTER, ACK, REQUEST, ANSWER, ESTOP, HELLO,
+)  # fmt: skip
+BY_NAME = {topic.name: topic for topic in TOPICS}
+BY_NUMBER = {topic.number: topic for topic in TOPICS}
+OBSERVABLE = tuple(topic.name for topic in TOPICS if topic.wire == "interest")

@@ -1,0 +1,422 @@
+"""Between processes: one Zenoh session, one wildcard subscriber, one put a (peer process, class, loop pass).
+
+    frames  choir/<swarm>/f/<destination process>/<source host>/<source process>/<class>
+    tokens  choir/<swarm>/live/<host>/<process>
+
+Zenoh's threads hand bytes to the event loop through one deque and one wake-up a burst; every put is DROP and never
+waits. A peer is a process whose liveliness token is there; it is talked to when its HELLO has come, which both
+sides send until each has heard the other.
+"""
+
+import asyncio
+import json
+import logging
+import os
+import threading
+from collections import deque
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import zenoh
+
+from crazychoir.bus import endpoints
+from crazychoir.bus.codec import encode
+from crazychoir.bus.frames import Envelope, Frame, FrameBuffer, FrameVersionError, decode_frame, encode_frame
+from crazychoir.bus.local import ANY, Bus
+from crazychoir.bus.peers import OnRefused, OnToken, Peer, Peers
+from crazychoir.bus.topics import HELLO, LOG, Class, Topic
+from crazychoir.errors import CodecError, ConfigError
+from crazychoir.runtime.actor import Actor
+from crazychoir.runtime.clock import SECOND
+
+log = logging.getLogger(__name__)
+BACKLOG = 10_000
+"""Frames that wait for the event loop; the oldest go when it hangs."""
+CLOSE_DEADLINE = 1.5
+"""s; within what a supervisor grants."""
+SETTLED = 5
+"""s during which a changed HELLO is repeated every second; then every so many s."""
+RUNTIME = "(rx: (worker_threads: 1))"
+"""Zenoh's threads: two that receive wake each other for every frame, which costs a twentieth more CPU."""
+ASKING = 4
+"""HELLOs a second to a peer that is not yet talked to."""
+_PRIORITY = {
+    Class.ESTOP: zenoh.Priority.REAL_TIME,
+    Class.CONTROL: zenoh.Priority.INTERACTIVE_HIGH,
+    Class.ROUNDS: zenoh.Priority.DATA_HIGH,
+    Class.RELIABLE: zenoh.Priority.DATA,
+    Class.BULK: zenoh.Priority.DATA_LOW,
+}
+
+Handler = Callable[[str, bytes, int], None]
+"""Called with (key, bytes, when they arrived in ns)."""
+
+
+@dataclass(slots=True, eq=False)
+class Lane:
+    """The messages of one class on their way to one peer."""
+
+    buffer: FrameBuffer
+    publisher: zenoh.Publisher
+
+
+@dataclass
+class LinkCounters:
+    """What went over the network, and what was thrown away.
+
+    malformed, other_version: frames that could not be read;  strangers: frames and messages from those that have no
+    token (or whose HELLO overtook it), or speak for others;  unsendable: messages that no frame takes;  dropped:
+    messages for a peer that went away;  overflowed: frames that a hung event loop did not take;  failed: frames whose
+    handler raised;  worst_put_s: s, the longest put.
+    """
+
+    frames_sent: int = 0
+    frames_received: int = 0
+    bytes_sent: int = 0
+    malformed: int = 0
+    other_version: int = 0
+    strangers: int = 0
+    unsendable: int = 0
+    dropped: int = 0
+    overflowed: int = 0
+    failed: int = 0
+    put_errors: int = 0
+    worst_put_s: float = 0.0
+
+
+class ZenohLink(Actor):
+    """This process on the network; the `Forwarder` of its bus. Raises ConfigError for a malformed endpoint.
+
+    listen, connect: endpoints;  lease: s without a sign of a host before its tokens go;  settings: of Zenoh, by path.
+    """
+
+    name = "zenoh"
+
+    def __init__(
+        self,
+        bus: Bus,
+        swarm: str,
+        *,
+        listen: list[str],
+        connect: list[str],
+        incarnation: int,
+        version: str,
+        lease: float = 1.0,
+        settings: Mapping[str, Any] | None = None,
+        on_token: OnToken = lambda drones, there: None,
+        on_refused: OnRefused = lambda refused: None,
+    ) -> None:
+        for where, name in (("swarm", swarm), ("host", bus.host), ("process", bus.process)):
+            endpoints.check_name(where, name)
+        self.bus, self.swarm, self.listen, self.connect = bus, swarm, listen, connect
+        self.counters = LinkCounters()
+        self.table = Peers(bus, swarm, incarnation, version, on_token, on_refused)
+        self.peers, self.directory = self.table.by_name, self.table.directory
+        self._config = _config({**endpoints.settings(listen, connect, lease), **(settings or {})})
+        self._loop = asyncio.get_running_loop()
+        self._now_ns = bus.clock.now_ns
+        self._queue: deque[tuple[Handler, str, bytes, int]] = deque(maxlen=BACKLOG)
+        self._armed = False
+        self._flushing = False
+        self._full: list[Lane] = []
+        self._to_greet: dict[str, None] = {}
+        self._declared: list[Any] = []
+        self._session: zenoh.Session | None = None
+
+    # Opening and closing --------------------------------------------------------------------------------------
+
+    def open(self) -> None:
+        """Listen, connect, subscribe, and only then declare the token; raises ConfigError for a busy endpoint."""
+        os.environ.setdefault("ZENOH_RUNTIME", RUNTIME)
+        try:
+            session = zenoh.open(self._config)
+        except zenoh.ZError as error:
+            raise endpoints.cannot_open(self.listen, self.connect, str(error)) from error
+        self._session = session
+        received = zenoh.handlers.Callback(self._received, indirect=True)
+        tokens = zenoh.handlers.Callback(self._token, indirect=True)
+        live = f"choir/{self.swarm}/live"
+        self._declared = [
+            session.declare_subscriber(f"choir/{self.swarm}/f/{self.bus.process}/**", received),
+            session.liveliness().declare_subscriber(f"{live}/*/*", tokens, history=True),
+            session.liveliness().declare_token(f"{live}/{self.bus.host}/{self.bus.process}"),
+        ]
+        self.bus.forwarder = self
+
+    async def run(self) -> None:
+        """Repeat HELLO: often to those who have not heard it or whom we have not, seldom when all know all."""
+        tick = 0
+        async for _ in self.bus.clock.ticks(ASKING * HELLO.rate):
+            tick += 1
+            self.table.offer_new_ports()
+            _, age = self.table.hello()
+            due = tick % ASKING == 0 and age < SETTLED
+            if due or age == 0.0 or tick % (SETTLED * ASKING) == 0:
+                self.greet()
+                continue
+            for peer in self.peers.values():
+                if not peer.refusal and not self.table.mutual(peer):
+                    self._greet(peer)
+
+    async def on_stop(self) -> None:
+        """Send what is waiting and close the session, in a thread: it may take its time."""
+        self._flush()
+        session, self._session = self._session, None
+        if session is None:
+            return
+        closed = asyncio.Event()
+        threading.Thread(target=self._close, args=(session, closed), name="zenoh close", daemon=True).start()
+        try:
+            async with asyncio.timeout(CLOSE_DEADLINE):
+                await closed.wait()
+        except TimeoutError:
+            log.warning("the Zenoh session does not close within %g s; left behind", CLOSE_DEADLINE)
+
+    def _close(self, session: zenoh.Session, closed: asyncio.Event) -> None:
+        try:
+            for declared in reversed(self._declared):
+                declared.undeclare()
+            session.close()
+        except zenoh.ZError as error:
+            log.warning("while the Zenoh session closed: %s", error)
+        finally:
+            self._on_loop(closed.set)
+
+    def _on_loop(self, call: Callable[[], None]) -> bool:
+        try:
+            self._loop.call_soon_threadsafe(call)
+        except RuntimeError:  # the loop is closed: nobody is left to hear it
+            return False
+        return True
+
+    # Sending --------------------------------------------------------------------------------------------------
+
+    def forward(
+        self,
+        topic: Topic,
+        source: int,
+        to: list[int],
+        payload: bytes,
+        number: int,
+        channel: str,
+        flags: int,
+        age: float,
+    ) -> None:
+        """Put a message into the frame of each process that holds one of `to`; sent at the end of this loop pass."""
+        directory = self.directory
+        groups: dict[Peer | None, list[int]] = {}
+        for j in to:
+            groups.setdefault(directory.get(j), []).append(j)
+        for peer, there in groups.items():
+            if peer is None:
+                self.bus.unroutable += len(there)
+            else:
+                message = Envelope(topic.number, source, tuple(there), number, flags, max(0.0, age), channel, payload)
+                self._add(peer, topic.klass, message)
+
+    def interested(self) -> None:
+        """Our interests changed: tell everybody."""
+        self.greet()
+
+    def greet(self) -> None:
+        """HELLO to every peer, at the end of this loop pass."""
+        self._to_greet.update(dict.fromkeys(self.peers))
+        self._schedule_flush()
+
+    def _greet(self, peer: Peer) -> None:
+        self._to_greet[peer.process] = None
+        self._schedule_flush()
+
+    def _add(self, peer: Peer, klass: Class, message: Envelope) -> None:
+        session = self._session
+        if session is None:
+            self.counters.dropped += 1
+            return
+        lane = peer.lanes.get(klass) or self._lane(session, peer, klass)
+        if not lane.buffer:
+            self._full.append(lane)
+        try:
+            lane.buffer.add(message)
+        except CodecError as error:
+            self.counters.unsendable += 1
+            log.warning("not sent: %s", error)
+            return
+        self._schedule_flush()
+
+    def _lane(self, session: zenoh.Session, peer: Peer, klass: Class) -> Lane:
+        publisher = session.declare_publisher(
+            self._key(peer, klass),
+            congestion_control=zenoh.CongestionControl.DROP,
+            priority=_PRIORITY[klass],
+            express=True,
+            reliability=zenoh.Reliability.RELIABLE,
+        )
+        name, number, conflate = self.bus.process, self.table.incarnation, klass is Class.CONTROL
+        buffer = FrameBuffer(name, number, klass, conflate, endpoints.MAX_FRAME)
+        lane = peer.lanes[klass] = Lane(buffer, publisher)
+        return lane
+
+    def _key(self, peer: Peer, klass: Class) -> str:
+        return f"choir/{self.swarm}/f/{peer.process}/{self.bus.host}/{self.bus.process}/{klass.name.lower()}"
+
+    def _schedule_flush(self) -> None:
+        if not self._flushing:
+            self._flushing = True
+            self._loop.call_soon(self._flush)
+
+    def _flush(self) -> None:
+        if self._to_greet:
+            self._say_hello()
+        self._flushing = False
+        full, self._full = self._full, []
+        for lane in full:
+            for frame in lane.buffer.take():
+                self._put(lane, frame)
+
+    def _say_hello(self) -> None:
+        names, self._to_greet = self._to_greet, {}
+        payload, age = self.table.hello()
+        hello = Envelope(HELLO.number, 0, (), 0, 0, age, "", payload)
+        for name in names:
+            if name in self.peers:
+                self._add(self.peers[name], HELLO.klass, hello)
+
+    def _put(self, lane: Lane, frame: bytes) -> None:
+        counters = self.counters
+        began_ns = self._now_ns()
+        try:
+            lane.publisher.put(frame)
+        except zenoh.ZError:
+            counters.put_errors += 1
+            return
+        counters.worst_put_s = max(counters.worst_put_s, (self._now_ns() - began_ns) / SECOND)
+        counters.frames_sent += 1
+        counters.bytes_sent += len(frame)
+
+    def announce(self, drone: int, topic: str, text: bytes) -> None:
+        """A JSON text for other Zenoh programs, under the drone's public key."""
+        if self._session is not None:
+            key = f"choir/{self.swarm}/drone/{drone}/{topic}"
+            self._session.put(key, text, encoding=zenoh.Encoding.APPLICATION_JSON)
+
+    def alarm(self, drone: int, text: str) -> None:
+        """From any thread, while the event loop may hang: a log line to all who read the drone's, and a public copy."""
+        session = self._session
+        if session is None:
+            return
+        session.put(f"choir/{self.swarm}/drone/{drone}/alarm", text)
+        for peer in list(self.peers.values()):
+            readers = _readers(peer, LOG, drone)
+            if readers:
+                line = Envelope(LOG.number, drone, readers, 0, 0, 0.0, "", encode(text))
+                frame = encode_frame(Frame(self.bus.process, self.table.incarnation, LOG.klass, [line]))
+                session.put(self._key(peer, LOG.klass), frame)
+
+    # Receiving ------------------------------------------------------------------------------------------------
+
+    def _received(self, sample: zenoh.Sample) -> None:
+        """In Zenoh's thread: never blocks, runs no code of ours beyond the queue."""
+        self._enqueue(self._frame, sample, sample.payload.to_bytes())
+
+    def _token(self, sample: zenoh.Sample) -> None:
+        """In Zenoh's other thread."""
+        there = sample.kind == zenoh.SampleKind.PUT
+        self._enqueue(self._token_came if there else self._token_went, sample, b"")
+
+    def _enqueue(self, handler: Handler, sample: zenoh.Sample, data: bytes) -> None:
+        queue = self._queue
+        if len(queue) == BACKLOG:
+            self.counters.overflowed += 1
+        queue.append((handler, str(sample.key_expr), data, self._now_ns()))
+        if not self._armed:
+            self._armed = True
+            if not self._on_loop(self._drain):
+                queue.clear()
+
+    def _drain(self) -> None:
+        self._armed = False  # before the queue is read, else a wake-up is lost
+        queue = self._queue
+        for _ in range(len(queue)):
+            handler, key, data, arrived_ns = queue.popleft()
+            try:
+                handler(key, data, arrived_ns)
+            except Exception as error:
+                self.counters.failed += 1  # whatever one frame breaks, the next one is read
+                log.error("a frame at %s was not taken: %s", key, error, exc_info=error)
+
+    def _token_came(self, key: str, data: bytes, arrived_ns: int) -> None:
+        _, host, process = key.rsplit("/", 2)
+        peer = self.table.came(host, process)
+        if peer is not None:
+            self._greet(peer)
+
+    def _token_went(self, key: str, data: bytes, arrived_ns: int) -> None:
+        _, host, process = key.rsplit("/", 2)
+        peer = self.table.went(host, process)
+        for lane in peer.lanes.values() if peer is not None else ():
+            self.counters.dropped += len(lane.buffer)
+            lane.buffer.take()
+            lane.publisher.undeclare()
+
+    def _frame(self, key: str, data: bytes, arrived_ns: int) -> None:
+        counters = self.counters
+        try:
+            frame = decode_frame(data)
+        except FrameVersionError:
+            counters.other_version += 1
+            return
+        except CodecError:
+            counters.malformed += 1
+            return
+        peer = self._sender(key, frame)
+        if peer is None:
+            counters.strangers += 1
+            return
+        counters.frames_received += 1
+        self._distribute(peer, frame.envelopes, (self._now_ns() - arrived_ns) / SECOND)
+
+    def _sender(self, key: str, frame: Frame) -> Peer | None:
+        """The peer whose frame it is: key, token and frame must agree, since certificates guard only keys."""
+        _, host, process, _ = key.rsplit("/", 3)
+        peer = self.peers.get(process)
+        return peer if peer is not None and peer.host == host and frame.process == process else None
+
+    def _distribute(self, peer: Peer, messages: list[Envelope], waited: float) -> None:
+        directory, ports = self.directory, self.bus.ports
+        for message in messages:
+            if message.topic == HELLO.number:
+                self._greeted(peer, message.payload, message.age + waited)
+            elif directory.get(message.source) is not peer:
+                self.counters.strangers += 1
+            else:
+                age = message.age + waited
+                for j in message.to:
+                    port = ports.get(j)
+                    if port is not None:
+                        port.deliver(
+                            message.topic, message.source, message.payload, message.number,
+                            message.channel, message.flags, age,
+                        )  # fmt: skip
+
+    def _greeted(self, peer: Peer, payload: bytes, age: float) -> None:
+        try:
+            if self.table.greeted(peer, payload, age):
+                self._greet(peer)
+        except CodecError:
+            self.counters.malformed += 1
+
+
+def _config(settings: Mapping[str, Any]) -> zenoh.Config:
+    config = zenoh.Config()
+    for key, value in settings.items():
+        try:
+            config.insert_json5(key, json.dumps(value))
+        except zenoh.ZError as error:
+            raise ConfigError(f"Zenoh setting {key}", value, str(error).split(" at /", 1)[0]) from error
+    return config
+
+
+def _readers(peer: Peer, topic: Topic, drone: int) -> tuple[int, ...]:
+    wants = peer.hello.wants() if peer.hello is not None else []
+    return tuple(one.reader for one in wants if one.topic == topic.name and one.source in (ANY, drone))

@@ -1,0 +1,59 @@
+"""crazychoir bench: speed, against peers where there are some, in one run."""
+
+import json
+import sys
+from collections.abc import Callable
+from typing import Annotated, Any
+
+import typer
+from rich.table import Table
+
+from crazychoir.cli.bench_latency import latency
+from crazychoir.cli.show import STDERR, fail, set_up_logging
+from crazychoir.errors import CrazyChoirError
+
+app = typer.Typer(no_args_is_help=True, help="Measure, against peers of the same run.")
+app.command()(latency)
+
+JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object, nothing else.")]
+QuickOption = Annotated[bool, typer.Option(help="Fewer cases, shorter: a look, not a figure to quote.")]
+Say = Callable[[str], None]
+
+
+@app.command()
+def exchange(as_json: JsonOption = False, quick: QuickOption = False) -> None:
+    """Rounds a second of the neighbours' exchange, beside CycloneDDS and MPI."""
+    from crazychoir.cli import bench_exchange
+
+    _show(lambda say: bench_exchange.run(quick=quick, say=say), bench_exchange.table, as_json)
+
+
+@app.command()
+def flight(as_json: JsonOption = False, quick: QuickOption = False) -> None:
+    """How much faster than real time one core flies 10, 30 and 100 drones, and where the time goes."""
+    from crazychoir.cli import bench_flight
+
+    drones, flights = ((10, 30), 1) if quick else (bench_flight.DRONES, 2)
+    _show(lambda say: bench_flight.run(drones, flights, say), bench_flight.table, as_json)
+
+
+@app.command(name="all")
+def everything(quick: QuickOption = False) -> None:
+    """All of them, one after the other."""
+    exchange(quick=quick)
+    flight(quick=quick)
+    latency()
+
+
+def _show(measure: Callable[[Say], dict[str, Any]], table: Callable[[dict[str, Any]], Table], as_json: bool) -> None:
+    """Measure under a line that says what is measured, then print."""
+    set_up_logging()
+    try:
+        with STDERR.status("starting") as status:
+            result = measure(status.update)
+    except CrazyChoirError as error:
+        fail(error, as_json)
+    if as_json:
+        sys.stdout.write(json.dumps(result) + "\n")
+    else:
+        STDERR.print(table(result))

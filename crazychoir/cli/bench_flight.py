@@ -1,0 +1,193 @@
+"""How much faster than real time one core flies a swarm with the whole stack, and which room takes the time."""
+
+import math
+import signal
+import statistics
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+from rich.table import Table
+
+import crazychoir
+from crazychoir.agent import Agent, Trace
+from crazychoir.errors import Refused
+from crazychoir.guidance.mission import load
+from crazychoir.launch import Score
+from crazychoir.runtime.actor import Actor
+from crazychoir.runtime.clock import Clock, run_virtual
+from crazychoir.safety.pilot import Mode
+from crazychoir.swarm.config import SwarmConfig
+
+DRONES = (10, 30, 100)
+SPACING = 0.7
+"""m between neighbours on the ring."""
+SETTLE = 0.5
+"""s of the law before the clock of the measurement starts."""
+WINDOW = 5.0
+"""s of simulated time that one figure is about."""
+WINDOWS = 3
+"""Figures a flight, one after the other."""
+SAMPLE = 0.001
+"""s of processor time between two samples of a profile."""
+ROOMS = (
+    "bus", "runtime", "safety", "control", "filters", "guidance", "simulation", "mocap", "swarm", "planning",
+)  # fmt: skip
+
+Say = Callable[[str], None]
+
+
+def run(drones: tuple[int, ...] = DRONES, flights: int = 2, say: Say = lambda line: None) -> dict[str, Any]:
+    """{"rows": [one a size of swarm]}; raises Refused if a swarm does not land in good order."""
+    rows = []
+    for n in drones:
+        say(f"{n} drones: flying")
+        windows = [window for _ in range(flights) for window in fly(n)]
+        say(f"{n} drones: profiling one more flight")
+        rows.append(
+            {
+                "drones": n,
+                "plant": "lightweight",
+                "processes": 1,
+                "real_time_factor": WINDOW / statistics.median(wall for wall, _ in windows),
+                "real_time_factor_cpu": WINDOW / statistics.median(cpu for _, cpu in windows),
+                "windows": len(windows),
+                "window_s": WINDOW,
+                "profile": profile(n),
+            }
+        )
+    return {"rows": rows}
+
+
+def table(result: dict[str, Any]) -> Table:
+    """The rows, for people."""
+    shown = Table(title="The whole stack in virtual time, one core")
+    for name in ("drones", "times real time", "by processor time", "where the time goes"):
+        shown.add_column(name, justify="left" if "goes" in name else "right")
+    for row in result["rows"]:
+        rooms = sorted(row["profile"].items(), key=lambda item: -item[1])
+        shares = ", ".join(f"{room} {share:.0%}" for room, share in rooms if share >= 0.01)
+        shown.add_row(
+            str(row["drones"]), f"{row['real_time_factor']:.1f}", f"{row['real_time_factor_cpu']:.1f}", shares
+        )
+    return shown
+
+
+def fly(drones: int, watch: Callable[[bool], None] = lambda on: None) -> list[tuple[float, float]]:
+    """One flight in virtual time; returns (wall, processor) seconds of each window.
+
+    watch: called with True when the first window begins and with False when the last one has ended.
+    """
+    config = ring(drones)
+
+    async def main(clock: Clock) -> list[tuple[float, float]]:
+        agent = Agent(clock, config, load("bearing_formation"), config.ids, trace=Trace())
+        meter = Meter(agent, watch)
+        agent.services += [Score(agent.bus, config.ids), meter]
+        failed = {i: r["reason"] for i, r in (await agent.run()).items() if not r["success"]}
+        if failed or len(meter.windows) < WINDOWS or agent.world.crashed:
+            raise Refused(f"bench flight, {drones} drones", f"not a good flight: {failed or meter.windows}")
+        return meter.windows
+
+    return run_virtual(main)
+
+
+def ring(n: int) -> SwarmConfig:
+    """n drones on the corners of a regular polygon, each hears its two neighbours; two opposite ones lead.
+
+    They take off into the shape, so the law only has to hold it against the noise of the cameras.
+    """
+    radius = SPACING / (2.0 * math.sin(math.pi / n))
+    angles = [2.0 * math.pi * k / n for k in range(n)]
+    corners = [[radius * math.cos(angle), radius * math.sin(angle)] for angle in angles]
+    far = radius + 2.0
+    return SwarmConfig.of(
+        {
+            "name": f"ring{n}",
+            "mission": "bearing_formation",
+            "mission_options": {
+                "shape": {str(k): [*corner, 1.0] for k, corner in enumerate(corners)},
+                "duration": SETTLE + WINDOWS * WINDOW + 0.5,
+            },
+            "seed": 1,
+            "edges": [[k, (k + 1) % n] for k in range(n)],
+            "drones": [{"id": k, "home": [*corners[k], 0.0], "leader": k in (0, n // 2)} for k in range(n)],
+            "fence": {"min": [-far, -far, 0.0], "max": [far, far, 3.0]},
+        },
+        "bench flight",
+    )
+
+
+class Meter(Actor):
+    """Measures the windows, once everybody flies the law."""
+
+    name = "meter"
+
+    def __init__(self, agent: Agent, watch: Callable[[bool], None]) -> None:
+        self.agent, self.watch = agent, watch
+        self.windows: list[tuple[float, float]] = []
+
+    async def run(self) -> None:
+        """Wait for the law, then read the machine's clocks every WINDOW s of virtual time."""
+        clock = self.agent.clock
+        while not self._flying():
+            await clock.sleep(0.1)
+        await clock.sleep(SETTLE)
+        self.watch(True)
+        for _ in range(WINDOWS):
+            wall, cpu = time.perf_counter(), time.process_time()
+            await clock.sleep(WINDOW)
+            self.windows.append((time.perf_counter() - wall, time.process_time() - cpu))
+        self.watch(False)
+
+    def _flying(self) -> bool:
+        leaders = {drone.id for drone in self.agent.config.drones if drone.leader}
+        return all(d.pilot.mode is Mode.FOLLOW for i, d in self.agent.drones.items() if i not in leaders)
+
+
+def profile(drones: int) -> dict[str, float]:
+    """Share of each room in the processor time of a flight; what a room calls outside of the house counts for it."""
+    seen: Counter[str] = Counter()
+    with sampling(seen) as watch:
+        fly(drones, watch)
+    total = max(seen.total(), 1)
+    return {room: round(seen[room] / total, 4) for room in (*ROOMS, "asyncio", "other")}
+
+
+@contextmanager
+def sampling(seen: Counter[str]) -> Iterator[Callable[[bool], None]]:
+    """Count the room of the running code every SAMPLE s of processor time, between watch(True) and watch(False)."""
+
+    def sampled(number: int, frame: FrameType | None) -> None:
+        seen[room_of(frame)] += 1
+
+    def watch(on: bool) -> None:
+        signal.setitimer(signal.ITIMER_PROF, SAMPLE if on else 0.0, SAMPLE)
+
+    before = signal.signal(signal.SIGPROF, sampled)
+    try:
+        yield watch
+    finally:
+        watch(False)
+        signal.signal(signal.SIGPROF, before)
+
+
+HOUSE = Path(crazychoir.__file__).parent
+
+
+def room_of(frame: FrameType | None) -> str:
+    """The room of the innermost frame that belongs to one; missions count for guidance."""
+    while frame is not None:
+        path = Path(frame.f_code.co_filename)
+        if path.is_relative_to(HOUSE) and len(parts := path.relative_to(HOUSE).parts) > 1:
+            if parts[0] in ROOMS:
+                return parts[0]
+            return "guidance" if parts[0] == "agents" else "other"
+        if path.parent.name == "asyncio":
+            return "asyncio"
+        frame = frame.f_back
+    return "other"

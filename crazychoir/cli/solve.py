@@ -1,0 +1,95 @@
+"""crazychoir solve: a pickup-and-delivery instance by its robots, without flying."""
+
+import json
+import sys
+import time
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Group
+from rich.live import Live
+from rich.table import Table
+
+from crazychoir.cli.show import STDERR, fail, set_up_logging
+from crazychoir.errors import CrazyChoirError
+from crazychoir.routing.instance import Instance
+from crazychoir.routing.pickup_delivery import METHODS
+from crazychoir.solving import Team, solve_here
+
+
+def solve(
+    instance: Annotated[Path, typer.Argument(help="Instance file (JSON).")],
+    method: Annotated[str, typer.Option(help=f"Recovery of the plan: {', '.join(METHODS)}.")] = METHODS[0],
+    loss: Annotated[float, typer.Option(help="Share of messages between robots that is lost.")] = 0.0,
+    graph: Annotated[
+        str, typer.Option(help="Communication graph: ring, path, complete, star, k-regular:4, ...")
+    ] = "ring",
+    seed: Annotated[int, typer.Option(help="Seed of the simulated network.")] = 0,
+    picture: Annotated[Path | None, typer.Option(help="Where to draw the routes (PNG).")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object, nothing else.")] = False,
+) -> None:
+    """Solve an instance: every robot with its own part of it."""
+    set_up_logging()
+    try:
+        problem = Instance.load(instance)
+        with _Progress(enabled=not as_json) as progress:
+            result = solve_here(problem, method=method, loss=loss, graph=graph, seed=seed, watch=progress)
+        if picture is not None:
+            _draw(problem, result, picture)
+    except CrazyChoirError as error:
+        fail(error, as_json)
+    if as_json:
+        sys.stdout.write(json.dumps(result) + "\n")
+    else:
+        STDERR.print(_tables(result))
+    raise typer.Exit(0 if result["feasible"] else 1)
+
+
+def _draw(problem: Instance, result: dict[str, Any], path: Path) -> None:
+    from crazychoir.routing.picture import draw_routes
+    from crazychoir.routing.plan import Plan, Route
+
+    path.parent.mkdir(parents=True, exist_ok=True)
+    draw_routes(problem, Plan(tuple(Route.from_json(route) for route in result["routes"])), path)
+
+
+class _Progress:
+    """A live line a robot: phase, round, cost."""
+
+    def __init__(self, enabled: bool) -> None:
+        self.live = Live(console=STDERR, refresh_per_second=4, transient=True) if enabled else None
+        self._due = 0.0
+
+    def __call__(self, team: Team) -> None:
+        """Show the team, a few times a second."""
+        if self.live is None or time.perf_counter() < self._due:
+            return
+        self._due = time.perf_counter() + 0.2
+        table = Table("robot", "phase", "round", "cost")
+        for i, agent in team.items():
+            cost = "" if agent.progress.cost is None else f"{agent.progress.cost:.3f}"
+            table.add_row(str(i), agent.progress.phase, str(agent.progress.round), cost)
+        self.live.update(table)
+
+    def __enter__(self) -> "_Progress":
+        if self.live is not None:
+            self.live.start()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        if self.live is not None:
+            self.live.stop()
+
+
+def _tables(result: dict[str, Any]) -> Group:
+    figures = Table("figure", "value", title="plan" if result["feasible"] else "[red]not feasible[/]")
+    for key in ("cost", "lower_bound", "bound_exact", "method", "disclosed", "rounds", "messages", "bytes", "wall_s",
+                "critical_path_s", "plan_digest"):  # fmt: skip
+        value = result[key]
+        figures.add_row(key, f"{value:.6g}" if isinstance(value, float) else str(value))
+    routes = Table("robot", "length m", "stops")
+    for route in result["routes"]:
+        stops = " ".join(f"{'+' if stop['kind'] == 'pickup' else '-'}{stop['task']}" for stop in route["stops"])
+        routes.add_row(str(route["robot"]), f"{route['length']:.3f}", stops)
+    return Group(figures, routes)

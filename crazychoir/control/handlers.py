@@ -1,0 +1,85 @@
+"""What a controller listens to and what it sends: trajectory and communication handlers, chosen at run time."""
+
+from typing import Protocol
+
+import numpy as np
+
+from crazychoir.math3d import Vec, yaw_of
+from crazychoir.types import FPQR, Acceleration, FullState, Reference, State
+
+
+class TrajectoryHandler(Protocol):
+    """Reads one kind of reference from its topic."""
+
+    topic: str
+
+    def read(self, reference: Reference) -> Vec | None:
+        """The reference as (14,), laid out as FullState.flat; None if it is not of this handler's kind and shape."""
+        ...
+
+    def hold(self, state: State, last: Vec | None) -> Vec:
+        """The reference (14,) to fly on when no usable one comes: `last` brought to rest, or the state."""
+        ...
+
+
+class FullStateTraj:
+    """Position, velocity, acceleration, jerk and yaw: for FlatnessPositionCtrl."""
+
+    topic = "fullstate"
+
+    def read(self, reference: Reference) -> Vec | None:
+        """Its numbers, not copied."""
+        if isinstance(reference, FullState) and reference.flat.shape == (14,) and reference.flat.dtype == np.float64:
+            return reference.flat
+        return None
+
+    def hold(self, state: State, last: Vec | None) -> Vec:
+        """Stay at the last reference's place and heading, or at the state's."""
+        at = np.zeros(14)
+        at[0:3] = state.p if last is None else last[0:3]
+        at[12] = yaw_of(state.q) if last is None else last[12]
+        return at
+
+
+class AccelerationTraj:
+    """An acceleration and a yaw, from a double-integrator law: for FlatnessAccelerationCtrl."""
+
+    topic = "acceleration"
+
+    def read(self, reference: Reference) -> Vec | None:
+        """Acceleration and yaw; position and velocity are left at zero, nothing follows them."""
+        if not isinstance(reference, Acceleration):
+            return None
+        a = np.asarray(reference.a)
+        if a.shape != (3,):
+            return None
+        flat = np.zeros(14)
+        flat[6:9] = a
+        flat[12] = reference.yaw
+        return flat
+
+    def hold(self, state: State, last: Vec | None) -> Vec:
+        """No acceleration; the last heading, or the state's."""
+        level = np.zeros(14)
+        level[12] = yaw_of(state.q) if last is None else last[12]
+        return level
+
+
+class CommunicationHandler(Protocol):
+    """Makes the message that the drone, or its simulation, obeys."""
+
+    topic: str
+
+    def message(self, u: Vec) -> FPQR:
+        """The command of u (4,) = thrust N, body rates rad/s."""
+        ...
+
+
+class FPQRSender:
+    """Sends thrust and body rates: force, p, q, r."""
+
+    topic = "cmd"
+
+    def message(self, u: Vec) -> FPQR:
+        """The command of u (4,), not copied."""
+        return FPQR(u)

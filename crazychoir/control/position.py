@@ -1,0 +1,161 @@
+"""Position control: from a reference and the state to a thrust and a desired attitude (differential flatness)."""
+
+import math
+from typing import Protocol
+
+import numpy as np
+
+from crazychoir.control.gains import FORMATION, STANDARD, Gains
+from crazychoir.control.platform import PAPER, Platform
+from crazychoir.math3d import GRAVITY, Triple, Vec, clip, columns, dot, flat_attitude, kernel, memory, real, vector
+from crazychoir.types import State
+
+DESIRED = 13  # thrust N, x_b, y_b, z_b of R_d (3 each), rate feed-forward w_d rad/s in the axes of R_d (3)
+LEAST_LIFT = 0.2 * GRAVITY  # m/s2: the desired thrust always points up, far from F = 0 and from z_b parallel to x_c
+LONGEST_GAP = 0.1  # s between two desired attitudes whose difference still tells a rate
+HEIGHT_SHARE = 0.9  # of the desired force at most upwards: 26 degrees of tilt are left in the fastest climb
+HEADROOM = 0.95  # of the thrust for the desired acceleration; the rest is left to the attitude
+
+
+class PositionControl(Protocol):
+    """The strategy that turns a reference into a thrust and an attitude."""
+
+    def desired(self, state: State, reference: Vec, now: float) -> Vec | None:
+        """Desired (13,) = thrust N, columns of R_d, rate feed-forward; None if state or reference is not finite.
+
+        reference: (14,) laid out as FullState.flat.  The array is the strategy's own, valid until its next call.
+        """
+        ...
+
+
+@kernel()
+def _drag(q: Vec, v: Triple, platform: Vec) -> Triple:
+    """R A R^T v / m, m/s2 world: what the rotor drag takes and the thrust has to give."""
+    bx, by, bz = columns((q[6], q[7], q[8], q[9]))
+    x, y, z = platform[1] * dot(bx, v), platform[2] * dot(by, v), platform[3] * dot(bz, v)
+    m = platform[0]
+    return (
+        (x * bx[0] + y * by[0] + z * bz[0]) / m,
+        (x * bx[1] + y * by[1] + z * bz[1]) / m,
+        (x * bx[2] + y * by[2] + z * bz[2]) / m,
+    )
+
+
+@kernel()
+def _within_limits(f: Triple, max_tilt: float, most: float) -> Triple:
+    """f with enough lift, a tilt of at most max_tilt and a length of at most `most`; height comes first."""
+    z = clip(f[2], LEAST_LIFT, HEIGHT_SHARE * most)
+    side = math.sqrt(f[0] * f[0] + f[1] * f[1])
+    room = min(z * math.tan(max_tilt), math.sqrt(max(most * most - z * z, 0.0)))
+    s = room / side if side > room else 1.0
+    return (f[0] * s, f[1] * s, z)
+
+
+@kernel()
+def _turning(f: Triple, j: Triple, axes: tuple[Triple, Triple, Triple], yaw: float, yaw_rate: float) -> Triple:
+    """Body rates of the flat attitude while f changes by j a second.
+
+        h = (j - (z_b . j) z_b) / |f|,  p = - h . y_b,  q = h . x_b,  r = (p z_b . x_c + yaw' y_b . y_c) / (x_b . x_c)
+
+    The last from y_b . x_c = 0, differentiated.
+    """
+    x, y, z = axes
+    length = math.sqrt(dot(f, f))
+    p, q = -dot(j, y) / length, dot(j, x) / length
+    c, s = math.cos(yaw), math.sin(yaw)
+    return p, q, (p * (z[0] * c + z[1] * s) + yaw_rate * (y[1] * c - y[0] * s)) / (x[0] * c + x[1] * s)
+
+
+@kernel()
+def _wish(x: Vec, ref: Vec, gains: Vec, follow: float, c: int) -> float:
+    """Acceleration wanted along axis c: a_d - follow (kp (p - p_d) + kv (v - v_d))."""
+    pull: float = gains[c] * (x[c] - ref[c]) + gains[3 + c] * (x[3 + c] - ref[3 + c])
+    return float(ref[6 + c]) - follow * pull
+
+
+@kernel(vector, vector, vector, vector, real, memory)
+def _flatness(x: Vec, ref: Vec, gains: Vec, platform: Vec, follow: float, out: Vec) -> bool:
+    """The law of FlatnessPositionCtrl (follow = 1) and of FlatnessAccelerationCtrl (follow = 0) into out (13,)."""
+    if not (np.all(np.isfinite(x)) and np.all(np.isfinite(ref))):
+        return False
+    v = (ref[3], ref[4], ref[5]) if follow > 0.0 else (x[3], x[4], x[5])
+    drag, rise = _drag(x, v, platform), _drag(x, (ref[6], ref[7], ref[8]), platform)
+    ax, ay, az = (_wish(x, ref, gains, follow, 0), _wish(x, ref, gains, follow, 1), _wish(x, ref, gains, follow, 2))
+    wish = (ax + drag[0], ay + drag[1], az + drag[2] + GRAVITY)
+    f = _within_limits(wish, gains[6], HEADROOM * platform[4] / platform[0])
+    axes = flat_attitude(f, ref[12])
+    free = 1.0 if f == wish else 0.0
+    jerk = (free * (ref[9] + rise[0]), free * (ref[10] + rise[1]), free * (ref[11] + rise[2]))
+    w = _turning(f, jerk, axes, ref[12], ref[13])
+    z = columns((x[6], x[7], x[8], x[9]))[2]
+    out[0] = clip(platform[0] * dot(f, z), 0.0, platform[4])
+    for c in range(3):
+        out[1 + c], out[4 + c], out[7 + c], out[10 + c] = axes[0][c], axes[1][c], axes[2][c], w[c]
+    return True
+
+
+@kernel(memory, memory, real, real, real)
+def _lead(desired: Vec, mem: Vec, h: float, cutoff: float, lead: float) -> None:
+    """Set the roll and pitch feed-forward of desired (13,) to `lead` times the low-passed rate of R_d.
+
+    mem: (12,) = columns of the last R_d, its rate;  h: s since then; after a gap, or from NaN on, it starts anew.
+    Turns of R_d are summed, not turns of the force: noise of both must not leave a drift of the attitude behind.
+    """
+    x, y = (desired[1], desired[2], desired[3]), (desired[4], desired[5], desired[6])
+    z = (desired[7], desired[8], desired[9])
+    a, b, c = (mem[0], mem[1], mem[2]), (mem[3], mem[4], mem[5]), (mem[6], mem[7], mem[8])
+    turn = (0.5 * (dot(c, y) - dot(b, z)), 0.5 * (dot(a, z) - dot(c, x)))
+    keep = math.exp(-cutoff * h)
+    for n in range(2):
+        rate = keep * mem[9 + n] + (1.0 - keep) * turn[n] / h
+        mem[9 + n] = rate if 0.0 < h < LONGEST_GAP and math.isfinite(rate) else 0.0
+        desired[10 + n] = lead * mem[9 + n]
+    mem[0:9] = desired[1:10]
+
+
+class FlatnessPositionCtrl:
+    """Tracks a flat trajectory: position, velocity, acceleration, jerk and yaw.
+
+        F/m = g e3 + a_d - Kp (p - p_d) - Kv (v - v_d) + (1/m) R A R^T v_d,   thrust = F . R e3
+        R_d: z_b along F, heading yaw_d;   w_d: the rate at which R_d turns when F/m changes by j_d + (1/m) R A R^T a_d
+
+    F keeps within the tilt and the thrust of the platform, height first; when it is cut, w_d has no jerk.
+    Source: Mellinger & Kumar 2011; rotor drag as in Kai et al. 2017 and Faessler et al. 2018.
+    """
+
+    _follow = 1.0
+
+    def __init__(self, gains: Gains = STANDARD, platform: Platform = PAPER) -> None:
+        self.gains, self.platform = gains, platform
+        self._gains, self._platform, self._out = gains.position, platform.flat, np.zeros(DESIRED)
+
+    def desired(self, state: State, reference: Vec, now: float) -> Vec | None:
+        """Thrust, attitude and rate feed-forward (13,); None if state or reference is not finite."""
+        if _flatness(state.flat, reference, self._gains, self._platform, self._follow, self._out):
+            return self._out
+        return None
+
+
+class FlatnessAccelerationCtrl(FlatnessPositionCtrl):
+    """Tracks an acceleration, the reference of a double-integrator law; position and velocity are left to that law.
+
+        F/m = g e3 + a_d + (1/m) R A R^T v
+        w_d = lead * w_f in roll and pitch,  w_f' = cutoff (w(R_d) - w_f),  w(R_d): the rate at which R_d turns
+
+    lead, cutoff: of the gains; some lead lets a faster law fly behind the same rate loop, see margin.guidance_loop.
+    The rest as in FlatnessPositionCtrl.
+    """
+
+    _follow = 0.0
+
+    def __init__(self, gains: Gains = FORMATION, platform: Platform = PAPER) -> None:
+        super().__init__(gains, platform)
+        self._memory, self._time = np.zeros(12), -math.inf
+
+    def desired(self, state: State, reference: Vec, now: float) -> Vec | None:
+        """Thrust, attitude and rate feed-forward (13,); None if state or reference is not finite."""
+        out = super().desired(state, reference, now)
+        if out is not None and self.gains.lead > 0.0:
+            _lead(out, self._memory, now - self._time, self.gains.lead_cutoff, self.gains.lead)
+            self._time = now
+        return out

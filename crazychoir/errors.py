@@ -1,0 +1,106 @@
+"""The exception tree.
+
+    CrazyChoirError
+    ├── ConfigError(ValueError)            a swarm file, an option or a mission is wrong: where, found, allowed, do
+    │   └── InstanceError                  a pickup-and-delivery instance is wrong or infeasible
+    ├── CodecError(ValueError)             a value cannot be encoded, or bytes cannot be decoded
+    ├── RoundTimeout(TimeoutError)         a round of an exchange is not complete at its deadline
+    ├── PeerLost(ConnectionError)          a member of the swarm is gone for longer than `lost_after`
+    ├── RosterChanged(RuntimeError)        the team is another one now, and this algorithm cannot go on across that
+    ├── Refused(RuntimeError)              somebody said no: a command, a swarm, a start check
+    ├── SolverError(RuntimeError)          an optimisation problem could not be solved: agent, status
+    ├── Hung(RuntimeError)                 the watchdog interrupted code that kept the event loop
+    ├── Deadlock(RuntimeError)             virtual time: everybody waits and no timer is set
+    └── Livelock(RuntimeError)             virtual time: the clock stands still
+"""
+
+from collections.abc import Iterable
+
+
+class CrazyChoirError(Exception):
+    """Root of all errors of this package."""
+
+
+class ConfigError(CrazyChoirError, ValueError):
+    """Something that the user wrote is wrong.
+
+    The text says where it is, what was found, what is allowed, and what to do; with `problem`, a sentence of what
+    is wrong with `found`, it reads "where = found: problem; allowed. do".
+    """
+
+    def __init__(self, where: str, found: object, allowed: str, do: str = "", problem: str = "") -> None:
+        self.where, self.found, self.allowed, self.do, self.problem = where, found, allowed, do, problem
+        shown = found if isinstance(found, str) else repr(found)
+        said = f"{where} = {shown}: {problem}; {allowed}" if problem else f"{where}: found {shown}; allowed: {allowed}"
+        super().__init__(f"{said}. {do}".rstrip())
+
+
+class InstanceError(ConfigError):
+    """A pickup-and-delivery instance is malformed, or no plan can serve it."""
+
+
+class CodecError(CrazyChoirError, ValueError):
+    """A value cannot be encoded, or received bytes cannot be decoded."""
+
+
+class RoundTimeout(CrazyChoirError, TimeoutError):
+    """A round is incomplete at its deadline; `missing` names the silent neighbours."""
+
+    def __init__(self, drone: int, channel: str, k: int, missing: Iterable[int], seconds: float) -> None:
+        self.drone, self.channel, self.k, self.missing, self.seconds = drone, channel, k, tuple(missing), seconds
+        names = ", ".join(str(j) for j in self.missing)
+        super().__init__(
+            f"drone {drone}: channel {channel!r}, round {k}: nothing from neighbour(s) {names} within {seconds:g} s. "
+            "Look at `crazychoir status`, or give the exchange a longer deadline or another policy."
+        )
+
+
+class PeerLost(CrazyChoirError, ConnectionError):
+    """Members of the swarm are gone for longer than `lost_after`."""
+
+    def __init__(self, drone: int, lost: Iterable[int], seconds: float) -> None:
+        self.drone, self.lost, self.seconds = drone, tuple(lost), seconds
+        names = ", ".join(str(j) for j in self.lost)
+        super().__init__(
+            f"drone {drone}: lost drone(s) {names}: silent for more than {seconds:g} s. "
+            "Restart their agents, or start again without them."
+        )
+
+
+class RosterChanged(CrazyChoirError, RuntimeError):
+    """The team has changed in the middle of an algorithm that is not `joinable`."""
+
+    def __init__(self, drone: int, epoch: int, joined: Iterable[int], left: Iterable[int]) -> None:
+        self.drone, self.epoch, self.joined, self.left = drone, epoch, tuple(joined), tuple(left)
+        super().__init__(
+            f"drone {drone}: epoch {epoch}: joined {list(self.joined)}, left {list(self.left)}. "
+            "Start the algorithm again from round 0 with the new team."
+        )
+
+
+class Refused(CrazyChoirError, RuntimeError):
+    """Somebody refused; `by` is who, `reason` is why."""
+
+    def __init__(self, by: str, reason: str) -> None:
+        self.by, self.reason = by, reason
+        super().__init__(f"{by}: refused: {reason}")
+
+
+class SolverError(CrazyChoirError, RuntimeError):
+    """An optimisation problem could not be solved."""
+
+    def __init__(self, where: str, status: str) -> None:
+        self.where, self.status = where, status
+        super().__init__(f"{where}: the solver ended with status {status}")
+
+
+class Hung(CrazyChoirError, RuntimeError):
+    """Raised by the watchdog inside code that kept the event loop for too long."""
+
+
+class Deadlock(CrazyChoirError, RuntimeError):
+    """Virtual time: nothing is ready and no timer is set; the text names who waits for what."""
+
+
+class Livelock(CrazyChoirError, RuntimeError):
+    """Virtual time: very many loop passes without the clock moving."""

@@ -1,0 +1,81 @@
+"""Velocities from the poses of motion capture."""
+
+import math
+
+import numpy as np
+
+from crazychoir.math3d import Vec, conjugate, exponential, kernel, logarithm, memory, product, real, unit, vector
+from crazychoir.types import Pose, State
+
+
+@kernel(vector, memory, real, real)
+def _measure(pose: Vec, mem: Vec, h: float, cutoff: float) -> bool:
+    """Take in a pose measured h seconds after the last one: mem (13,) = p, v, q, w is replaced."""
+    for c in range(7):
+        if not math.isfinite(pose[c]):
+            return False
+    keep = math.exp(-cutoff * h)
+    gain = (1.0 - keep) / h
+    q = unit((pose[3], pose[4], pose[5], pose[6]))
+    turn = logarithm(product(conjugate((mem[6], mem[7], mem[8], mem[9])), q))
+    for c in range(3):
+        mem[3 + c] = keep * mem[3 + c] + gain * (pose[c] - mem[c])
+        mem[10 + c] = keep * mem[10 + c] + gain * turn[c]
+        mem[c] = pose[c]
+    mem[6], mem[7], mem[8], mem[9] = q
+    return True
+
+
+@kernel(vector, real, memory)
+def _extrapolate(mem: Vec, t: float, out: Vec) -> None:
+    """The state t seconds after mem at constant velocity and body rate, into out (13,)."""
+    out[:] = mem
+    for c in range(3):
+        out[c] += t * mem[3 + c]
+    q = product((mem[6], mem[7], mem[8], mem[9]), exponential(t * mem[10], t * mem[11], t * mem[12]))
+    out[6], out[7], out[8], out[9] = q
+
+
+class VelocityFilter:
+    """Derivative and first-order low-pass of position and attitude, right at any rate.
+
+        v' = cutoff (p' - v),   w' = cutoff (log(q_k^-1 q_k+1) / h - w)
+
+    integrated exactly for a p that is linear between two samples: v_k = e v_k-1 + (1 - e) (p_k - p_k-1) / h with
+    e = exp(-cutoff h) and h the measured time between the samples. w is in body axes and knows no wrap of angles.
+    The state is carried from the time of the measurement to `now` at constant velocity.
+
+    cutoff: rad/s;  horizon: s, how far a prediction goes at most.  Poses that are not finite count as missing.
+    """
+
+    def __init__(self, cutoff: float = 50.0, horizon: float = 0.5) -> None:
+        self.cutoff, self.horizon = cutoff, horizon
+        self.refused = 0
+        self._memory = np.zeros(13)
+        self._measured = -math.inf
+
+    def update(self, pose: Pose, now: float) -> State | None:
+        """The state at `now` with a new pose; None only before the first pose that is finite."""
+        measured = now - pose.age
+        h = measured - self._measured
+        if h > 1e-6:  # a repeated or an older pose says nothing new
+            taken = self._start(pose) if h == math.inf else _measure(pose.flat, self._memory, h, self.cutoff)
+            self._measured = measured if taken else self._measured
+            self.refused += not taken
+        return self.predict(now)
+
+    def predict(self, now: float) -> State | None:
+        """The state at `now` at constant velocity, when no pose has come; None before the first."""
+        age = now - self._measured
+        if age == math.inf:
+            return None
+        out = np.empty(13)
+        _extrapolate(self._memory, min(age, self.horizon), out)
+        return State(out, age)
+
+    def _start(self, pose: Pose) -> bool:
+        """Take the first pose, at rest; False if it is not finite."""
+        if not np.all(np.isfinite(pose.flat)):
+            return False
+        self._memory[0:3], self._memory[6:10] = pose.p, pose.q / np.linalg.norm(pose.q)
+        return True

@@ -1,0 +1,234 @@
+"""What a mission is written in: CFGuidance (a coroutine with the paper's verbs) and CFDistributedFeedback (a law)."""
+
+from abc import abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from crazychoir.bus.topics import STATE
+from crazychoir.errors import CrazyChoirError
+from crazychoir.runtime.clock import Clock
+from crazychoir.runtime.mailbox import Latest
+from crazychoir.runtime.watchdog import Watchdog
+from crazychoir.safety.pilot import Mode, Pilot
+from crazychoir.swarm.communicator import Communicator, Policy, run_rounds
+from crazychoir.swarm.config import SwarmConfig
+from crazychoir.swarm.graph import Graph
+from crazychoir.swarm.round import Round
+from crazychoir.types import Heard, Point, Reference, State
+
+SETTLE = 0.05
+LAW_MODES = (Mode.HOVER, Mode.FOLLOW)
+ARRIVED = 0.2
+"""m from a goal that counts as there."""
+ATTEMPTS = 5
+LAW = "feedback law"
+"""The task that a status names while a CFDistributedFeedback runs."""
+
+
+@dataclass
+class Member:
+    """What a guidance gets from its drone: who it is, its team, its way to talk, its way to fly."""
+
+    id: int
+    config: SwarmConfig
+    clock: Clock
+    communicator: Communicator
+    pilot: Pilot
+    watchdog: Watchdog | None = None
+    report: Callable[[], dict[str, Any]] = dict
+    """Says how the mission goes: task, round, cost, for the status."""
+    announce: Callable[[], None] = lambda: None  # publishes the status now, not at its next tick
+
+
+class CFGuidance:
+    """One drone's decisions. Write `mission`; what it returns is this drone's part of the result.
+
+    `bind` is called by the runtime before `mission`; so `__init__` is free for the mission's own parameters.
+    """
+
+    member: Member
+
+    def bind(self, member: Member) -> None:
+        """Meet the drone."""
+        self.member = member
+
+    @abstractmethod
+    async def mission(self) -> dict[str, Any]:
+        """The whole mission, from the ground to the ground."""
+
+    @property
+    def id(self) -> int:
+        """This drone."""
+        return self.member.id
+
+    @property
+    def graph(self) -> Graph:
+        """Who talks to whom."""
+        return self.member.communicator.graph.at(0)
+
+    @property
+    def state(self) -> State:
+        """The newest estimate of this drone's own state."""
+        state = self.member.pilot.state
+        return State.at(self.member.config.drone(self.id).home) if state is None else state
+
+    # Talking --------------------------------------------------------------------------------------------------
+
+    async def send(self, data: Any, neighbors: tuple[int, ...] | None = None, channel: str = "main") -> None:
+        """See Communicator.send."""
+        await self.member.communicator.send(data, neighbors, channel=channel)
+
+    async def receive(
+        self, neighbors: tuple[int, ...] | None = None, channel: str = "main", deadline: float | None = None
+    ) -> dict[int, Any]:
+        """See Communicator.receive."""
+        return await self.member.communicator.receive(neighbors, channel=channel, deadline=deadline)
+
+    async def asynchronous_receive(
+        self, neighbors: tuple[int, ...] | None = None, channel: str = "main", max_age: float = float("inf")
+    ) -> dict[int, Any]:
+        """See Communicator.asynchronous_receive."""
+        return await self.member.communicator.asynchronous_receive(neighbors, channel=channel, max_age=max_age)
+
+    async def neighbors_exchange(
+        self,
+        data: Any,
+        in_neighbors: tuple[int, ...] | None = None,
+        out_neighbors: tuple[int, ...] | None = None,
+        channel: str = "main",
+        deadline: float | None = None,
+        policy: Policy = "raise",
+    ) -> dict[int, Any]:
+        """See Communicator.neighbors_exchange."""
+        return await self.member.communicator.neighbors_exchange(
+            data, in_neighbors, out_neighbors, channel=channel, deadline=deadline, policy=policy
+        )
+
+    async def optimize(self, algorithm: Round, channel: str = "optimize", deadline: float | None = None) -> None:
+        """Run a distributed algorithm to its end, together with the neighbours."""
+        await run_rounds(self.member.communicator, algorithm, channel=channel, deadline=deadline)
+
+    async def rendezvous(self, channel: str = "rendezvous") -> None:
+        """Go on only when the whole team is here: as many empty rounds as the graph's diameter."""
+        for _ in range(max(1, self.graph.diameter())):
+            await self.neighbors_exchange(None, channel=channel)
+
+    # Flying ---------------------------------------------------------------------------------------------------
+
+    async def take_off(self, height: float | None = None) -> None:
+        """Rise and hover."""
+        pilot = self.member.pilot
+        while pilot.state is None:
+            await self.sleep(SETTLE)
+        await self._while(pilot.take_off(height), Mode.TAKEOFF)
+
+    async def go_to(self, p: Point, duration: float = 0.0) -> None:
+        """Fly to p (3,) m, world, and be there: a flight that the safety table has stopped is flown again.
+
+        Raises Interrupted when the pilot lands, and when p cannot be reached, as outside the fence.
+        """
+        for _ in range(ATTEMPTS):
+            await self._while(self.member.pilot.go_to(p, duration=duration), Mode.HOVER)
+            if np.linalg.norm(self.state.p - np.asarray(p)) < ARRIVED:
+                return
+        place = np.round(np.asarray(p), 2).tolist()
+        raise Interrupted(f"drone {self.id}: does not reach {place}: {self.member.pilot.note}")
+
+    async def land(self) -> None:
+        """Come down and stop the motors."""
+        pilot = self.member.pilot
+        ends = self.member.clock.now() + pilot.land() + 5.0
+        while pilot.airborne and self.member.clock.now() < ends:
+            await self.sleep(SETTLE)
+
+    def follow(self, reference: Reference) -> None:
+        """Fly this reference; renew it before it is stale."""
+        self.member.pilot.follow(reference)
+
+    async def sleep(self, seconds: float) -> None:
+        """Wait, in the swarm's time."""
+        await self.member.clock.sleep(seconds, drone=self.id)
+
+    async def _while(self, seconds: float, mode: Mode) -> None:
+        """Wait for a flight of `seconds`; an interrupted one (landing, stopped) raises Interrupted."""
+        pilot = self.member.pilot
+        ends = self.member.clock.now() + seconds
+        while pilot.mode in (mode, Mode.HOVER) and self.member.clock.now() < ends:
+            await self.sleep(min(SETTLE, max(ends - self.member.clock.now(), 1e-3)))
+        if pilot.mode not in (mode, Mode.HOVER):
+            raise Interrupted(f"drone {self.id}: {pilot.mode.value}: {pilot.note}")
+
+
+class Interrupted(CrazyChoirError):
+    """The pilot does something else than what guidance asked: it lands, or its motors are cut."""
+
+
+class CFDistributedFeedback(CFGuidance):
+    """A feedback law on own and neighbours' states. Write `step`; it runs at `rate` Hz and never waits.
+
+    `heard[j]` is the newest State of neighbour j, with its `age`; absent when beyond the topic's maximum age.
+    duration: s of the law, after everybody hovers.
+    """
+
+    rate = 100.0
+    duration = 20.0
+
+    @abstractmethod
+    def step(self, me: State, heard: Heard) -> Reference | None:
+        """The reference to fly until the next step; None leaves the drone hovering where it is."""
+
+    def bind(self, member: Member) -> None:
+        """Meet the drone, and listen to the neighbours' states."""
+        super().bind(member)
+        self._boxes: dict[int, Latest[State]] = {}
+        for j in self.graph.in_neighbors(self.id):
+            box = self._boxes[j] = Latest(member.clock, f"drone {self.id} state of {j}", STATE.max_age)
+            member.communicator.port.bus.subscribe(STATE, j, self.id, box)
+
+    async def mission(self) -> dict[str, Any]:
+        """Take off, wait for the others, run the law, land."""
+        await self.take_off(self.height())
+        await self.rendezvous()
+        self.member.report = lambda: {"task": LAW}
+        self.member.announce()
+        started = self.member.clock.now()
+        await self.run_law()
+        self.member.pilot.hover()
+        self.member.report = lambda: {"task": "landing"}
+        self.member.announce()
+        await self.land()
+        return {"law_s": self.member.clock.now() - started}
+
+    def height(self) -> float | None:
+        """m, of the take-off; None for that of the swarm file."""
+        return None
+
+    async def run_law(self) -> None:
+        """Call `step` at its rate for `duration` s."""
+        clock, pilot, watchdog = self.member.clock, self.member.pilot, self.member.watchdog
+        ends = clock.now() + self.duration
+        async for _ in clock.ticks(self.rate, drone=self.id):
+            if clock.now() > ends:
+                return
+            if pilot.mode not in LAW_MODES or pilot.state is None:
+                raise Interrupted(f"drone {self.id}: {pilot.mode.value}: {pilot.note}")
+            heard = self.hear()
+            if watchdog is None:
+                reference = self.step(pilot.state, heard)
+            else:
+                with watchdog.guard():
+                    reference = self.step(pilot.state, heard)
+            if reference is not None:
+                pilot.follow(reference)
+
+    def hear(self) -> Heard:
+        """The neighbours' states that are not stale."""
+        heard: Heard = {}
+        for j, box in self._boxes.items():
+            state, age = box.fresh_with_age()
+            if state is not None:
+                heard[j] = State(state.flat, age)
+        return heard

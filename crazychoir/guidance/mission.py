@@ -1,0 +1,88 @@
+"""A mission is one Python file: in agents/, or anywhere. What it may define, and how it is found."""
+
+import importlib
+import importlib.util
+import pkgutil
+from pathlib import Path
+from types import ModuleType
+from typing import Any, Protocol, cast
+
+from crazychoir.errors import ConfigError
+from crazychoir.guidance.base import CFGuidance
+from crazychoir.swarm.config import SwarmConfig
+from crazychoir.types import Point
+
+PACKAGE = "crazychoir.agents"
+
+
+class Mission(Protocol):
+    """What a mission file defines: `guidance`; the rest may be left out."""
+
+    def guidance(self, i: int, config: SwarmConfig) -> CFGuidance:
+        """The guidance of drone i."""
+        ...
+
+    def swarm(self, drones: int | None) -> SwarmConfig:
+        """The swarm when no swarm file is given, with so many drones if the mission can."""
+        ...
+
+    def check(self, config: SwarmConfig, force: bool) -> list[str]:
+        """Look before anybody flies: warnings; raises ConfigError or Refused."""
+        ...
+
+    def goal(self, config: SwarmConfig) -> dict[int, Point]:
+        """Where the drones are to be at the end of the law, if the mission has such a place."""
+        ...
+
+    def report(self, config: SwarmConfig, results: dict[int, dict[str, Any]]) -> dict[str, Any]:
+        """What all drones' results say together; `success` among it."""
+        ...
+
+    def picture(self, config: SwarmConfig, results: dict[int, dict[str, Any]], path: str) -> None:
+        """Draw what was planned or flown."""
+        ...
+
+
+OPTIONAL = ("swarm", "check", "goal", "report", "picture")
+
+
+def load(name: str) -> Mission:
+    """The mission of this name in agents/, or of this .py file; raises ConfigError."""
+    module = _from_file(Path(name)) if name.endswith(".py") else _from_package(name)
+    if not callable(getattr(module, "guidance", None)):
+        do = "See agents/bearing_formation.py."
+        raise ConfigError(f"mission {name}", "no function guidance(i, config)", "a mission file defines it", do)
+    return cast(Mission, module)
+
+
+def has(mission: Mission, what: str) -> bool:
+    """Whether the mission file defines one of the optional functions."""
+    return callable(getattr(mission, what, None))
+
+
+def names() -> list[str]:
+    """Missions in agents/."""
+    package = importlib.import_module(PACKAGE)
+    return sorted(module.name for module in pkgutil.iter_modules(package.__path__))
+
+
+def _from_package(name: str) -> ModuleType:
+    if name not in names():
+        do = "Or give the path of a .py file."
+        raise ConfigError("mission", name, ", ".join(names()), do)
+    return importlib.import_module(f"{PACKAGE}.{name}")
+
+
+def _from_file(path: Path) -> ModuleType:
+    if not path.is_file():
+        raise ConfigError("mission", str(path), "a Python file that exists")
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    if spec is None or spec.loader is None:
+        raise ConfigError("mission", str(path), "a Python file")
+    module = importlib.util.module_from_spec(spec)
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:
+        found = f"{type(error).__name__}: {error}"
+        raise ConfigError(f"mission {path}", found, "a file that Python can import") from error
+    return module

@@ -1,0 +1,73 @@
+"""Simulated motion capture: truth in, noisy and late poses with gaps out."""
+
+import math
+from collections import deque
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.special import ndtri
+
+from crazychoir.math3d import Mat, exponential, kernel, matrix, product, real, table
+from crazychoir.types import Pose
+
+
+@kernel(matrix, matrix, real, real, table)
+def _disturb(x: Mat, normal: Mat, noise_p: float, noise_angle: float, out: Mat) -> None:
+    """Poses out (N, 7) of the states x (N, 13): p + n_p, q exp(n_angle), n from standard normals (N, 6)."""
+    for i in range(x.shape[0]):
+        q = (x[i, 6], x[i, 7], x[i, 8], x[i, 9])
+        a = noise_angle
+        r = exponential(a * normal[i, 3], a * normal[i, 4], a * normal[i, 5])
+        out[i, 3], out[i, 4], out[i, 5], out[i, 6] = product(q, r)
+        for c in range(3):
+            out[i, c] = x[i, c] + noise_p * normal[i, c]
+
+
+class SimulatedMocap:
+    """Cameras that see every drone once a tick, with noise, latency and independent dropouts.
+
+        p_measured = p + n_p,   q_measured = q exp(n_angle)
+
+    ids: the drones, row by row;  noise_p: m, noise_angle: rad, standard deviations an axis;  dropout: probability that
+    one drone is not seen in one tick;  latency_steps: ticks between exposure and arrival;  dt: s, one tick.
+    What is drawn for a drone is a function of (seed, tick of exposure, id) alone: Philox with that key, row `id`.
+    So it does not depend on the calls before, nor on how drones are spread over processes.
+    """
+
+    def __init__(
+        self,
+        ids: Sequence[int],
+        seed: int,
+        noise_p: float = 0.0005,
+        noise_angle: float = 0.002,
+        dropout: float = 0.0,
+        latency_steps: int = 0,
+        dt: float = 0.01,
+    ) -> None:
+        self.ids, self.seed, self.dt = tuple(ids), seed, dt
+        self.noise_p, self.noise_angle, self.dropout, self.latency_steps = noise_p, noise_angle, dropout, latency_steps
+        self._rows = np.array(self.ids)
+        self._exposures: deque[tuple[int, Mat]] = deque()
+
+    def sample(self, x: Mat, k: int) -> list[Pose | None]:
+        """What arrives at tick k, row by row, when the truth is x (N, 13); None where nothing does."""
+        self._exposures.append((k, x.copy()))
+        due = None
+        while self._exposures and self._exposures[0][0] <= k - self.latency_steps:
+            due = self._exposures.popleft()
+        if due is None:
+            return [None] * len(self.ids)
+        exposed, truth = due
+        normal = self._normal(exposed)
+        flat = np.empty((len(self.ids), 7))
+        _disturb(truth, normal, self.noise_p, self.noise_angle, flat)
+        age = (k - exposed) * self.dt
+        seen = normal[:, 6] >= (ndtri(self.dropout) if self.dropout > 0.0 else -math.inf)
+        return [Pose(row, age) if here else None for row, here in zip(flat, seen.tolist(), strict=True)]
+
+    def _normal(self, tick: int) -> Mat:
+        """Standard normals (N, 7) of one exposure: six for the noise, one for the dropout."""
+        stream = np.random.Generator(np.random.Philox(key=[self.seed, tick]))
+        drawn: Mat = stream.standard_normal((int(self._rows.max()) + 1, 7))
+        mine: Mat = drawn[self._rows]
+        return mine

@@ -1,0 +1,1 @@
+"""Distributed optimisation: problems and algorithms as pure rounds."""

@@ -1,0 +1,1 @@
+"""Pickup and delivery: instances, route pricing, primal decomposition, recovery, checker."""

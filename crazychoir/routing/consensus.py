@@ -1,0 +1,49 @@
+"""Finite-time agreement as generators: `heard = yield message` is one round.
+
+A distributed algorithm is written as a plain sequence of `yield from` these; all need `diameter`, the largest
+distance between two robots of the graph, and end in the same round at every robot with the same value.
+"""
+
+from collections.abc import Generator, Mapping
+from typing import Any, TypeVar
+
+T = TypeVar("T")
+Exchange = Generator[Any, Mapping[int, Any], T]
+
+
+def flood(robot: int, value: Any, diameter: int) -> Exchange[dict[int, Any]]:
+    """Everybody's value, by robot id in increasing order; each value crosses each edge at most once a direction."""
+    known = {robot: value}
+    news = [[robot, value]]
+    for _ in range(diameter):
+        heard = yield news
+        news = []
+        for arrived in heard.values():
+            for origin, item in arrived:
+                if origin not in known:
+                    known[origin] = item
+                    news.append([origin, item])
+    return {i: known[i] for i in sorted(known)}
+
+
+def best_offer(offer: list[Any] | None, diameter: int) -> Exchange[list[Any] | None]:
+    """The offer with the least (offer[0], offer[1]), a cost and a robot id; None if nobody makes one."""
+    best = offer
+    for _ in range(diameter):
+        heard = yield best
+        for other in heard.values():
+            if other is not None and (best is None or (other[0], other[1]) < (best[0], best[1])):
+                best = other
+    return best
+
+
+def highest_bids(bids: dict[int, list[Any]], diameter: int) -> Exchange[dict[int, list[Any]]]:
+    """The highest bid of all robots for each task that has one; a bid is [amount, robot], ties go to the lowest id."""
+    best = dict(bids)
+    for _ in range(diameter):
+        heard = yield [[task, *bid] for task, bid in sorted(best.items())]
+        for arrived in heard.values():
+            for task, amount, robot in arrived:
+                if task not in best or (amount, -robot) > (best[task][0], -best[task][1]):
+                    best[task] = [amount, robot]
+    return {task: best[task] for task in sorted(best)}

@@ -1,0 +1,106 @@
+"""One robot as a member of its team: its place in the graph, its own problem, and how far it is."""
+
+from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+
+from crazychoir.routing.instance import LocalProblem
+from crazychoir.routing.plan import sha256
+from crazychoir.routing.pricing import MOST_LABELS, RouteTable
+from crazychoir.types import Vec
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Constants that all robots share.
+
+    price_rounds: at most;  still: change of y that ends them;  step, exponent: of the step size;
+    penalty: of unserved demand, in diagonals of the arena;  tolerance: relative, of bounds;  passes: of column
+    generation and of the integer stage, at most;  batch: columns that a robot offers a pass;  first_gap: relative, of
+    the integer stage;  most_shared: columns in one message of a robot there;  small: columns of a search that every
+    robot does, a larger one is done by `searchers`;  nodes: of branch and bound;  attempts: at claiming tasks;
+    most_labels: of a robot's route table.
+    """
+
+    price_rounds: int = 60
+    still: float = 0.01
+    step: float = 0.3
+    exponent: float = 0.6
+    penalty: float = 3.0
+    tolerance: float = 1e-6
+    passes: int = 30
+    batch: int = 20
+    first_gap: float = 0.02
+    most_shared: int = 500
+    small: int = 1_000
+    searchers: int = 2
+    nodes: int = 20_000
+    attempts: int = 20
+    most_labels: int = MOST_LABELS
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a robot is in the connected graph.
+
+    robots: N;  diameter: of the graph;  degree_of: degree of each neighbour.
+    """
+
+    robot: int
+    robots: int
+    neighbors: tuple[int, ...]
+    diameter: int
+    degree_of: dict[int, int]
+
+    def weight(self, j: int) -> float:
+        """Metropolis weight of the edge to neighbour j: 1 / (1 + max(d_i, d_j))."""
+        return 1.0 / (1 + max(len(self.neighbors), self.degree_of[j]))
+
+
+@dataclass(frozen=True)
+class Progress:
+    """For display: the phase, the round, the cost in m as far as known, the largest unserved demand."""
+
+    phase: str = "start"
+    round: int = 0
+    cost: float | None = None
+    violation: float = 0.0
+
+
+@dataclass
+class Member:
+    """What the phases of a method share at one robot."""
+
+    local: LocalProblem
+    place: Place
+    settings: Settings
+    progress: Progress = field(default_factory=Progress)
+
+    @cached_property
+    def table(self) -> RouteTable:
+        """All routes of this robot; made at the first use."""
+        return RouteTable(self.local, self.settings.most_labels)
+
+    @cached_property
+    def penalty(self) -> Vec:
+        """(M,) m: what leaving a task unserved costs, above any price of a task."""
+        tasks = self.local.tasks
+        points = np.vstack([tasks.pickup, tasks.delivery, self.local.home])
+        return np.full(len(tasks), self.settings.penalty * float(np.linalg.norm(np.ptp(points, axis=0))))
+
+    @cached_property
+    def scale(self) -> float:
+        """m: there and back for the mean task, which every robot knows; it makes step sizes dimensionless."""
+        tasks = self.local.tasks
+        return max(2.0 * float(np.linalg.norm(tasks.pickup - tasks.delivery, axis=1).mean()), 1e-9)
+
+    def fingerprint(self, method: str) -> str:
+        """Hash of all that the team must have in common."""
+        tasks, place = self.local.tasks, self.place
+        common = [tasks.pickup.tolist(), tasks.delivery.tolist(), tasks.load.tolist()]
+        return sha256([common, method, asdict(self.settings), place.robots, place.diameter])
+
+    def report(self, **news: object) -> None:
+        """Replace fields of `progress`."""
+        self.progress = replace(self.progress, **news)  # type: ignore[arg-type]

@@ -1,0 +1,100 @@
+"""A plan as a picture for a page or a paper."""
+
+from itertools import pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from crazychoir.routing.instance import Instance
+from crazychoir.routing.plan import Plan, Route
+from crazychoir.types import Mat, Vec
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+"""Okabe and Ito's, told apart with every colour vision; the lines' dashes repeat what they say."""
+DASHES: tuple[Any, ...] = ("-", (0, (5, 2)), (0, (1, 1.2)), (0, (5, 1.5, 1, 1.5)))
+INK = "#303030"
+
+
+def draw_routes(instance: Instance, plan: Plan, path: str | Path) -> None:
+    """Write a PNG (or what the suffix of `path` says): the room from above, in m.
+
+    Squares: homes with the robot's number;  triangles up: pickups;  triangles down: deliveries, each with its task
+    and, in three dimensions, its height in m;  arrows: the routes, with their lengths in the legend.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(8.6, 6.2), dpi=200, layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.add_subplot()
+    for route in plan.routes:
+        _draw_route(axes, instance, route)
+    _draw_points(axes, instance)
+    axes.set_aspect("equal")
+    axes.margins(0.06)
+    axes.set_xlabel("x [m]")
+    axes.set_ylabel("y [m]")
+    axes.grid(color="#e6e6e6", linewidth=0.6)
+    axes.set_axisbelow(True)
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.set_title(f"{len(plan.routes)} of {instance.robots} robots fly {plan.cost:.2f} m", color=INK, fontsize=10)
+    figure.legend(loc="outside right upper", frameon=False, fontsize=8, handlelength=3.2)
+    figure.savefig(path, bbox_inches="tight")
+
+
+def _draw_route(axes: "Axes", instance: Instance, route: Route) -> None:
+    tour = _tour(instance, route)
+    colour = COLOURS[route.robot % len(COLOURS)]
+    dash = DASHES[route.robot % len(DASHES)]
+    tasks = ", ".join(str(j) for j in route.tasks)
+    label = f"robot {route.robot}: {route.length:.2f} m, tasks {tasks}"
+    axes.plot(tour[:, 0], tour[:, 1], color=colour, linestyle=dash, linewidth=1.5, label=label, zorder=2)
+    for a, b in pairwise(tour):
+        _draw_arrow(axes, a, b, colour)
+
+
+def _draw_arrow(axes: "Axes", a: Vec, b: Vec, colour: str) -> None:
+    """A head in the middle of the leg from a to b."""
+    tip, tail = a + 0.56 * (b - a), a + 0.50 * (b - a)
+    style = {"arrowstyle": "-|>", "color": colour, "lw": 0.0, "mutation_scale": 11, "shrinkA": 0, "shrinkB": 0}
+    axes.annotate("", xy=(tip[0], tip[1]), xytext=(tail[0], tail[1]), arrowprops=style, zorder=3)
+
+
+def _draw_points(axes: "Axes", instance: Instance) -> None:
+    tasks = instance.tasks
+    for i, home in enumerate(instance.home):
+        colour = COLOURS[i % len(COLOURS)]
+        axes.plot(home[0], home[1], "s", color=colour, markersize=11, markeredgecolor="white", zorder=5)
+        x, y = float(home[0]), float(home[1])
+        axes.text(x, y, str(i), color="white", ha="center", va="center_baseline", size=7.5, weight="bold", zorder=6)
+    axes.plot([], [], "s", color="#808080", label="home of robot")
+    height = ", ↑ height in m" if tasks.pickup.shape[1] == 3 else ""
+    _draw_goods(axes, tasks.pickup, "^", "white", f"pickup of task{height}")
+    _draw_goods(axes, tasks.delivery, "v", INK, "delivery of task")
+    _write_names(axes, tasks.pickup)
+    _write_names(axes, tasks.delivery)
+
+
+def _draw_goods(axes: "Axes", points: Mat, marker: str, fill: str, label: str) -> None:
+    axes.scatter(points[:, 0], points[:, 1], s=46, marker=marker, c=fill, edgecolors=INK, label=label, zorder=4)
+
+
+def _write_names(axes: "Axes", points: Mat) -> None:
+    """Task numbers beside points, with the height of points off the floor."""
+    box = {"boxstyle": "round,pad=0.1", "facecolor": "white", "edgecolor": "none", "alpha": 0.75}
+    for j, point in enumerate(points):
+        name = f"{j} ↑{point[2]:.1f}" if len(point) == 3 else str(j)
+        axes.annotate(
+            name, point[:2], xytext=(6, 4), textcoords="offset points", fontsize=7.5, color=INK, zorder=6, bbox=box
+        )
+
+
+def _tour(instance: Instance, route: Route) -> Mat:
+    """(n, 2) or (n, 3) m: home, the stops, home."""
+    home, tasks = instance.home[route.robot], instance.tasks
+    stops = [tasks.pickup[s.task] if s.kind == "pickup" else tasks.delivery[s.task] for s in route.stops]
+    return np.array([home, *stops, home])

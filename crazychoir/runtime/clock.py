@@ -1,0 +1,431 @@
+"""Time: a wall clock that ticks from timerfd, and a virtual clock that jumps to the next event.
+
+Both keep integer nanoseconds and one heap of alarms, ordered by (time, priority, drone, sequence).
+This is the only file that reads the machine's clock.
+"""
+
+import asyncio
+import contextlib
+import ctypes
+import gc
+import heapq
+import os
+import selectors
+import sys
+import time
+from collections import deque
+from collections.abc import Awaitable, Callable, Coroutine, Generator, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextvars import Context
+from types import FrameType
+from typing import Any, TypeVar
+
+from crazychoir.errors import Deadlock, Livelock
+
+T = TypeVar("T")
+SECOND = 1_000_000_000
+LIVELOCK_PASSES = 100_000
+"""Loop passes at one instant of virtual time before it is called a livelock."""
+
+SWITCH_INTERVAL = 0.0005
+"""s that a computing thread keeps the interpreter: the event loop waits no longer for it."""
+
+# Priorities of alarms at the same instant: the world moves first, timeouts come last.
+WORLD, TICK, MESSAGE, TIMEOUT = 0, 1, 2, 3
+
+Alarm = asyncio.Handle
+
+
+class Clock:
+    """What both clocks share: the heap of alarms, sleeping, ticking."""
+
+    virtual = False
+
+    def __init__(self) -> None:
+        self._heap: list[tuple[int, int, int, int, Alarm]] = []
+        self._sequence = 0
+        self._loop: asyncio.AbstractEventLoop
+
+    def now_ns(self) -> int:
+        """Nanoseconds since some fixed instant; never goes back."""
+        raise NotImplementedError
+
+    def now(self) -> float:
+        """Seconds since the same instant."""
+        return self.now_ns() / SECOND
+
+    def call_at(
+        self, when_ns: int, callback: Callable[..., object], *args: Any, priority: int = TICK, drone: int = -1
+    ) -> Alarm:
+        """Call `callback(*args)` at `when_ns`; the returned alarm can be cancelled."""
+        alarm = Alarm(callback, args, self._loop)
+        self.push(when_ns, alarm, priority, drone)
+        return alarm
+
+    def push(self, when_ns: int, alarm: Alarm, priority: int, drone: int) -> None:
+        """Put an alarm on the heap."""
+        self._sequence += 1
+        heapq.heappush(self._heap, (when_ns, priority, drone, self._sequence, alarm))
+        self._arm()
+
+    async def sleep_until(self, when_ns: int, priority: int = TICK, drone: int = -1) -> None:
+        """Wait until `when_ns`."""
+        waiter: asyncio.Future[None] = self._loop.create_future()
+        alarm = self.call_at(when_ns, wake, waiter, priority=priority, drone=drone)
+        try:
+            await waiter
+        finally:
+            alarm.cancel()
+
+    async def sleep(self, seconds: float, drone: int = -1) -> None:
+        """Wait for some seconds."""
+        await self.sleep_until(self.now_ns() + round(seconds * SECOND), drone=drone)
+
+    def ticks(self, hz: float, priority: int = TICK, drone: int = -1) -> "Ticks":
+        """An absolute schedule of `hz` ticks a second; use it with `async for`."""
+        return Ticks(self, hz, priority, drone)
+
+    async def compute(self, function: Callable[..., T], *args: Any) -> T:
+        """Run a function that takes long away from the event loop."""
+        raise NotImplementedError
+
+    def _arm(self) -> None:
+        """Make sure that the earliest alarm is noticed."""
+
+    def _next(self) -> tuple[int, Alarm] | None:
+        """Take the earliest alarm that is not cancelled, with its time."""
+        while self._heap:
+            when_ns, _, _, _, alarm = heapq.heappop(self._heap)
+            if not alarm.cancelled():
+                return when_ns, alarm
+        return None
+
+
+def wake(waiter: "asyncio.Future[None]") -> None:
+    """Resolve a waiter that nobody cancelled."""
+    if not waiter.done():
+        waiter.set_result(None)
+
+
+class Ticks:
+    """Ticks at k / hz from the start; late ones are counted in `missed` and skipped, never caught up.
+
+    It is itself what a task waits for, by the protocol of asyncio's futures: the alarm runs the waiting task at once,
+    without a future and a pass of the loop for each tick. One task at a time may use it.
+    """
+
+    _asyncio_future_blocking = False
+
+    def __init__(self, clock: Clock, hz: float, priority: int, drone: int) -> None:
+        self.clock, self.priority, self.drone = clock, priority, drone
+        self.period_ns = round(SECOND / hz)
+        self.due_ns = clock.now_ns()
+        self.missed = 0
+        self.late_ns = 0
+        self._cancelled = False
+
+    def __aiter__(self) -> "Ticks":
+        return self
+
+    def __anext__(self) -> "Ticks":
+        """Wait for the next tick; its value is the due time in ns."""
+        self.due_ns += self.period_ns
+        behind = (self.clock.now_ns() - self.due_ns) // self.period_ns
+        if behind > 0:
+            self.missed += behind
+            self.due_ns += behind * self.period_ns
+        return self
+
+    def __await__(self) -> Generator["Ticks", None, int]:
+        self._asyncio_future_blocking, self._cancelled = True, False
+        yield self
+        self.late_ns = self.clock.now_ns() - self.due_ns
+        return self.due_ns
+
+    # What a task calls --------------------------------------------------------------------------------------------
+
+    def get_loop(self) -> asyncio.AbstractEventLoop:
+        """The loop of the clock."""
+        return self.clock._loop
+
+    def add_done_callback(self, wakeup: Callable[["Ticks"], object], *, context: Context | None = None) -> None:
+        """The task is waiting: its wake-up is the alarm."""
+        self._wakeup, self._context = wakeup, context
+        self._alarm = Alarm(wakeup, (self,), self.clock._loop, context)
+        self.clock.push(self.due_ns, self._alarm, self.priority, self.drone)
+
+    def cancel(self, msg: Any = None) -> bool:
+        """The task is cancelled: wake it in the next pass."""
+        if self._cancelled:
+            return False
+        self._cancelled = True
+        self._alarm.cancel()
+        self.clock._loop.call_soon(self._wakeup, self, context=self._context)
+        return True
+
+    def result(self) -> None:
+        """What the wake-up asks for; raises CancelledError."""
+        if self._cancelled:
+            raise asyncio.CancelledError
+
+
+class WallClock(Clock):
+    """CLOCK_MONOTONIC, with one timerfd a process in the event loop (Linux)."""
+
+    def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
+        super().__init__()
+        self._loop = loop
+        self._fd = Timerfd()
+        self._armed_ns = 0
+        spare = max(1, min(4, (os.cpu_count() or 1) - 1))  # a processor for the event loop
+        self._pool = ThreadPoolExecutor(max_workers=spare, thread_name_prefix="compute")
+        loop.add_reader(self._fd.fileno, self._fire)
+
+    def now_ns(self) -> int:
+        """CLOCK_MONOTONIC."""
+        return time.monotonic_ns()
+
+    async def compute(self, function: Callable[..., T], *args: Any) -> T:
+        """Run it in a thread: HiGHS and compiled kernels release the interpreter."""
+        return await self._loop.run_in_executor(self._pool, function, *args)
+
+    def close(self) -> None:
+        """Give the timer and the threads back."""
+        self._loop.remove_reader(self._fd.fileno)
+        self._fd.close()
+        self._pool.shutdown(wait=False, cancel_futures=True)
+
+    def _arm(self) -> None:
+        first = self._heap[0][0]
+        if not self._armed_ns or first < self._armed_ns:
+            self._armed_ns = first
+            self._fd.set(first)
+
+    def _fire(self) -> None:
+        self._fd.clear()
+        now = time.monotonic_ns()
+        self._armed_ns = 0
+        while self._heap and self._heap[0][0] <= now:
+            alarm = heapq.heappop(self._heap)[-1]
+            if not alarm.cancelled():
+                alarm._run()
+        if self._heap:
+            self._arm()
+
+
+class Timerfd:
+    """The kernel's timer as a file descriptor; `os` has it only from Python 3.13."""
+
+    _CLOCK_MONOTONIC, _NONBLOCK, _CLOEXEC, _ABSTIME = 1, 0o4000, 0o2000000, 1
+
+    class _Spec(ctypes.Structure):
+        _fields_ = [(name, ctypes.c_long) for name in ("interval_s", "interval_ns", "value_s", "value_ns")]
+
+    def __init__(self) -> None:
+        self._libc = ctypes.CDLL(None, use_errno=True)
+        self.fileno = self._libc.timerfd_create(self._CLOCK_MONOTONIC, self._NONBLOCK | self._CLOEXEC)
+        if self.fileno < 0:
+            raise OSError(ctypes.get_errno(), "timerfd_create failed: real time needs Linux; use virtual time (--fast)")
+
+    def set(self, when_ns: int) -> None:
+        """Fire at this instant of CLOCK_MONOTONIC, or at once if it has passed."""
+        seconds, nanoseconds = divmod(max(1, when_ns), SECOND)
+        spec = self._Spec(0, 0, seconds, nanoseconds)
+        self._libc.timerfd_settime(self.fileno, self._ABSTIME, ctypes.byref(spec), None)
+
+    def clear(self) -> None:
+        """Take the expiry, so that the descriptor is quiet again."""
+        with contextlib.suppress(BlockingIOError):
+            os.read(self.fileno, 8)
+
+    def close(self) -> None:
+        """Close the descriptor."""
+        os.close(self.fileno)
+
+
+class VirtualClock(Clock):
+    """Time that stands still while anything can run, then jumps to the next alarm."""
+
+    virtual = True
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._now_ns = 0
+        self._passes = 0
+        self._loop: VirtualLoop = VirtualLoop(self)
+
+    @property
+    def loop(self) -> "VirtualLoop":
+        """The event loop that lives in this time."""
+        return self._loop
+
+    def now_ns(self) -> int:
+        """Virtual nanoseconds since the loop was made."""
+        return self._now_ns
+
+    async def compute(self, function: Callable[..., T], *args: Any) -> T:
+        """Run it here and now: it takes no virtual time."""
+        return function(*args)
+
+    def passed(self) -> None:
+        """One loop pass, or one alarm, without any time."""
+        self._passes += 1
+        if self._passes > LIVELOCK_PASSES:
+            raise Livelock(
+                f"{LIVELOCK_PASSES} loop passes at {self.now():.9f} s of virtual time. "
+                f"Somebody runs for ever without waiting on the clock. {waiting(self._loop)}"
+            )
+
+    def advance(self) -> Alarm:
+        """Jump to the next alarm."""
+        found = self._next()
+        if found is None:
+            raise Deadlock(f"at {self.now():.9f} s of virtual time nobody can go on. {waiting(self._loop)}")
+        when_ns, alarm = found
+        if when_ns > self._now_ns:
+            self._now_ns = when_ns
+            self._passes = 0
+        else:
+            self.passed()
+        return alarm
+
+
+class VirtualLoop(asyncio.SelectorEventLoop):
+    """asyncio's loop, but it advances the clock where that one would wait for a selector."""
+
+    _ready: deque[asyncio.Handle]
+    _stopping: bool
+
+    def __init__(self, clock: VirtualClock) -> None:
+        self._clock = clock
+        super().__init__(_Selector())
+
+    def time(self) -> float:
+        """Virtual seconds."""
+        return self._clock.now_ns() / SECOND
+
+    def call_soon(self, callback: Callable[..., object], *args: Any, context: Context | None = None) -> asyncio.Handle:  # type: ignore[override]
+        """As asyncio's, without its checks."""
+        handle = asyncio.Handle(callback, args, self, context)
+        self._ready.append(handle)
+        return handle
+
+    def _run_once(self) -> None:
+        """One pass: what is ready runs; when nothing is, time goes on."""
+        ready = self._ready
+        if ready or self._stopping:
+            self._clock.passed()
+        else:
+            ready.append(self._clock.advance())
+        for _ in range(len(ready)):
+            handle = ready.popleft()
+            if not handle._cancelled:
+                handle._run()
+
+    def call_at(  # type: ignore[override]
+        self, when: float, callback: Callable[..., object], *args: Any, context: Any = None
+    ) -> asyncio.TimerHandle:
+        """Timers of asyncio itself (timeouts) join the clock's heap."""
+        alarm = asyncio.TimerHandle(when, callback, args, self, context)
+        self._clock.push(max(round(when * SECOND), self._clock.now_ns()), alarm, TIMEOUT, -1)
+        return alarm
+
+    def call_later(  # type: ignore[override]
+        self, delay: float, callback: Callable[..., object], *args: Any, context: Any = None
+    ) -> asyncio.TimerHandle:
+        """As `call_at`, from now."""
+        return self.call_at(self.time() + delay, callback, *args, context=context)
+
+    def run_in_executor(self, executor: Any, func: Callable[..., T], *args: Any) -> "asyncio.Future[T]":  # type: ignore[override]
+        """Executors run inline."""
+        future: asyncio.Future[T] = self.create_future()
+        try:
+            future.set_result(func(*args))
+        except Exception as error:  # noqa: BLE001 - the future hands it to whoever awaits
+            future.set_exception(error)
+        return future
+
+
+class _Selector(selectors.BaseSelector):
+    """Registers the loop's own pipe and is never asked."""
+
+    def __init__(self) -> None:
+        self._keys: dict[Any, selectors.SelectorKey] = {}
+
+    def register(self, fileobj: Any, events: int, data: Any = None) -> selectors.SelectorKey:
+        key = selectors.SelectorKey(fileobj, fileobj if isinstance(fileobj, int) else fileobj.fileno(), events, data)
+        self._keys[fileobj] = key
+        return key
+
+    def unregister(self, fileobj: Any) -> selectors.SelectorKey:
+        return self._keys.pop(fileobj)
+
+    def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
+        return []
+
+    def get_map(self) -> Any:
+        return self._keys
+
+
+def waiting(loop: asyncio.AbstractEventLoop) -> str:
+    """Who waits for what: every task with the place where it stands."""
+    tasks = sorted(asyncio.all_tasks(loop), key=lambda task: task.get_name())
+    return "; ".join(f"{task.get_name()} waits in {_place(task)}" for task in tasks)
+
+
+def _place(task: "asyncio.Task[Any]") -> str:
+    coroutine: Any = task.get_coro()
+    while getattr(coroutine, "cr_await", None) is not None and hasattr(coroutine.cr_await, "cr_frame"):
+        coroutine = coroutine.cr_await
+    frame: FrameType | None = getattr(coroutine, "cr_frame", None)
+    if frame is None:
+        return "nothing"
+    owner = getattr(frame.f_locals.get("self"), "name", "")
+    code = frame.f_code
+    where = f"{os.path.basename(code.co_filename)}:{frame.f_lineno} {code.co_qualname}"
+    return f"{where} ({owner})" if owner else where
+
+
+def run_virtual(main: Callable[[Clock], Coroutine[Any, Any, T]]) -> T:
+    """Run `main(clock)` to its end in virtual time."""
+    clock = VirtualClock()
+    with asyncio.Runner(loop_factory=lambda: clock.loop) as runner:
+        return runner.run(main(clock))
+
+
+def run_wall(main: Callable[[Clock], Coroutine[Any, Any, T]]) -> T:
+    """Run `main(clock)` to its end in real time, on uvloop, in a process that is prompt meanwhile."""
+    import uvloop
+
+    async def with_clock() -> T:
+        clock = WallClock(asyncio.get_running_loop())
+        try:
+            return await main(clock)
+        finally:
+            clock.close()
+
+    with prompt(), asyncio.Runner(loop_factory=uvloop.new_event_loop) as runner:
+        return runner.run(with_clock())
+
+
+@contextlib.contextmanager
+def prompt() -> Iterator[None]:
+    """No long pause of the interpreter: threads hand it over soon, and what is loaded now is not searched for garbage.
+
+    A full collection over the imported packages takes 45 ms, in which no tick runs.
+    """
+    before = sys.getswitchinterval()
+    sys.setswitchinterval(SWITCH_INTERVAL)
+    gc.collect()
+    gc.freeze()
+    try:
+        yield
+    finally:
+        gc.unfreeze()
+        sys.setswitchinterval(before)
+
+
+async def within(seconds: float, awaitable: Awaitable[T]) -> T:
+    """Await with a deadline; raises TimeoutError."""
+    async with asyncio.timeout(seconds):
+        return await awaitable

@@ -1,0 +1,165 @@
+"""Mailboxes: where a message waits for its actor. The policy says what happens when it is not read in time.
+
+A mailbox belongs to the drone, not to the actor: it survives a restart of its reader. Ages are kept instead
+of time stamps: a message arrives with its age, and grows older by the receiver's own clock.
+"""
+
+import asyncio
+from collections import deque
+from typing import Any, Generic, TypeVar
+
+from crazychoir.runtime.clock import SECOND, Clock, wake
+
+T = TypeVar("T")
+
+
+class Mailbox(Generic[T]):
+    """What the policies share: counters, and one reader that waits."""
+
+    def __init__(self, clock: Clock, name: str = "") -> None:
+        self.clock, self.name = clock, name
+        self.received = 0
+        self.dropped = 0
+        self.stale = 0
+        self._waiter: asyncio.Future[None] | None = None
+
+    def put(self, value: T, age: float = 0.0) -> None:
+        """Leave a message that is `age` s old; never waits."""
+        raise NotImplementedError
+
+    def clear(self) -> None:
+        """Forget the content, as when the reader restarts."""
+        raise NotImplementedError
+
+    def _wake(self) -> None:
+        if self._waiter is not None:
+            waiter, self._waiter = self._waiter, None
+            wake(waiter)
+
+    async def _wait(self) -> None:
+        self._waiter = asyncio.get_running_loop().create_future()
+        await self._waiter
+
+
+class Latest(Mailbox[T]):
+    """One slot: a newer message replaces the older; `dropped` counts those that nobody read."""
+
+    def __init__(self, clock: Clock, name: str = "", max_age: float | None = None) -> None:
+        super().__init__(clock, name)
+        self.max_age = max_age
+        self.version = 0
+        self._seen = 0
+        self._value: T | None = None
+        self._born_ns = 0
+
+    def put(self, value: T, age: float = 0.0) -> None:
+        """Replace the content."""
+        self.received += 1
+        if self.version > self._seen:
+            self.dropped += 1
+        self.version += 1
+        self._value = value
+        self._born_ns = self.clock.now_ns() - (round(age * SECOND) if age else 0)
+        if self._waiter is not None:
+            self._wake()
+
+    async def get(self) -> T:
+        """Wait for a message that was not read yet."""
+        while self.version == self._seen:
+            await self._wait()
+        self._seen = self.version
+        return self._value  # type: ignore[return-value]
+
+    @property
+    def unread(self) -> bool:
+        """Whether there is a message that nobody has read."""
+        return self.version > self._seen
+
+    def peek(self) -> T | None:
+        """The content, however old; None before the first message."""
+        self._seen = self.version
+        return self._value
+
+    def fresh(self) -> T | None:
+        """The content if it is not beyond `max_age`, else None and counted as stale."""
+        return self.fresh_with_age()[0]
+
+    def fresh_with_age(self) -> tuple[T | None, float]:
+        """`fresh()`, and the age of what is there."""
+        age = self.age()
+        if self.max_age is not None and age > self.max_age:
+            self.stale += self.version > 0
+            return None, age
+        self._seen = self.version
+        return self._value, age
+
+    def age(self) -> float:
+        """Seconds since the content was born; infinite before the first message."""
+        return (self.clock.now_ns() - self._born_ns) / SECOND if self.version else float("inf")
+
+    def clear(self) -> None:
+        """Back to before the first message."""
+        self.version = self._seen = 0
+        self._value = None
+
+
+class DropOldest(Mailbox[T]):
+    """A queue of at most `size`: when full, the oldest message goes."""
+
+    def __init__(self, clock: Clock, name: str = "", size: int = 64) -> None:
+        super().__init__(clock, name)
+        self._queue: deque[T] = deque(maxlen=size)
+
+    def put(self, value: T, age: float = 0.0) -> None:
+        """Append, dropping the oldest if need be."""
+        self.received += 1
+        if len(self._queue) == self._queue.maxlen:
+            self.dropped += 1
+        self._queue.append(value)
+        self._wake()
+
+    async def get(self) -> T:
+        """Wait for the oldest message."""
+        while not self._queue:
+            await self._wait()
+        return self._queue.popleft()
+
+    def take(self) -> list[T]:
+        """All that is there, oldest first."""
+        content = list(self._queue)
+        self._queue.clear()
+        return content
+
+    def clear(self) -> None:
+        """Empty the queue."""
+        self._queue.clear()
+
+
+class Block(Mailbox[T]):
+    """A queue of at most `size` whose sender waits for room; inside a process only."""
+
+    def __init__(self, clock: Clock, name: str = "", size: int = 64) -> None:
+        super().__init__(clock, name)
+        self._queue: asyncio.Queue[T] = asyncio.Queue(size)
+
+    def put(self, value: T, age: float = 0.0) -> None:
+        """Append; raises asyncio.QueueFull when there is no room."""
+        self._queue.put_nowait(value)
+        self.received += 1
+
+    async def put_wait(self, value: T) -> None:
+        """Append as soon as there is room."""
+        await self._queue.put(value)
+        self.received += 1
+
+    async def get(self) -> T:
+        """Wait for the oldest message."""
+        return await self._queue.get()
+
+    def clear(self) -> None:
+        """Empty the queue and let waiting senders in."""
+        while not self._queue.empty():
+            self._queue.get_nowait()
+
+
+AnyMailbox = Mailbox[Any]

@@ -1,0 +1,124 @@
+"""Supervision: each actor runs inside a wrapper, so that its failure is an event and not the end of the drone."""
+
+import asyncio
+import logging
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from crazychoir.runtime.actor import Actor
+from crazychoir.runtime.clock import Clock
+
+log = logging.getLogger(__name__)
+STOP_DEADLINE = 2.0
+"""s: for an actor to end when it is cancelled, and again for its `on_stop`; then it is named and left behind."""
+
+OnFailure = Callable[[Actor, Exception, bool], None]
+"""Called with the actor, its error, and whether it is started again."""
+
+
+@dataclass(eq=False)
+class _Child:
+    """An actor, its task, the times of its failures within the window, and whether its `on_stop` has begun."""
+
+    actor: Actor
+    task: "asyncio.Task[None]" = field(init=False)
+    failures: deque[float] = field(default_factory=deque)
+    stopping: bool = False
+
+
+class Supervisor:
+    """Runs the actors of one drone; children stop in reverse order of creation."""
+
+    def __init__(self, clock: Clock, name: str, on_failure: OnFailure | None = None) -> None:
+        self.clock, self.name = clock, name
+        self.on_failure = on_failure or (lambda actor, error, again: None)
+        self._children: list[_Child] = []
+        self._stop = asyncio.Event()
+
+    async def run(self, actors: list[Actor]) -> None:
+        """Run all actors until they end, `stop` is called, or this task is cancelled; all have stopped on return."""
+        self._children = [_Child(actor) for actor in actors]
+        for child in self._children:
+            child.task = asyncio.create_task(self._supervise(child), name=f"{self.name} {child.actor.name}")
+            child.task.add_done_callback(self._ended)
+        try:
+            if actors:
+                await self._stop.wait()
+        finally:
+            await self._stop_children()
+
+    def stop(self) -> None:
+        """Ask for an orderly end."""
+        self._stop.set()
+
+    def _ended(self, task: "asyncio.Task[None]") -> None:
+        if all(child.task.done() for child in self._children):
+            self._stop.set()
+
+    async def _stop_children(self) -> None:
+        try:
+            for child in reversed(self._children):
+                await self._stop_child(child)
+        except asyncio.CancelledError:  # again, while they stop: no more waiting
+            for child in self._children:
+                child.task.cancel()
+            raise
+
+    async def _stop_child(self, child: _Child) -> None:
+        if not child.stopping:
+            child.task.cancel()
+        _, late = await asyncio.wait([child.task], timeout=2.0 * STOP_DEADLINE)
+        if late:
+            log.error("%s %s: does not stop; left behind", self.name, child.actor.name)
+        await self._finish(child)
+
+    async def _supervise(self, child: _Child) -> None:
+        try:
+            while await self._fails(child):
+                await self.clock.sleep(child.actor.restart.backoff * 2.0 ** (len(child.failures) - 1))
+        finally:
+            await self._finish(child)
+
+    async def _fails(self, child: _Child) -> bool:
+        """Run the actor; True when it has failed and shall run again."""
+        try:
+            if child.failures:
+                child.actor.on_restart()
+            await child.actor.run()
+        except asyncio.CancelledError as cancelled:
+            if child.task.cancelling():
+                raise
+            return self._failed(child, RuntimeError(f"cancelled from inside: {cancelled!r}"))
+        except Exception as error:  # noqa: BLE001 - a failing actor must not take the drone with it
+            return self._failed(child, error)
+        return False
+
+    def _failed(self, child: _Child, error: Exception) -> bool:
+        actor, again = child.actor, not child.task.cancelling() and self._may_restart(child)
+        log.error("%s %s failed: %s", self.name, actor.name, error, exc_info=error)
+        try:
+            self.on_failure(actor, error, again)
+        except Exception:
+            log.exception("%s: error in what hears of the failure of %s", self.name, actor.name)
+        return again
+
+    def _may_restart(self, child: _Child) -> bool:
+        now, restart, failures = self.clock.now(), child.actor.restart, child.failures
+        while failures and now - failures[0] >= restart.window:
+            failures.popleft()
+        if len(failures) >= restart.limit:
+            return False
+        failures.append(now)
+        return True
+
+    async def _finish(self, child: _Child) -> None:
+        """`on_stop`, once: after `run`, or without it if that never began or does not end."""
+        if child.stopping:
+            return
+        child.stopping = True
+        try:
+            async with asyncio.timeout(STOP_DEADLINE):
+                await child.actor.on_stop()
+        except Exception:  # stopping goes on with the next actor
+            log.exception("%s %s: on_stop failed, or took more than %g s", self.name, child.actor.name, STOP_DEADLINE)

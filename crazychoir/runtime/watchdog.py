@@ -1,0 +1,148 @@
+"""A thread that watches the event loop: who keeps it, where, for how long; and frees it from user code."""
+
+import asyncio
+import ctypes
+import faulthandler
+import logging
+import os
+import sys
+import threading
+import traceback
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from crazychoir.errors import Hung
+from crazychoir.runtime.clock import SECOND, Clock
+
+log = logging.getLogger(__name__)
+LATE = 0.100
+"""s: a loop that is late by this is reported."""
+HAND_OVER = 0.300
+"""s: the owner of a radio hands its drones to the onboard landing."""
+INTERRUPT = 1.000
+"""s: user code that runs under `guard` is interrupted."""
+GIVE_UP = 10.000
+"""s: the process ends itself: its drones' own safety, and the other drones, must not wait for it."""
+FROZEN = 0.500
+"""s between two looks of the watchdog: then the whole process stood still (SIGSTOP), and the loop is not to blame."""
+EXIT_CODE = 70
+BEAT = 0.020
+
+
+@dataclass(frozen=True)
+class Stall:
+    """One report: how late the loop is, which actor has it, and where its code stands."""
+
+    seconds: float
+    actor: str
+    place: str
+
+    def __str__(self) -> str:
+        return f"{self.actor} keeps the event loop for {self.seconds:.2f} s, in {self.place}"
+
+
+class Watchdog:
+    """Start it inside the running loop, in real time only; `on_stall` is called from its own thread.
+
+    A stall is reported when it reaches LATE, HAND_OVER and INTERRUPT, and then whenever it has doubled.
+    stalls: how many there were;  worst: s, the longest.
+    """
+
+    def __init__(self, clock: Clock, on_stall: Callable[[Stall], None] = lambda stall: None) -> None:
+        self.clock, self.on_stall = clock, on_stall
+        self.stalls = 0
+        self.worst = 0.0
+        self._loop = asyncio.get_running_loop()
+        self._loop_thread = threading.get_ident()
+        self._beat_ns = clock.now_ns()
+        self._guard = Guard(clock)
+        self._ending = threading.Event()
+        self._report_at = LATE
+        self._thread = threading.Thread(target=self._watch, name="watchdog", daemon=True)
+
+    def start(self) -> None:
+        """Begin to watch."""
+        self._beat()
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End the thread."""
+        self._ending.set()
+
+    def guard(self) -> "Guard":
+        """Code in `with watchdog.guard():` is interrupted by `Hung` once it has kept the loop for a second.
+
+        It may not await and not nest. Code that swallows Hung gets it again a second later.
+        """
+        return self._guard
+
+    def _beat(self) -> None:
+        self._beat_ns = self.clock.now_ns()
+        self._guard.since_ns = 0
+        if not self._ending.is_set():
+            self.clock.call_at(self._beat_ns + round(BEAT * SECOND), self._beat)
+
+    def _watch(self) -> None:
+        looked_ns, frozen = self.clock.now_ns(), 0.0
+        while not self._ending.wait(BEAT):
+            now_ns = self.clock.now_ns()
+            late = (now_ns - self._beat_ns) / SECOND - BEAT
+            looked_ns, gap = now_ns, (now_ns - looked_ns) / SECOND
+            frozen = 0.0 if late < LATE else frozen + gap if gap > FROZEN else frozen
+            self.worst = max(self.worst, late)
+            if late < LATE:
+                self._report_at = LATE
+                continue
+            if late >= self._report_at:
+                self._report(late)
+            if late - frozen >= INTERRUPT:
+                self._guard.interrupt(self._loop_thread)
+            if late - frozen >= GIVE_UP:
+                self._give_up(late)
+
+    def _give_up(self, late: float) -> None:
+        """Nothing of ours can free a loop that hangs in foreign code."""
+        log.critical("the event loop hangs for %.0f s: this process ends itself. Where its threads are:", late)
+        faulthandler.dump_traceback(all_threads=True)
+        logging.shutdown()
+        os._exit(EXIT_CODE)
+
+    def _report(self, late: float) -> None:
+        self.stalls += self._report_at == LATE
+        self._report_at = next((limit for limit in (HAND_OVER, INTERRUPT) if limit > late), 2.0 * late)
+        task = asyncio.current_task(self._loop)
+        frame = sys._current_frames().get(self._loop_thread)
+        stack = traceback.extract_stack(frame)[-1] if frame else None
+        place = f"{stack.filename}:{stack.lineno} {stack.name}" if stack else "unknown code"
+        stall = Stall(late, task.get_name() if task else "the event loop", place)
+        log.warning("%s", stall)
+        try:
+            self.on_stall(stall)
+        except Exception:
+            log.exception("watchdog: error in what hears of the stall")
+
+
+class Guard:
+    """A region of the loop's thread in which Hung may be raised, and nowhere else: see `Watchdog.guard`."""
+
+    def __init__(self, clock: Clock) -> None:
+        self.clock = clock
+        self.since_ns = 0
+        self._lock = threading.Lock()
+
+    def __enter__(self) -> None:
+        self.since_ns = self.clock.now_ns()
+
+    def __exit__(self, *error: object) -> None:
+        # An interruption that came before this lock is raised before the call returns; none comes after it.
+        # One that strikes before the first line leaves `since_ns` as it is; the next beat of the loop clears it.
+        with self._lock:
+            self.since_ns = 0
+
+    def interrupt(self, thread: int) -> None:
+        """Raise Hung in that thread, if it has been inside for INTERRUPT s; from another thread."""
+        with self._lock:
+            now_ns = self.clock.now_ns()
+            if self.since_ns and now_ns - self.since_ns >= INTERRUPT * SECOND:
+                self.since_ns = now_ns
+                ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread), ctypes.py_object(Hung))

@@ -1,0 +1,1 @@
+"""Geofence, watchdogs, and what to do in trouble."""

@@ -1,0 +1,189 @@
+"""The watchdog of one drone: what is too old, too far or not a number, and what is done about it. A table decides."""
+
+import math
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+
+from crazychoir.errors import ConfigError
+from crazychoir.math3d import kernel, vector
+from crazychoir.types import Point, State, Vec
+
+
+class Action(IntEnum):
+    """What the drone does, the worse the larger."""
+
+    NOMINAL = 0  # fly the reference
+    HOVER = 1  # brake and hold, on the prediction if there is no pose
+    LAND = 2  # descend where it is
+    CUT = 3  # stop the motors
+
+
+DOING = {Action.HOVER: "braking", Action.LAND: "landing", Action.CUT: "motors cut"}
+
+
+@dataclass(frozen=True)
+class Rule:
+    """One row of the safety table.
+
+    measure: "pose" (s since the last pose), "reference" (s since the last one), "fence" (m outside the fence)
+    or "broken" (1 if the state is not finite);  limit: exceeded, the rule acts;  clear: it acts until the measure has
+    been at or below this for `settle` seconds;  latched: until `reset`.
+    """
+
+    measure: str
+    limit: float
+    action: Action
+    clear: float = 0.0
+    settle: float = 0.5
+    latched: bool = False
+
+
+# Poses: 0.10 s is ten of them missed at 100 Hz, 0.1 m at 1 m/s; after 0.50 s a prediction is worth little; after 2.00 s
+# without commands the firmware cuts by itself. Fence: like the paper's keep-out zone it ends in a shut-down.
+TABLE = (
+    Rule("pose", 0.10, Action.HOVER, clear=0.05),
+    Rule("pose", 0.50, Action.LAND, clear=0.05, settle=1.0),
+    Rule("pose", 2.00, Action.CUT, latched=True),
+    Rule("reference", 0.30, Action.HOVER, clear=0.15),
+    Rule("reference", 5.00, Action.LAND, clear=0.15, settle=1.0),
+    Rule("fence", 0.00, Action.HOVER, clear=-0.05),
+    Rule("fence", 0.25, Action.LAND, latched=True),
+    Rule("fence", 0.50, Action.CUT, latched=True),
+    Rule("broken", 0.00, Action.CUT, latched=True),
+)
+
+TEXT = {
+    "pose": "pose {value:.2f} s old, limit {limit:.2f} s: {doing}",
+    "reference": "reference {value:.2f} s old, limit {limit:.2f} s: {doing}",
+    "fence": "{value:.2f} m outside the fence, limit {limit:.2f} m: {doing}",
+    "broken": "state is not finite: {doing}",
+}
+
+
+@dataclass(frozen=True)
+class Fence:
+    """The box in which a drone may fly, from corner `low` to corner `high`, (3,) m each."""
+
+    low: tuple[float, float, float]
+    high: tuple[float, float, float]
+
+    @classmethod
+    def box(cls, low: Point, high: Point) -> "Fence":
+        """From two corners."""
+        corners = np.array([low, high], dtype=float)
+        if corners.shape != (2, 3) or not np.all(corners[0] < corners[1]):
+            raise ConfigError("Fence.box", [list(low), list(high)], "two corners (3,) m, the first below the second")
+        (a, b, c), (d, e, f) = corners.tolist()
+        return cls((a, b, c), (d, e, f))
+
+    def outside(self, x: float, y: float, z: float) -> float:
+        """m by which a position is outside, the largest over the six sides; negative inside."""
+        a, b = self.low, self.high
+        return max(a[0] - x, x - b[0], a[1] - y, y - b[1], a[2] - z, z - b[2])
+
+    def nearest(self, p: Vec, inset: float = 0.1) -> Vec:
+        """The place inside, `inset` m from the sides, that is nearest to p (3,): where to hold."""
+        return np.clip(p, np.array(self.low) + inset, np.array(self.high) - inset)
+
+
+ROOM = Fence.box((-3.0, -3.0, -0.2), (3.0, 3.0, 2.5))
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What to do and why; reason is empty when all is well."""
+
+    action: Action
+    reason: str = ""
+
+
+ALL_WELL = Verdict(Action.NOMINAL)
+
+
+@kernel(vector, vector, vector)
+def _outside(x: Vec, low: Vec, high: Vec) -> float:
+    """m by which the place of x (13,) is outside the box, negative inside; not finite if x is not."""
+    furthest, finite = -math.inf, 0.0
+    for c in range(3):
+        furthest = max(furthest, max(low[c] - x[c], x[c] - high[c]))
+    for c in range(13):
+        finite += 0.0 * x[c]
+    return furthest + finite
+
+
+class Guard:
+    """Judges one drone every tick: each rule of the table that acts has a say, the worst action wins.
+
+    A rule starts to act when its measure exceeds its limit and stops after `settle` seconds at or below `clear`.
+    """
+
+    def __init__(self, fence: Fence = ROOM, table: tuple[Rule, ...] = TABLE) -> None:
+        for rule in table:
+            if rule.measure not in TEXT or (rule.clear > rule.limit and not rule.latched):
+                raise ConfigError("Guard: table", rule, f"a measure of {', '.join(TEXT)}; clear at or below limit")
+        self.fence, self.table = fence, table
+        self._acting: dict[Rule, float] = {}  # a rule that acts, and since when its measure has been calm
+        self._quiet = {m: min((r.limit for r in table if r.measure == m), default=math.inf) for m in TEXT}
+        self._low, self._high = np.array(fence.low), np.array(fence.high)
+
+    def reset(self) -> None:
+        """Forget everything that acts, the latched rules too: an operator's decision."""
+        self._acting.clear()
+
+    def check(self, now: float, state: State | None, pose_age: float, reference_age: float | None = None) -> Verdict:
+        """The verdict at `now` (s); ages in s;  state None: nothing was ever seen;  reference_age None: none needed."""
+        outside = -math.inf if state is None else _outside(state.flat, self._low, self._high)
+        age = 0.0 if reference_age is None else reference_age
+        quiet = self._quiet
+        if not self._acting and pose_age <= quiet["pose"] and age <= quiet["reference"] and outside <= quiet["fence"]:
+            return ALL_WELL
+        return self._judge(now, self._measured(state, pose_age, age))
+
+    def _measured(self, state: State | None, pose_age: float, reference_age: float) -> dict[str, float]:
+        """The measures of the table."""
+        outside, broken = -math.inf, 0.0
+        if state is not None:
+            x, y, z, *rest = state.flat.tolist()
+            outside = self.fence.outside(x, y, z)
+            broken = 0.0 if math.isfinite(x + y + z + sum(rest)) else 1.0
+        return {"pose": pose_age, "reference": reference_age, "fence": outside, "broken": broken}
+
+    def _judge(self, now: float, values: dict[str, float]) -> Verdict:
+        """Start and stop rules, then let the worst one that acts speak."""
+        for rule in self.table:
+            value = values[rule.measure]
+            if not value <= rule.limit:  # a NaN is beyond every limit
+                self._acting[rule] = math.inf
+            elif rule in self._acting:
+                self._calm(rule, value, now)
+        worst = max(self._acting, key=lambda rule: rule.action, default=None)
+        if worst is None:
+            return ALL_WELL
+        text = TEXT[worst.measure].format(value=values[worst.measure], limit=worst.limit, doing=DOING[worst.action])
+        return Verdict(worst.action, text)
+
+    def _calm(self, rule: Rule, value: float, now: float) -> None:
+        """Stop a rule that has been calm for long enough."""
+        if rule.latched:
+            return
+        since = min(self._acting[rule], now) if value <= rule.clear else math.inf
+        self._acting[rule] = since
+        if now - since >= rule.settle:
+            del self._acting[rule]
+
+
+class Throttle:
+    """Lets each text through at most once in `period` seconds."""
+
+    def __init__(self, period: float = 1.0) -> None:
+        self.period = period
+        self._said: dict[str, float] = {}
+
+    def due(self, now: float, topic: str) -> bool:
+        """May this topic be said again at `now`? Saying so counts as having said it."""
+        if now - self._said.get(topic, -math.inf) < self.period:
+            return False
+        self._said[topic] = now
+        return True

@@ -1,0 +1,329 @@
+"""The pilot of one drone: pose -> filter -> reference -> controller -> guard -> command, in one pass a tick.
+
+It always has the last word: whatever guidance asks, or fails to ask, each tick ends in a command that the safety
+table allows. A pose triggers the tick; if none comes in time, the clock does.
+"""
+
+import logging
+import math
+from enum import Enum
+from typing import Protocol
+
+import numpy as np
+
+from crazychoir.bus.local import Port
+from crazychoir.bus.topics import COMMAND, POSE, REFERENCE, STATE
+from crazychoir.control.attitude import GeometryAttitudeCtrl
+from crazychoir.control.controller import HierarchicalController
+from crazychoir.control.gains import FORMATION
+from crazychoir.control.handlers import AccelerationTraj, FPQRSender, FullStateTraj
+from crazychoir.control.position import FlatnessAccelerationCtrl, FlatnessPositionCtrl
+from crazychoir.filters.velocity import VelocityFilter
+from crazychoir.math3d import yaw_of
+from crazychoir.planning.point_to_point import PointToPoint, duration_for
+from crazychoir.runtime.actor import ON_FAILURE, Actor
+from crazychoir.runtime.clock import SECOND
+from crazychoir.runtime.mailbox import Latest
+from crazychoir.safety.guard import Action, Fence, Guard, Throttle, Verdict
+from crazychoir.swarm.tables import Flight
+from crazychoir.types import FPQR, Acceleration, FullState, Goto, Point, Pose, Reference, State
+
+log = logging.getLogger(__name__)
+ON_THE_FLOOR = 0.04
+"""m above the ground at which a landing drone stops its motors."""
+BRAKE_TIME = 0.4
+"""s of the present velocity within which a braking drone comes to rest."""
+TOUCHDOWN_LATE = 2.0
+"""s after the planned touch-down when a drone at rest (below AT_REST m/s) counts as landed."""
+AT_REST = 0.05
+GIVE_UP_HOVER = 2.0
+"""s of hovering after guidance has failed, before the landing."""
+
+
+class Mode(Enum):
+    """What the pilot is doing."""
+
+    GROUND = "on ground"
+    TAKEOFF = "taking off"
+    HOVER = "hovering"
+    FOLLOW = "mission"
+    LAND = "landing"
+    CUT = "stopped"
+
+
+# Members of an enumeration are slow to look up, in Python 3.11 above all; a tick needs these.
+FOLLOW, LAND, NOMINAL = Mode.FOLLOW, Mode.LAND, Action.NOMINAL
+DOWN = (Mode.GROUND, Mode.CUT)
+GUIDED = (Mode.HOVER, Mode.TAKEOFF, Mode.FOLLOW)
+
+
+class Link(Protocol):
+    """The way to the drone: a simulated world, or later a radio."""
+
+    def send(self, command: FPQR) -> None:
+        """Let the drone obey this until the next one."""
+        ...
+
+    def cut(self) -> None:
+        """Stop the motors for good."""
+        ...
+
+
+def flyable(reference: object) -> bool:
+    """Whether it is a reference of the right shape, and all its numbers are numbers: their sum is one."""
+    match reference:
+        case Acceleration():
+            return np.shape(reference.a) == (3,) and math.isfinite(sum(reference.a) + reference.yaw)
+        case FullState():
+            return reference.flat.shape == (14,) and math.isfinite(sum(reference.flat.tolist()))
+        case Goto():
+            return np.shape(reference.p) == (3,) and math.isfinite(
+                float(np.sum(reference.p)) + reference.yaw + reference.duration
+            )
+        case _:
+            return False
+
+
+class Pilot(Actor):
+    """Flies one drone; guidance calls `take_off`, `follow`, `hover`, `land`."""
+
+    name = "pilot"
+    restart = ON_FAILURE
+
+    def __init__(self, port: Port, link: Link, limits: Flight, fence: Fence, rate: float = 100.0) -> None:
+        self.port, self.link, self.limits, self.fence = port, link, limits, fence
+        self.clock = port.bus.clock
+        self.drone = port.address
+        self.mode = Mode.GROUND
+        self.state: State | None = None
+        self.note = ""
+        self.held = False
+        self.controller = HierarchicalController(
+            FlatnessPositionCtrl(), GeometryAttitudeCtrl(), FPQRSender(), FullStateTraj()
+        )
+        self.follower = HierarchicalController(
+            FlatnessAccelerationCtrl(FORMATION), GeometryAttitudeCtrl(FORMATION), FPQRSender(), AccelerationTraj()
+        )
+        self.filter = VelocityFilter()
+        self.guard = Guard(fence)
+        self.poses: Latest[Pose | None] = Latest(self.clock, f"drone {self.drone} pose", POSE.max_age)
+        self.references: Latest[Reference] = Latest(self.clock, f"drone {self.drone} reference", REFERENCE.max_age)
+        port.bus.subscribe(POSE, self.drone, self.drone, self.poses)
+        self._period_ns = round(SECOND / rate)
+        self._plan: PointToPoint | None = None
+        self._plan_start = 0.0
+        self._last: FullState | None = None
+        self._braking = Action.NOMINAL
+        self._ticked_ns = 0
+        self._said = Throttle(1.0)
+        self._idle = FPQR(np.zeros(4))
+
+    async def run(self) -> None:
+        """Tick for ever."""
+        while True:
+            self.tick(await self.poses.get())
+
+    def on_restart(self) -> None:
+        """Whatever made a tick fail is forgotten: it hovers where it is."""
+        self.references.clear()
+        self.poses.clear()
+        self._plan = self._last = None
+        if self.mode is Mode.FOLLOW:
+            self.mode = Mode.HOVER
+
+    def hold(self, on: bool = True) -> None:
+        """An operator holds the drone where it is, whatever guidance wants, or lets it go on."""
+        self.held = on
+        if on:
+            self.hover()
+
+    def nudge(self, now_ns: int) -> None:
+        """The clock's turn: when no pose has come for one and a half periods, tick without."""
+        if now_ns - self._ticked_ns > 1.5 * self._period_ns and not self.poses.unread:
+            self.poses.put(None)
+            self.poses.received -= 1
+
+    def tick(self, pose: Pose | None) -> None:
+        """One pass of the chain."""
+        now_ns = self._ticked_ns = self.clock.now_ns()
+        now = now_ns / SECOND
+        state = self.filter.predict(now) if pose is None else self.filter.update(pose, now)
+        self.state = state
+        if state is None:
+            return
+        command = self._command(state, now)
+        self.link.send(command)
+        port = self.port
+        port.publish(STATE, state, state.age)
+        port.publish(COMMAND, command)
+        if self._last is not None:
+            port.publish(REFERENCE, self._last)
+
+    # What guidance asks ---------------------------------------------------------------------------------------
+
+    def take_off(self, height: float | None = None) -> float:
+        """Rise to `height` m above the ground; returns the time it will take. Only from the ground.
+
+        After an emergency stop it stays there.
+        """
+        if self.port.bus.stopped:
+            self._say("stop", "emergency stop in force: no take-off until `crazychoir stop --clear`")
+            return 0.0
+        if self.mode is not Mode.GROUND or self.state is None:
+            return 0.0
+        goal = self.state.p.copy()
+        goal[2] = self.limits.ground + (height or self.limits.takeoff_height)
+        start = FullState.at(self.state.p, yaw=yaw_of(self.state.q))
+        self.mode = Mode.TAKEOFF
+        return self._fly_to(start, goal, start.yaw, 0.0)
+
+    def go_to(self, p: Point, yaw: float | None = None, duration: float = 0.0) -> float:
+        """Fly to p (3,) m, world, inside the fence; returns the time it will take (0 while it may not fly)."""
+        if self.mode not in (Mode.TAKEOFF, Mode.HOVER, Mode.FOLLOW) or self.held:
+            return 0.0
+        start = self._now_flown()
+        self.mode = Mode.HOVER
+        goal = self.fence.nearest(np.asarray(p, dtype=float), inset=0.0)
+        return self._fly_to(start, goal, start.yaw if yaw is None else yaw, duration)
+
+    def follow(self, reference: Reference) -> None:
+        """Fly this reference from the next tick on; it must be renewed before it is stale.
+
+        One that is not a reference, has another shape or is not finite counts as none. A held drone follows nothing.
+        """
+        if not flyable(reference):
+            self._say("reference", f"{type(reference).__name__} is no finite reference of its shape: not flown")
+            return
+        if self.mode in GUIDED and not self.held:
+            if isinstance(reference, Goto):
+                self.go_to(reference.p, reference.yaw, reference.duration)
+                return
+            self.references.put(reference)
+            self.mode = FOLLOW
+
+    def hover(self) -> None:
+        """Come to rest and stay."""
+        if self.mode in (Mode.FOLLOW, Mode.TAKEOFF):
+            self._brake()
+            self.mode = Mode.HOVER
+
+    def land(self, reason: str = "") -> float:
+        """Come down where it is and stop the motors; returns the time it will take."""
+        if self.mode in (Mode.GROUND, Mode.CUT, Mode.LAND) or self.state is None:
+            return 0.0
+        if reason:
+            self._say("land", reason)
+        start = self._now_flown()
+        goal = start.p + BRAKE_TIME * start.flat[3:6]
+        drop = max(start.p[2] - self.limits.ground, 0.05) + 0.05
+        goal[2] = self.limits.ground - 0.05
+        self.mode = Mode.LAND
+        return self._fly_to(start, goal, start.yaw, 35.0 / 16.0 * drop / self.limits.landing_speed)
+
+    def cut(self, reason: str) -> None:
+        """Stop the motors."""
+        self.mode = Mode.CUT
+        self.link.cut()
+        self._say("cut", reason)
+
+    def guidance_failed(self, reason: str) -> None:
+        """Guidance is gone: hover, then land."""
+        self._say("guidance", f"guidance failed ({reason}): hovering, then landing")
+        self.hover()
+        due_ns = self.clock.now_ns() + round(GIVE_UP_HOVER * SECOND)
+        self.clock.call_at(due_ns, self.land, drone=self.drone)
+
+    def remaining(self) -> float:
+        """s until the flight that is planned is over."""
+        return 0.0 if self._plan is None else max(0.0, self._plan_start + self._plan.duration - self.clock.now())
+
+    @property
+    def airborne(self) -> bool:
+        """Whether its motors may be running."""
+        return self.mode not in (Mode.GROUND, Mode.CUT)
+
+    # The chain ------------------------------------------------------------------------------------------------
+
+    def _command(self, state: State, now: float) -> FPQR:
+        if self.mode in DOWN:
+            return self._idle
+        reference_age = self.references.age() if self.mode is FOLLOW else None
+        verdict = self.guard.check(now, state, state.age, reference_age)
+        if verdict.action is not NOMINAL or self._braking is not NOMINAL:
+            self._obey(verdict)
+            if not self.airborne:
+                return self._idle
+        if self.mode is LAND and self._is_down(state, now):
+            self._landed()
+            return self._idle
+        return self._follow(state, now)
+
+    def _is_down(self, state: State, now: float) -> bool:
+        """Low enough; or the descent is long over and it moves no more, whatever height cameras and floor say."""
+        low = state.flat[2] < self.limits.ground + ON_THE_FLOOR
+        over = self._plan is not None and now - self._plan_start > self._plan.duration + TOUCHDOWN_LATE
+        return bool(low or (over and np.linalg.norm(state.v) < AT_REST))
+
+    def _follow(self, state: State, now: float) -> FPQR:
+        if self.mode is FOLLOW and self._braking is NOMINAL:
+            reference = self.references.peek()
+            if isinstance(reference, Acceleration):
+                self._last, self._plan = None, None
+                return self.follower.command(state, reference, now)
+            if isinstance(reference, FullState):
+                self._last, self._plan = reference, None
+                return self.controller.command(state, reference, now)
+        if self._plan is None:
+            self._brake()
+        assert self._plan is not None  # noqa: S101 - _brake has set it
+        self._last = self._plan.sample(now - self._plan_start)
+        if self.mode is Mode.TAKEOFF and self._plan.done(now - self._plan_start):
+            self.mode = Mode.HOVER
+        return self.controller.command(state, self._last, now)
+
+    def _obey(self, verdict: Verdict) -> None:
+        """Do what the safety table says, on its edges."""
+        if verdict.action is not Action.NOMINAL:
+            self._say(verdict.action.name, verdict.reason)
+        if verdict.action is self._braking:
+            return
+        self._braking = verdict.action
+        if verdict.action is Action.CUT:
+            self.cut(verdict.reason)
+        elif verdict.action is Action.LAND:
+            self.land(verdict.reason)
+        elif verdict.action is Action.HOVER and self.mode is not Mode.LAND:
+            self._brake()
+
+    def _brake(self) -> None:
+        start = self._now_flown()
+        goal = self.fence.nearest(start.p + BRAKE_TIME * start.flat[3:6])
+        self._fly_to(start, goal, start.yaw, 0.0)
+
+    def _now_flown(self) -> FullState:
+        """Where a new plan begins: on the reference that is flown, else at the state."""
+        if self._last is not None and self._plan is not None and self.mode is not Mode.FOLLOW:
+            return self._last
+        if self._last is not None and self.mode is Mode.FOLLOW:
+            return self._last
+        state = self.state
+        assert state is not None  # noqa: S101 - callers fly, and who flies has a state
+        return FullState.at(state.p, state.v, yaw=yaw_of(state.q))
+
+    def _fly_to(self, start: FullState, goal: np.ndarray, yaw: float, duration: float) -> float:
+        limits = self.limits
+        fastest = duration_for(start, goal, yaw, limits.speed_limit, limits.acceleration_limit)
+        self._plan = PointToPoint(start, goal, yaw, max(duration, fastest))
+        self._plan_start = self.clock.now()
+        self._last = start
+        return self._plan.duration
+
+    def _landed(self) -> None:
+        self.mode = Mode.GROUND
+        self._plan = self._last = None
+        self._braking = Action.NOMINAL
+
+    def _say(self, topic: str, text: str) -> None:
+        self.note = text
+        if self._said.due(self.clock.now(), topic):
+            log.warning("drone %d: %s", self.drone, text)

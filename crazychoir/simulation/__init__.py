@@ -1,0 +1,1 @@
+"""Drones that are equations."""

@@ -1,0 +1,290 @@
+"""The lightweight world: the paper's quadrotor model, integrated by an explicit Runge-Kutta method of order 4."""
+
+import math
+from collections.abc import Sequence
+from typing import Literal
+
+import numpy as np
+
+from crazychoir.control.platform import PAPER, Platform
+from crazychoir.errors import ConfigError
+from crazychoir.math3d import GRAVITY, Mat, Triple, Vec, clip, columns, dot, kernel, matrix, memory, real, table, vector
+from crazychoir.types import State
+
+THRUST, MAX_THRUST, MASS = 0, 4, 0  # columns of a command and of Platform.flat
+
+
+@kernel()
+def _body_rates(z_row: Triple, u: Vec, euler: bool) -> Triple:
+    """Body rates of the inputs u[1:4]: themselves, or Euler-angle rates eta' turned into body axes.
+
+        p = phi' - psi' sin(theta)
+        q = theta' cos(phi) + psi' sin(phi) cos(theta)
+        r = psi' cos(phi) cos(theta) - theta' sin(phi)
+
+    z_row: last row of R = (-sin theta, sin phi cos theta, cos phi cos theta).
+    """
+    if not euler:
+        return u[1], u[2], u[3]
+    phi = math.atan2(z_row[1], z_row[2])
+    c, s = math.cos(phi), math.sin(phi)
+    return u[1] + u[3] * z_row[0], u[2] * c + u[3] * z_row[1], u[3] * z_row[2] - u[2] * s
+
+
+@kernel()
+def _slope(y: Vec, u: Vec, platform: Vec, euler: bool, out: Vec) -> None:
+    """The paper's dynamics, z up, quaternion attitude.
+
+        p' = v,  v' = -g e3 + (u_1 / m) R e3 - (1/m) R A R^T v,  q' = 1/2 q (w, 0)
+
+    y: (10,) = p m, v m/s, q;  u: (4,) = thrust N, rates rad/s;  A = diag, kg/s.
+    """
+    q = (y[6], y[7], y[8], y[9])
+    bx, by, bz = columns(q)
+    v = (y[3], y[4], y[5])
+    m = platform[MASS]
+    ax, ay = -platform[1] * dot(bx, v) / m, -platform[2] * dot(by, v) / m
+    az = (u[THRUST] - platform[3] * dot(bz, v)) / m
+    w = _body_rates((bx[2], by[2], bz[2]), u, euler)
+    for c in range(3):
+        out[c] = v[c]
+        out[3 + c] = ax * bx[c] + ay * by[c] + az * bz[c]
+    out[5] -= GRAVITY
+    out[6] = 0.5 * (q[3] * w[0] + q[1] * w[2] - q[2] * w[1])
+    out[7] = 0.5 * (q[3] * w[1] + q[2] * w[0] - q[0] * w[2])
+    out[8] = 0.5 * (q[3] * w[2] + q[0] * w[1] - q[1] * w[0])
+    out[9] = -0.5 * (q[0] * w[0] + q[1] * w[1] + q[2] * w[2])
+
+
+@kernel()
+def _lagged(start: Vec, target: Vec, t: float, lags: Vec, out: Vec) -> None:
+    """First-order lag, exact: u(t) = target + (start - target) exp(-t / lag); lag 0 follows at once.
+
+    lags: (2,) s, of the thrust and of the rates.
+    """
+    for c in range(4):
+        lag = lags[0] if c == THRUST else lags[1]
+        decay = math.exp(-t / lag) if lag > 0.0 else 0.0
+        out[c] = target[c] + (start[c] - target[c]) * decay
+
+
+@kernel()
+def _runge_kutta(y: Vec, u: Mat, h: float, platform: Vec, euler: bool, k: Mat) -> None:
+    """One step of the classical Runge-Kutta method of order 4; y is replaced.
+
+    u: (3, 4) inputs at the beginning, the middle and the end of the step;  k: (5, 10) room for the slopes.
+    """
+    stage = k[4]
+    _slope(y, u[0], platform, euler, k[0])
+    for c in range(10):
+        stage[c] = y[c] + 0.5 * h * k[0, c]
+    _slope(stage, u[1], platform, euler, k[1])
+    for c in range(10):
+        stage[c] = y[c] + 0.5 * h * k[1, c]
+    _slope(stage, u[1], platform, euler, k[2])
+    for c in range(10):
+        stage[c] = y[c] + h * k[2, c]
+    _slope(stage, u[2], platform, euler, k[3])
+    for c in range(10):
+        y[c] += h / 6.0 * (k[0, c] + 2.0 * k[1, c] + 2.0 * k[2, c] + k[3, c])
+    n = 1.0 / math.sqrt(y[6] * y[6] + y[7] * y[7] + y[8] * y[8] + y[9] * y[9])
+    for c in range(6, 10):
+        y[c] *= n
+
+
+@kernel()
+def _stays_down(y: Vec, u: Vec, platform: Vec) -> bool:
+    """Does the weight of a drone on the floor outweigh its thrust?"""
+    upright = 1.0 - 2.0 * (y[6] * y[6] + y[7] * y[7])
+    lift: float = u[THRUST] * upright
+    return lift <= float(platform[MASS]) * GRAVITY
+
+
+@kernel()
+def _put_down(x: Vec) -> None:
+    """Stop a drone on the floor: no slip, no bounce; upright it stands level, on its back it stays there."""
+    x[2] = 0.0
+    for c in range(3):
+        x[3 + c] = 0.0
+        x[10 + c] = 0.0
+    if x[6] * x[6] + x[7] * x[7] < 0.5:
+        n = math.sqrt(x[8] * x[8] + x[9] * x[9])
+        x[6], x[7], x[8], x[9] = 0.0, 0.0, x[8] / n, x[9] / n
+
+
+@kernel(matrix, vector, table, table, memory)
+def _admit(commands: Mat, platform: Vec, accepted: Mat, previous: Mat, counts: Vec) -> None:
+    """Clip commands to the platform's limits, counting where it was needed; a command with a NaN repeats the last."""
+    for i in range(commands.shape[0]):
+        for c in range(4):
+            value, limit = commands[i, c], platform[MAX_THRUST + c]
+            if not math.isfinite(value):
+                accepted[i] = previous[i]
+                counts[i] += 1.0
+                break
+            accepted[i, c] = clip(value, 0.0 if c == THRUST else -limit, limit)
+        else:
+            counts[i] += 1.0 if np.any(accepted[i] != commands[i]) else 0.0
+
+
+@kernel(table, table, matrix, real, vector, vector, memory, memory, memory, real)
+def _advance(
+    x: Mat,
+    actual: Mat,
+    target: Mat,
+    h: float,
+    platform: Vec,
+    lags: Vec,
+    alive: Vec,
+    resting: Vec,
+    impact: Vec,
+    euler: float,
+) -> None:
+    """Advance all drones by h with the held commands `target`; replaces x (N, 13) and inputs `actual` (N, 4)."""
+    k, u, y, goal = np.empty((5, 10)), np.empty((3, 4)), np.empty(10), np.empty(4)
+    for i in range(x.shape[0]):
+        for c in range(4):
+            goal[c] = target[i, c] * alive[i]
+        for s in range(3):
+            _lagged(actual[i], goal, 0.5 * h * s, lags, u[s])
+        if resting[i] and _stays_down(x[i, :10], u[2], platform):
+            actual[i, THRUST] = u[2, THRUST]
+            actual[i, 1:4] = 0.0
+            continue
+        resting[i] = 0.0
+        actual[i] = u[2]
+        y[:] = x[i, :10]
+        _runge_kutta(y, u, h, platform, euler > 0.0, k)
+        x[i, :10] = y
+        bx, by, bz = columns((y[6], y[7], y[8], y[9]))
+        x[i, 10], x[i, 11], x[i, 12] = _body_rates((bx[2], by[2], bz[2]), u[2], euler > 0.0)
+        if y[2] < 0.0:
+            impact[i] = max(impact[i], -y[5])
+            resting[i] = 1.0
+            _put_down(x[i])
+
+
+@kernel(matrix, memory)
+def _closest(x: Mat, best: Vec) -> None:
+    """The closest pair of drones: best (3,) = row, row, distance m."""
+    best[2] = math.inf
+    for i in range(x.shape[0]):
+        for j in range(i):
+            d = (x[i, 0] - x[j, 0]) ** 2 + (x[i, 1] - x[j, 1]) ** 2 + (x[i, 2] - x[j, 2]) ** 2
+            if d < best[2]:
+                best[0], best[1], best[2] = j, i, d
+    best[2] = math.sqrt(best[2])
+
+
+class CFIntegrator:
+    """The paper's lightweight simulation: Runge-Kutta of order 4, one compiled pass for all drones.
+
+    ids: the drones, row by row;  p0: (N, 3) m;  yaw0: (N,) rad;  dt: s;  inputs: "rates" (body) or "euler" (the paper's
+    Euler-angle rates);  rate_lag, thrust_lag: s, first order, exact;  command_delay: s, exact for any value: one
+    that is no multiple of dt splits the step where the input switches.
+
+    The floor is z = 0: a drone rests on it without slipping until its thrust exceeds its weight.
+    A drone that starts on the floor has its motors stopped, one in the air hovers, until its first command arrives.
+    """
+
+    def __init__(
+        self,
+        ids: Sequence[int],
+        p0: Mat,
+        yaw0: Vec | None = None,
+        platform: Platform = PAPER,
+        dt: float = 0.01,
+        *,
+        rate_lag: float = 0.0,
+        thrust_lag: float = 0.0,
+        command_delay: float = 0.0,
+        inputs: Literal["rates", "euler"] = "rates",
+    ) -> None:
+        self.ids, self.platform, self.dt, self.tick = tuple(ids), platform, dt, 0
+        n = len(self.ids)
+        if np.shape(p0) != (n, 3) or not np.all(np.isfinite(p0)):
+            raise ConfigError("CFIntegrator: p0", p0, f"finite, shape ({n}, 3): one row a drone")
+        self.row = {drone: row for row, drone in enumerate(self.ids)}
+        self.states = _standing(p0, np.zeros(n) if yaw0 is None else yaw0)
+        self.commands = np.zeros((n, 4))
+        self.commands[:, THRUST] = np.where(self.states[:, 2] > 0.0, platform.weight, 0.0)
+        self.limited = np.zeros(n)
+        self.impact = np.zeros(n)
+        self._resting = np.where(self.states[:, 2] > 0.0, 0.0, 1.0)
+        self._alive = np.ones(n)
+        self._actual = self.commands.copy()
+        self._platform, self._lags = platform.flat, np.array([thrust_lag, rate_lag])
+        self._late = int(command_delay / dt + 1e-9)
+        self._split = max(command_delay - self._late * dt, 0.0)
+        self._sent = [self.commands.copy() for _ in range(self._late + 2)]
+        self._euler = float(inputs == "euler")
+
+    @property
+    def time(self) -> float:
+        """s since the start."""
+        return self.tick * self.dt
+
+    def command(self, i: int, u: Vec | Sequence[float]) -> None:
+        """Hold u (4,) = thrust N, rates rad/s for drone i from now on."""
+        self.commands[self.row[i]] = u
+
+    def cut(self, i: int) -> None:
+        """Stop the motors of drone i for good."""
+        self._alive[self.row[i]] = 0.0
+
+    def step(self) -> None:
+        """Advance every drone by dt."""
+        size, k = len(self._sent), self.tick
+        _admit(self.commands, self._platform, self._sent[k % size], self._sent[(k - 1) % size], self.limited)
+        if self._split > 1e-9 * self.dt:
+            self._run(self._sent[(k - self._late - 1) % size], self._split)
+        self._run(self._sent[(k - self._late) % size], self.dt - self._split)
+        self.tick += 1
+
+    def _run(self, target: Mat, h: float) -> None:
+        _advance(
+            self.states,
+            self._actual,
+            target,
+            h,
+            self._platform,
+            self._lags,
+            self._alive,
+            self._resting,
+            self.impact,
+            self._euler,
+        )
+
+    def state(self, i: int) -> State:
+        """The truth about drone i, a copy."""
+        return State(self.states[self.row[i]].copy())
+
+    def resting(self, i: int) -> bool:
+        """Does drone i stand on the floor?"""
+        return bool(self._resting[self.row[i]])
+
+    @property
+    def crashed(self) -> list[int]:
+        """Drones that have touched the floor faster than their platform may."""
+        return [i for i in self.ids if self.impact[self.row[i]] > self.platform.max_landing_speed]
+
+    def closest(self) -> tuple[int, int, float]:
+        """The closest two drones and their distance in m; (-1, -1, inf) for one drone."""
+        best = np.full(3, -1.0)
+        _closest(self.states, best)
+        if best[0] < 0.0:
+            return -1, -1, math.inf
+        return self.ids[int(best[0])], self.ids[int(best[1])], float(best[2])
+
+    def min_separation(self) -> float:
+        """m, the smallest distance between two drones; inf for one drone."""
+        return self.closest()[2]
+
+
+def _standing(p0: Mat, yaw0: Vec) -> Mat:
+    """(N, 13) level states at rest at p0, not below the floor."""
+    x = np.zeros((len(p0), 13))
+    x[:, 0:3] = p0
+    x[:, 2] = np.maximum(x[:, 2], 0.0)
+    x[:, 8], x[:, 9] = np.sin(0.5 * yaw0), np.cos(0.5 * yaw0)
+    return x

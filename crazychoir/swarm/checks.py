@@ -1,0 +1,263 @@
+"""What must hold between the keys of a swarm file: each rule names file, key, what was found, and what to do."""
+
+import ipaddress
+import math
+import re
+from itertools import chain, combinations
+
+from crazychoir.errors import ConfigError
+from crazychoir.swarm.graph import Graph, named, span
+from crazychoir.swarm.reading import show
+from crazychoir.swarm.tables import Position, Swarm
+
+FLOWN = ("sim",)
+PLANNED = ("udp", "radio", "mujoco")
+TOUCHING = 0.15
+"""m: two Crazyflies nearer than this, centre to centre, touch."""
+
+
+def check(swarm: Swarm, where: str) -> None:
+    """Raise ConfigError for the first rule that does not hold; `where` is the file's name."""
+    _ids(swarm, where)
+    for rule in (_uris, _box, _homes, _hosts, _placement, _processes, _start, _ports, _links, _partitions):
+        rule(swarm, where)
+    graph_of(swarm, where)
+
+
+def graph_of(swarm: Swarm, where: str) -> Graph:
+    """The communication graph: from `graph` (default "ring"), `edges`, or each drone's `neighbors`."""
+    listed = [drone.id for drone in swarm.drones if drone.neighbors is not None]
+    written = {"graph": swarm.topology, "edges": swarm.edges, "neighbors": listed or None}
+    sources = [name for name, value in written.items() if value is not None]
+    if len(sources) > 1:
+        raise ConfigError(
+            f"{where}: graph", " and ".join(sources), "one of graph, edges, neighbors", "Remove the others."
+        )
+    if listed:
+        return _from_neighbors(swarm, where)
+    if swarm.edges is not None:
+        return _from_edges(swarm, where)
+    try:
+        return named(swarm.topology or "ring", _members(swarm), swarm.seed)
+    except ConfigError as error:
+        raise ConfigError(f"{where}: graph", error.found, error.allowed, error.do) from error
+
+
+def _from_edges(swarm: Swarm, where: str) -> Graph:
+    ids = _members(swarm)
+    for n, edge in enumerate(swarm.edges or ()):
+        _known(ids, edge, f"{where}: edges[{n}]")
+        if edge[0] == edge[1]:
+            raise ConfigError(f"{where}: edges[{n}]", show(edge), "an edge joins two drones", "Remove it.", "a loop")
+    return Graph.from_edges(ids, swarm.edges or (), swarm.directed)
+
+
+def _from_neighbors(swarm: Swarm, where: str) -> Graph:
+    """Drone i hears drones[i].neighbors."""
+    ids = _members(swarm)
+    heard: dict[int, tuple[int, ...]] = {}
+    for n, drone in enumerate(swarm.drones):
+        key = f"{where}: drones[{n}].neighbors"
+        if drone.neighbors is None:
+            raise ConfigError(key, "nothing", "a list, as the other drones have one", "For none, neighbors = [].")
+        _known(ids, drone.neighbors, key)
+        if drone.id in drone.neighbors:
+            raise ConfigError(
+                key, show(drone.neighbors), "a neighbour is another one", "Remove it.", "the drone itself"
+            )
+        heard[drone.id] = drone.neighbors
+    if not swarm.directed:
+        _mutual(swarm, heard, where)
+    return Graph.from_neighbors(heard)
+
+
+def _mutual(swarm: Swarm, heard: dict[int, tuple[int, ...]], where: str) -> None:
+    at = {drone.id: n for n, drone in enumerate(swarm.drones)}
+    one_sided = [(i, j) for i, others in heard.items() for j in others if i not in heard[j]]
+    for i, j in one_sided[:1]:
+        raise ConfigError(
+            f"{where}: drones[{at[i]}].neighbors",
+            show(heard[i]),
+            "neighbours of an undirected graph list each other",
+            f"Add {i} to drones[{at[j]}].neighbors, or set directed = true.",
+            f"drone {j} does not list drone {i}",
+        )
+
+
+def _members(swarm: Swarm) -> list[int]:
+    return sorted(drone.id for drone in swarm.drones)
+
+
+def _known(ids: list[int], named_ids: tuple[int, ...], key: str) -> None:
+    for j in named_ids:
+        if j not in ids:
+            raise ConfigError(
+                key,
+                show(named_ids),
+                f"this swarm has {span(ids)}",
+                f"Add a [[drones]] with id = {j}, or mend the list.",
+                f"there is no drone {j}",
+            )
+
+
+def _ids(swarm: Swarm, where: str) -> None:
+    if not swarm.drones:
+        raise ConfigError(f"{where}: drones", "no drone", "one or more", "Add a [[drones]].")
+    first: dict[int, int] = {}
+    for n, drone in enumerate(swarm.drones):
+        if drone.id in first:
+            problem = f"drones[{first[drone.id]}] has this id"
+            raise ConfigError(
+                f"{where}: drones[{n}].id", drone.id, "each id is there once", "Give it another id.", problem
+            )
+        first[drone.id] = n
+
+
+def _uris(swarm: Swarm, where: str) -> None:
+    for n, drone in enumerate(swarm.drones):
+        key, scheme = f"{where}: drones[{n}].uri", drone.uri.partition("://")[0]
+        if scheme in PLANNED and drone.uri != scheme:
+            problem = f"this version does not fly {scheme}:// drones"
+            raise ConfigError(key, show(drone.uri), "it flies sim:// only", 'Write uri = "sim://".', problem)
+        if drone.uri not in (f"{flown}://" for flown in FLOWN):
+            raise ConfigError(key, show(drone.uri), '"sim://"', 'Write uri = "sim://", or leave it out.')
+
+
+def _box(swarm: Swarm, where: str) -> None:
+    low, high = swarm.fence.min, swarm.fence.max
+    if any(a >= b for a, b in zip(low, high, strict=True)):
+        raise ConfigError(f"{where}: fence", _between(low, high), "max above min in x, y and z", "Exchange them.")
+    top = swarm.flight.ground + swarm.flight.takeoff_height
+    if not low[2] <= top <= high[2]:
+        raise ConfigError(
+            f"{where}: flight.takeoff_height",
+            swarm.flight.takeoff_height,
+            f"[fence] goes from {low[2]:g} to {high[2]:g} m",
+            "Lower it, or raise fence.max.",
+            f"above flight.ground it ends at {top:g} m, outside the fence",
+        )
+
+
+def _homes(swarm: Swarm, where: str) -> None:
+    low, high = swarm.fence.min, swarm.fence.max
+    for n, drone in enumerate(swarm.drones):
+        if not all(a <= x <= b for a, x, b in zip(low, drone.home, high, strict=True)):
+            raise ConfigError(
+                f"{where}: drones[{n}].home",
+                show(drone.home),
+                f"[fence] goes from {_between(low, high)}",
+                "Move the drone, or widen [fence].",
+                "outside the fence",
+            )
+    _apart(swarm, where)
+
+
+def _apart(swarm: Swarm, where: str) -> None:
+    by_x = sorted(enumerate(swarm.drones), key=lambda entry: entry[1].home)
+    for k, (n, drone) in enumerate(by_x):
+        for _, other in by_x[k + 1 :]:
+            if other.home[0] - drone.home[0] >= TOUCHING:
+                break
+            if (d := math.dist(drone.home, other.home)) < TOUCHING:
+                raise ConfigError(
+                    f"{where}: drones[{n}].home",
+                    show(drone.home),
+                    f"homes are {TOUCHING} m apart or more",
+                    "Move one of them.",
+                    f"{d:.2g} m from the home of drone {other.id}",
+                )
+
+
+def _between(low: Position, high: Position) -> str:
+    return f"{show(low)} to {show(high)}"
+
+
+def _hosts(swarm: Swarm, where: str) -> None:
+    for name, address in swarm.hosts.items():
+        key = f"{where}: hosts.{name}"
+        if not re.fullmatch(r"[a-z0-9_-]{1,40}", name):
+            raise ConfigError(key, show(name), "names of 1 to 40 of a-z, 0-9, _ and -", "Rename it.")
+        if not _is_address(address):
+            raise ConfigError(key, show(address), "an IP address or a DNS name", "Ports come from base_port.")
+
+
+def _is_address(text: str) -> bool:
+    try:
+        ipaddress.ip_address(text)
+    except ValueError:
+        label = r"[A-Za-z0-9]([A-Za-z0-9-]{0,61}[A-Za-z0-9])?"
+        return bool(re.fullmatch(rf"{label}(\.{label}){{0,20}}", text)) and not re.fullmatch(r"[\d.]+", text)
+    return True
+
+
+def _placement(swarm: Swarm, where: str) -> None:
+    names = ", ".join(swarm.hosts) or "none, there is no [hosts]"
+    for n, drone in enumerate(swarm.drones):
+        if drone.host is None and swarm.hosts:
+            do = f"Add host = {show(next(iter(swarm.hosts)))}."
+            raise ConfigError(f"{where}: drones[{n}].host", "nothing", f"a name of [hosts]: {names}", do)
+        if drone.host is not None and drone.host not in swarm.hosts:
+            raise ConfigError(
+                f"{where}: drones[{n}].host",
+                show(drone.host),
+                f"[hosts] has {names}",
+                f'Add {drone.host} = "its address" to [hosts], or mend the name.',
+                "there is no such host",
+            )
+
+
+def _processes(swarm: Swarm, where: str) -> None:
+    if swarm.processes is None:
+        return
+    ids, host = _members(swarm), {drone.id: drone.host for drone in swarm.drones}
+    for n, group in enumerate(swarm.processes):
+        key = f"{where}: processes[{n}]"
+        _known(ids, group, key)
+        if any(host[i] != host[group[0]] for i in group):
+            raise ConfigError(key, show(group), "a process is on one host", "Split it.", "drones of several hosts")
+    placed = sorted(chain(*swarm.processes))
+    if wrong := [i for i in ids if placed.count(i) != 1]:
+        problem = f"drone {wrong[0]} is there {placed.count(wrong[0])} times"
+        raise ConfigError(
+            f"{where}: processes",
+            show(swarm.processes),
+            "each drone is in one process",
+            "Mend it, or leave processes out: one process a drone.",
+            problem,
+        )
+
+
+def _start(swarm: Swarm, where: str) -> None:
+    if isinstance(swarm.start, int) and swarm.start > len(swarm.drones):
+        allowed = f'"all", or 1 to {len(swarm.drones)} drones'
+        raise ConfigError(f"{where}: start", swarm.start, allowed, "Lower it, or add drones.")
+
+
+def _ports(swarm: Swarm, where: str) -> None:
+    last = _members(swarm)[-1]
+    if swarm.base_port + last > 65535:
+        problem = f"a process listens on base_port + its lowest drone id, here up to {swarm.base_port + last}"
+        raise ConfigError(f"{where}: base_port", swarm.base_port, "ports end at 65535", "Lower it.", problem)
+
+
+def _links(swarm: Swarm, where: str) -> None:
+    for n, edge in enumerate(swarm.network.edges):
+        key = f"{where}: network.edges[{n}]"
+        ends = tuple(i for i in (edge.source, edge.destination) if i is not None)
+        if not ends:
+            raise ConfigError(
+                key, "neither source nor destination", "one or both", "A rule for all goes into [network]."
+            )
+        _known(_members(swarm), ends, key)
+
+
+def _partitions(swarm: Swarm, where: str) -> None:
+    for n, cut in enumerate(swarm.network.partitions):
+        key = f"{where}: network.partitions[{n}]"
+        for group in cut.groups:
+            _known(_members(swarm), group, f"{key}.groups")
+        if cut.until is not None and cut.until <= cut.at:
+            raise ConfigError(f"{key}.until", cut.until, f"later than at = {cut.at:g}", "Leave it out: it never heals.")
+        if twice := [i for a, b in combinations(cut.groups, 2) for i in a if i in b]:
+            problem = f"drone {twice[0]} is in two groups"
+            raise ConfigError(f"{key}.groups", show(cut.groups), "groups are disjoint", "Mend the groups.", problem)

@@ -1,0 +1,176 @@
+"""The swarm file: who flies, who talks to whom, where each process runs, and in which world."""
+
+import hashlib
+import ipaddress
+import math
+from pathlib import Path
+from typing import Any, Self
+
+import msgspec
+
+from crazychoir.errors import ConfigError
+from crazychoir.swarm.checks import check, graph_of
+from crazychoir.swarm.graph import Graph, span
+from crazychoir.swarm.reading import parse, read, require_plain
+from crazychoir.swarm.tables import Drone, Swarm, Table
+
+LOCAL = "127.0.0.1"
+SPACING = 0.6
+MARGIN = 4.0
+OWN_TO_A_HOST = ("hosts", "base_port", "network")
+"""What hosts need not agree on: how they reach each other, and what is simulated to happen to their messages."""
+
+
+class SwarmConfig(Swarm, frozen=True, kw_only=True):
+    """A checked swarm file: `load`, `loads`, `of` and `replace` check it and raise ConfigError.
+
+    The fields are those of tables.Swarm. The key `graph` of the file is the field `topology`; `graph()` builds it.
+    """
+
+    @classmethod
+    def load(cls, path: str | Path) -> Self:
+        """Read a .toml or .json file. A mission that is a path is relative to the file's folder."""
+        try:
+            text = Path(path).read_text(encoding="utf-8-sig")
+        except (OSError, UnicodeDecodeError) as error:
+            reason = error.strerror if isinstance(error, OSError) else "bytes that are not UTF-8"
+            do = "Look at deploy/lab6.toml for an example."
+            raise ConfigError(str(path), str(reason), "a swarm file, TOML or JSON", do) from error
+        config = cls.loads(text, str(path))
+        return config._with_mission_from(Path(path).parent)
+
+    @classmethod
+    def loads(cls, text: str, where: str = "swarm") -> Self:
+        """Read TOML or JSON text; `where` names it in error texts."""
+        return cls.of(parse(text, where), where)
+
+    @classmethod
+    def of(cls, raw: dict[str, Any], where: str = "swarm") -> Self:
+        """The swarm of plain values, as `loads` finds them in a text."""
+        require_plain(raw, where)
+        config = read(raw, cls, where)
+        check(config, where)
+        return config
+
+    def dumps(self) -> str:
+        """JSON text for `loads`, defaults and all: hands a swarm to another process."""
+        return msgspec.json.format(msgspec.json.encode(self), indent=2).decode()
+
+    def replace(self, **changes: Any) -> Self:
+        """This swarm with other values of some keys, named as in the file; a mission's path is relative to here."""
+        raw = {**msgspec.to_builtins(self), **msgspec.to_builtins(changes)}
+        config = self.of(raw, f"swarm {self.name}")
+        return config._with_mission_from(Path()) if "mission" in changes else config
+
+    def _with_mission_from(self, folder: Path) -> Self:
+        if self.mission is None or not self.mission.endswith(".py"):
+            return self
+        return msgspec.structs.replace(self, mission=str((folder / self.mission).resolve()))
+
+    def digest(self) -> str:
+        """16 hex digits that all hosts of one mission share, the same on every host, Python and hash seed.
+
+        Everything counts but `hosts`, `base_port`, `network` and the folder of the mission. A file that the mission's
+        options name counts by what is in it, wherever it lies.
+        """
+        agreed = {key: value for key, value in msgspec.to_builtins(self).items() if key not in OWN_TO_A_HOST}
+        agreed["mission"] = Path(self.mission or "").name
+        agreed["mission_options"] = {key: _content(value) for key, value in self.mission_options.items()}
+        return hashlib.blake2b(msgspec.json.encode(agreed, order="sorted"), digest_size=8).hexdigest()
+
+    @property
+    def ids(self) -> tuple[int, ...]:
+        """The drones, increasing."""
+        return tuple(sorted(drone.id for drone in self.drones))
+
+    def drone(self, i: int) -> Drone:
+        """The [[drones]] with id i."""
+        for drone in self.drones:
+            if drone.id == i:
+                return drone
+        raise ConfigError(f"swarm {self.name}", f"drone {i}", span(self.ids))
+
+    def graph(self) -> Graph:
+        """The communication graph."""
+        return graph_of(self, f"swarm {self.name}")
+
+    def groups(self) -> tuple[tuple[int, ...], ...]:
+        """The drones of each process, increasing; a process is known by its lowest drone."""
+        return tuple(sorted(tuple(sorted(group)) for group in self.processes or ((i,) for i in self.ids)))
+
+    def process(self, i: int) -> int:
+        """The process of drone i: its lowest drone."""
+        member = self.drone(i).id
+        return next(group[0] for group in self.groups() if member in group)
+
+    def endpoint(self, i: int) -> str:
+        """Where the process of drone i listens: tcp/<address of its host>:<base port + the process>."""
+        host = self.drone(i).host
+        address = LOCAL if host is None else self.hosts[host]
+        return f"tcp/{_bracketed(address)}:{self.base_port + self.process(i)}"
+
+    def endpoints(self) -> dict[int, str]:
+        """The endpoint of each process, by its lowest drone."""
+        return {group[0]: self.endpoint(group[0]) for group in self.groups()}
+
+    def impairment(self) -> dict[str, Any]:
+        """[network] as plain values, only what is written; the groups of a partition name every drone."""
+        network = self.network
+        rules = _written(network)
+        if network.edges:
+            rules["edges"] = [_written(edge) for edge in network.edges]
+        if network.partitions:
+            rules["partitions"] = [_written(cut) | {"groups": self._complete(cut.groups)} for cut in network.partitions]
+        return rules
+
+    def _complete(self, groups: tuple[tuple[int, ...], ...]) -> list[list[int]]:
+        """The groups, and one more of the drones that they do not name."""
+        rest = [i for i in self.ids if not any(i in group for group in groups)]
+        return [list(group) for group in groups] + ([rest] if rest else [])
+
+
+def _content(value: Any) -> Any:
+    """A path becomes the hash of its file; anything else stays."""
+    if not isinstance(value, str) or len(value) > 1000 or not Path(value).is_file():
+        return value
+    return hashlib.blake2b(Path(value).read_bytes(), digest_size=8).hexdigest()
+
+
+def default_swarm(n: int) -> SwarmConfig:
+    """n simulated drones on a square grid on the floor, in a ring graph, without a mission."""
+    return _on_a_grid("default", n, columns=max(1, math.ceil(math.sqrt(n))))
+
+
+def demo_swarm() -> SwarmConfig:
+    """Six simulated drones that share pickups and deliveries."""
+    return _on_a_grid("demo", 6, columns=3).replace(mission="pickup_delivery")
+
+
+def find_swarm(option: str | None = None) -> tuple[SwarmConfig, str]:
+    """The swarm to fly, and a text that says which: the file given, else ./swarm.toml, else the demo swarm."""
+    if option is not None:
+        return SwarmConfig.load(option), option
+    if Path("swarm.toml").is_file():
+        return SwarmConfig.load("swarm.toml"), "swarm.toml of this folder"
+    return demo_swarm(), "the built-in demo swarm: six drones, pickup_delivery"
+
+
+def _on_a_grid(name: str, n: int, columns: int) -> SwarmConfig:
+    homes = [[round(SPACING * (k % columns), 3), round(SPACING * (k // columns), 3), 0.0] for k in range(n)]
+    far = [max((home[axis] for home in homes), default=0.0) + MARGIN for axis in (0, 1)]
+    drones = [{"id": k, "home": home} for k, home in enumerate(homes)]
+    fence = {"min": [-MARGIN, -MARGIN, 0.0], "max": [*far, 3.0]}
+    return SwarmConfig.of({"name": name, "drones": drones, "graph": "ring", "fence": fence}, f"swarm {name}")
+
+
+def _bracketed(address: str) -> str:
+    try:
+        return f"[{address}]" if ipaddress.ip_address(address).version == 6 else address
+    except ValueError:
+        return address
+
+
+def _written(table: Table) -> dict[str, Any]:
+    """The values of a table that are written in the file, without its lists."""
+    values: dict[str, Any] = msgspec.to_builtins(table)
+    return {key: value for key, value in values.items() if not (value is None or isinstance(value, tuple))}

@@ -1,0 +1,69 @@
+"""What the members of a team tell each other about themselves, and what they agree on."""
+
+from dataclasses import dataclass
+from typing import Any
+from zlib import crc32
+
+import msgspec
+
+from crazychoir.bus.codec import encode
+from crazychoir.swarm.graph import Graph
+
+
+class Roster(msgspec.Struct, frozen=True):
+    """What all members agree on.
+
+    members: {id: incarnation};  first_round: from which this epoch counts for algorithms that go on.
+    """
+
+    epoch: int
+    members: dict[int, int]
+    edges: list[list[int]]
+    directed: bool
+    seed: int
+    first_round: int
+    mission_hash: str
+    version: str
+
+    @property
+    def ids(self) -> tuple[int, ...]:
+        """Members in increasing order."""
+        return tuple(sorted(self.members))
+
+    @property
+    def graph(self) -> Graph:
+        """The communication graph of the members."""
+        return Graph.from_edges(self.ids, self.edges, self.directed)
+
+    def wire(self) -> bytes:
+        """As a message."""
+        return encode(msgspec.to_builtins(self))
+
+    @property
+    def checksum(self) -> int:
+        """Equal for equal rosters."""
+        return crc32(self.wire())
+
+
+@dataclass(frozen=True)
+class Beat:
+    """What a heartbeat says: incarnation, epoch and checksum of its roster, whom it hears and has lost, mission."""
+
+    incarnation: int
+    epoch: int
+    checksum: int
+    hears: tuple[int, ...]
+    lost: tuple[int, ...]
+    mission_hash: str
+
+    def wire(self) -> list[Any]:
+        """As the codec takes it."""
+        hears, lost = list(self.hears), list(self.lost)
+        return [self.incarnation, self.epoch, self.checksum, hears, lost, self.mission_hash]
+
+    @classmethod
+    def of(cls, value: Any) -> "Beat":
+        """From the wire; raises TypeError, ValueError."""
+        incarnation, epoch, checksum, hears, lost, mission_hash = value
+        numbers = int(incarnation), int(epoch), int(checksum)
+        return cls(*numbers, tuple(map(int, hears)), tuple(map(int, lost)), str(mission_hash))

@@ -1,0 +1,335 @@
+"""Who flies together: the start barrier, and the epochs that follow when members come and go.
+
+Every drone's heartbeat says who it is and whom it hears. The coordinator is the lowest live id. It issues
+GO(roster) as soon as all members are there and each edge works in both directions, or, at the start deadline,
+when enough are there. A member that is LOST or joins makes a new epoch in two steps: the coordinator asks those who
+stay to hold their rounds (HOLD), each answers with the first round that it has not sent (HELD), and the roster
+counts from a round that nobody has reached. A newer epoch wins.
+"""
+
+import asyncio
+from collections.abc import Callable
+from typing import Any, Final, Literal
+
+import msgspec
+
+from crazychoir.bus.codec import decode, encode
+from crazychoir.bus.local import Port
+from crazychoir.bus.presence import SILENCE, Presence, PresenceMonitor
+from crazychoir.bus.reliable import Reliable
+from crazychoir.bus.topics import HEARTBEAT, ROSTER
+from crazychoir.errors import CodecError, Refused
+from crazychoir.runtime.clock import SECOND
+from crazychoir.swarm.graph import Graph
+from crazychoir.swarm.members import Beat, Roster
+
+__all__ = ["Barrier", "Beat", "Roster", "formed"]
+
+POLL: Final = 0.02
+SETTLE: Final = 2.0
+"""s after the first stranger until it is judged who is the minority, if not everybody has been heard before."""
+
+
+class Barrier:
+    """One drone's part in forming and keeping the team; also tells the communicator who is lost.
+
+    start: "all", or how many suffice at the deadline;  hold: holds the rounds until the next epoch and returns the
+    first round that is held (set by `Communicator.follow`; else the one after `highest_round`);  listeners: called
+    with each new roster;  history: (s, id, presence) of changes.
+    """
+
+    def __init__(
+        self,
+        port: Port,
+        graph: Graph,
+        *,
+        mission_hash: str,
+        version: str,
+        seed: int = 0,
+        start: int | Literal["all"] = "all",
+        start_deadline: float = 30.0,
+        lost_after: float = 5.0,
+    ) -> None:
+        self.port, self.graph = port, graph
+        self.mission_hash, self.version, self.seed = mission_hash, version, seed
+        self.start, self.start_deadline = start, start_deadline
+        self.id = port.address
+        self.roster: Roster | None = None
+        self.beats: dict[int, Beat] = {}
+        self.highest_round: Callable[[], int] = lambda: -1
+        self.hold: Callable[[], int] = lambda: self.highest_round() + 1
+        self.listeners: list[Callable[[Roster], None]] = []
+        self.history: list[tuple[float, int, str]] = []
+        self._others = tuple(j for j in graph.ids if j != self.id)
+        self._lost: dict[int, None] = {}
+        self._foreign: dict[int, str] = {}
+        self._checksum = 0
+        self._judge_ns = 0
+        self._next: dict[int, int] = {}
+        self._held: dict[int, int] = {}
+        self._halves: dict[int, int] = {}
+        self._give_up_ns = 0
+        self._target = 0
+        self.monitor = PresenceMonitor(port, self._others, self._beat, lost_after)
+        self.monitor.listeners.append(self._changed)
+        self.reliable = Reliable(port)
+        self.reliable.listen(ROSTER, self._told)
+        port.handlers[HEARTBEAT.number] = self._heard
+
+    @property
+    def absent(self) -> tuple[int, ...]:
+        """Drones of the mission that are not in the team."""
+        here = self.roster.members if self.roster is not None else {}
+        return tuple(j for j in self.graph.ids if j not in here)
+
+    def lost(self, j: int) -> bool:
+        """Whether j is LOST, or has left."""
+        return j in self._lost or (self.roster is not None and j not in self.roster.members)
+
+    def coordinator(self) -> int:
+        """The lowest live id of those who are in an epoch; before the first, of all."""
+        if self.roster is None:
+            live = [j for j in self._others if self._present(j)]
+            return min([j for j in live if self.beats[j].epoch] or [self.id, *live])
+        known = self.roster.members
+        lower = (j for j in self._others if j < self.id and self._present(j))
+        return next((j for j in lower if self.beats[j].epoch or self.beats[j].incarnation == known.get(j)), self.id)
+
+    async def go(self) -> Roster:
+        """Wait for GO; raises Refused naming who is absent at the deadline, or whose mission is another one."""
+        clock = self.port.bus.clock
+        ends = clock.now() + self.start_deadline
+        while self.roster is None:
+            if self._foreign and self._of_minority():
+                raise Refused(f"drone {self.id}", self._foreign_text())
+            if self.coordinator() == self.id:
+                self._coordinate(clock.now() >= ends)
+            if clock.now() > ends + 1.0 and self.roster is None:
+                raise Refused(f"drone {self.id}", self._absent_text())
+            await clock.sleep(POLL, drone=self.id)
+        return self.roster
+
+    # Forming --------------------------------------------------------------------------------------------------
+
+    def _coordinate(self, late: bool) -> None:
+        members = [j for j in self.graph.ids if j == self.id or self._present(j)]
+        enough = len(members) == len(self.graph.ids) or (late and self.start != "all" and len(members) >= self.start)
+        if enough and not self._deaf(members):
+            self._issue(self._incarnations(members), 1, 0)
+
+    def _deaf(self, members: list[int]) -> list[tuple[int, int]]:
+        """Pairs (i, j): i should hear j, along an edge or to or from the coordinator, and does not."""
+        hears = {j: self.beats[j].hears for j in members if j != self.id} | {self.id: tuple(self.beats)}
+        first = self.coordinator()
+        inside = self._restricted(members)
+        needed = {i: dict.fromkeys((*inside.in_neighbors(i), *((first,) if i != first else members))) for i in members}
+        return [(i, j) for i in members for j in needed[i] if j != i and j not in hears[i]]
+
+    def _incarnations(self, members: list[int]) -> dict[int, int]:
+        return {j: self.port.incarnation if j == self.id else self.beats[j].incarnation for j in members}
+
+    def _restricted(self, members: list[int]) -> Graph:
+        arcs = [arc for arc in self.graph.arcs if arc[0] in members and arc[1] in members]
+        return Graph.from_edges(tuple(members), arcs, directed=True)
+
+    def _issue(self, members: dict[int, int], epoch: int, first_round: int) -> None:
+        graph = self._restricted(sorted(members))
+        directed = not graph.is_undirected
+        edges = [list(arc) for arc in (graph.arcs if directed else graph.edges())]
+        roster = Roster(epoch, members, edges, directed, self.seed, first_round, self.mission_hash, self.version)
+        for j in members:
+            if j != self.id:
+                self._tell(j, roster)
+        self._adopt(roster)
+
+    def _tell(self, j: int, roster: Roster) -> None:
+        self.reliable.send(ROSTER, j, roster.wire())
+
+    def _told(self, source: int, payload: bytes) -> None:
+        """A roster, [epoch] to hold for, or [epoch, first round that is held, members of the sender's roster...]."""
+        try:
+            told = decode(payload)
+            roster = msgspec.convert(told, Roster | list[int])
+        except (CodecError, msgspec.ValidationError):
+            self.port.counters.malformed += 1
+            return
+        epoch = self.roster.epoch if self.roster is not None else 0
+        if isinstance(roster, Roster):
+            ours = roster.mission_hash == self.mission_hash and roster.members.get(self.id) == self.port.incarnation
+            if ours and roster.epoch > epoch:
+                self._adopt(roster)
+        elif len(roster) == 1 and roster[0] > epoch:
+            self._asked(source, roster[0])
+        elif len(roster) >= 2 and roster[0] == self._target and self._next:
+            self._holds(source, roster[1], dict(zip(roster[2::2], roster[3::2], strict=False)))
+
+    def _asked(self, source: int, target: int) -> None:
+        """Somebody asks to hold: who has a lower id than we coordinates, who has a higher one will hear of us."""
+        if source < self.id:
+            self._next = {}
+        elif self.coordinator() == self.id:
+            return
+        members = self.roster.members if self.roster is not None else {}
+        self.reliable.send(
+            ROSTER, source, encode([target, self.hold(), *(n for pair in members.items() for n in pair)])
+        )
+
+    def _adopt(self, roster: Roster) -> None:
+        before = self.roster.members if self.roster is not None else {}
+        for j in self._others:
+            if j not in roster.members:
+                self.beats.pop(j, None)
+            elif roster.members[j] != before.get(j) or j not in self.graph.neighbors(self.id):
+                self._lost.pop(j, None)  # the coordinator knows better
+        self.roster, self._checksum = roster, roster.checksum
+        self._next, self._held, self._halves, self._target = {}, {}, {}, 0
+        for listener in self.listeners:
+            listener(roster)
+        self._watch()
+
+    def _watch(self) -> None:
+        """After the start: the coordinator watches all, the others their neighbours and it; all, if it is silent."""
+        if self.roster is None:
+            return
+        first = self.roster.ids[0]
+        calm = first != self.id and self.monitor.state(first) is Presence.ALIVE
+        near = {*self.graph.neighbors(self.id), first} - {self.id}
+        self.monitor.watched = tuple(sorted(near)) if calm else self._others
+
+    # Keeping --------------------------------------------------------------------------------------------------
+
+    def _beat(self) -> list[Any]:
+        epoch = self.roster.epoch if self.roster else 0
+        hears = tuple(j for j in self.monitor.watched if self._present(j))
+        return Beat(self.port.incarnation, epoch, self._checksum, hears, tuple(self._lost), self.mission_hash).wire()
+
+    def _heard(self, source: int, payload: bytes, number: int, channel: str, flags: int, age: float) -> None:
+        try:
+            beat = Beat.of(decode(payload))
+        except (CodecError, TypeError, ValueError):
+            self.port.counters.malformed += 1
+            return
+        if beat.mission_hash != self.mission_hash:
+            self._judge_ns = self._judge_ns or self.port.bus.clock.now_ns() + int(SETTLE * SECOND)
+            self._foreign[source] = beat.mission_hash
+        elif source in self._others:
+            self._foreign.pop(source, None)
+            self.beats[source] = beat
+            if source not in self.monitor.watched:
+                self.monitor.watched += (source,)  # who watches us shall hear us
+            theirs = bool(beat.epoch) and source < self.id
+            if self.roster is not None and not theirs and self.coordinator() == self.id:
+                self._review(source, beat, self.roster)
+
+    def _review(self, source: int, beat: Beat, roster: Roster) -> None:
+        """As coordinator: take in what a member reports of others, and members that are new or new again."""
+        members = self._next or roster.members
+        silent = list(beat.lost)
+        if self._next and self.port.bus.clock.now_ns() > self._give_up_ns:
+            silent += [j for j in self._running(roster) if j not in self._held]
+        dead = [j for j in silent if j in members and j != self.id and not self._alive(j)]
+        if dead:
+            self._without(dead, roster)
+        elif members.get(source) != beat.incarnation:
+            self._lost.pop(source, None)
+            self._propose({**members, source: beat.incarnation}, roster)
+        elif self._next and source not in self._held and beat.epoch:
+            self.reliable.send(ROSTER, source, encode([self._target]))
+        elif self._next:
+            return
+        elif beat.epoch < roster.epoch:
+            self._tell(source, roster)
+        elif beat.epoch > roster.epoch or beat.checksum != self._checksum:
+            self._propose(dict(members), roster)  # two coordinators have issued rosters, out of each other's sight
+
+    def _changed(self, j: int, state: Presence) -> None:
+        self.history.append((self.port.bus.clock.now(), j, state.value))
+        roster = self.roster
+        if state is Presence.LOST:
+            self._lost[j] = None
+            if roster is not None and j in (self._next or roster.members) and self.coordinator() == self.id:
+                self._without([j], roster)
+        elif state is Presence.ALIVE:
+            self._lost.pop(j, None)
+        self._watch()
+
+    def _without(self, gone: list[int], roster: Roster) -> None:
+        self._lost.update(dict.fromkeys(gone))
+        members = self._next or roster.members
+        self._propose({j: incarnation for j, incarnation in members.items() if j not in gone}, roster)
+
+    def _propose(self, members: dict[int, int], roster: Roster) -> None:
+        """Ask those who run already to hold their rounds."""
+        self._next = dict(sorted(members.items()))
+        epochs = [self.beats[j].epoch for j in members if j in self.beats]
+        self._target = max([self._target, *(epoch + 1 for epoch in (roster.epoch, *epochs))])
+        self._held[self.id] = self.hold()
+        self._give_up_ns = self.port.bus.clock.now_ns() + int(self.monitor.lost_after * SECOND)
+        for j in self._running(roster):
+            if j not in self._held:
+                self.reliable.send(ROSTER, j, encode([self._target]))
+        self._conclude()
+
+    def _holds(self, source: int, first: int, theirs: dict[int, int]) -> None:
+        """Source holds; one from another half of the team brings all of its half along."""
+        self._held[source] = first
+        if self.roster is not None and source not in self.roster.members:
+            new = {j: theirs[j] for j in theirs if j in self._others and j not in self._next}
+            self._halves.update(new)
+            if new:
+                self._propose({**self._next, **new}, self.roster)
+        self._conclude()
+
+    def _running(self, roster: Roster) -> list[int]:
+        """Those of the next roster who are in an epoch now, maybe in another half of the team."""
+        known = {**self._halves, **roster.members}
+        here = [j for j, incarnation in self._next.items() if known.get(j) == incarnation]
+        return here + [j for j in self._next if j not in here and j in self.beats and self.beats[j].epoch]
+
+    def _conclude(self) -> None:
+        """Issue the next roster when all who run hold their rounds; it counts from the highest round + 2."""
+        roster = self.roster
+        if roster is None or not self._next or any(j not in self._held for j in self._running(roster)):
+            return
+        held = [self._held[j] + 1 for j in self._running(roster)]
+        self._issue(self._next, self._target, max([roster.first_round, *held]))
+
+    def _alive(self, j: int) -> bool:
+        heard_ns = self.port.heard_ns.get(j)
+        return heard_ns is not None and self.port.bus.clock.now_ns() - heard_ns < SILENCE * SECOND
+
+    def _present(self, j: int) -> bool:
+        return j in self.beats and self.monitor.state(j) in (Presence.ALIVE, Presence.SUSPECT) and j not in self._lost
+
+    # Saying what is wrong -------------------------------------------------------------------------------------
+
+    def _of_minority(self) -> bool:
+        """Whether more drones have another mission; among equals, those with the lowest id are right."""
+        known = len(self.beats) + len(self._foreign)
+        if known < len(self._others) and self.port.bus.clock.now_ns() < self._judge_ns:
+            return False
+        ours = (1 + len(self.beats), -min([self.id, *self.beats]))
+        theirs = [[j for j, other in self._foreign.items() if other == text] for text in self._foreign.values()]
+        return any((len(same), -min(same)) > ours for same in theirs)
+
+    def _foreign_text(self) -> str:
+        others = ", ".join(f"drone {j} ({text})" for j, text in sorted(self._foreign.items()))
+        return (
+            f"its swarm file or mission ({self.mission_hash}) is not that of {others}. "
+            "Copy one swarm file and one mission to every host."
+        )
+
+    def _absent_text(self) -> str:
+        """Who is absent, who does not hear whom, whose mission is another one; what to do."""
+        here = [j for j in self.graph.ids if j == self.id or self._present(j)]
+        absent = [j for j in self._others if j not in here and j not in self._foreign]
+        said = [f"drone(s) {', '.join(map(str, absent))} absent after {self.start_deadline:g} s."] if absent else []
+        said += [f"drone {i} does not hear drone {j}." for i, j in self._deaf(here)]
+        said += [self._foreign_text()] if self._foreign else []
+        return " ".join([*said, "Start their agents, look at the network, or set start = n in the swarm file."])
+
+
+async def formed(barriers: list[Barrier]) -> Roster:
+    """Wait until all barriers of this process have GO; returns the roster."""
+    rosters = await asyncio.gather(*(barrier.go() for barrier in barriers))
+    return rosters[0]

@@ -1,0 +1,26 @@
+"""The shape of an iterative distributed algorithm: pure, without I/O, run by any runtime."""
+
+from typing import Any, Protocol, runtime_checkable
+
+
+@runtime_checkable
+class Round(Protocol):
+    """One agent's part of a synchronous algorithm.
+
+    The runtime repeats, for k = 0, 1, ...: send `message()` to the out-neighbours, wait for the
+    message of round k of every in-neighbour, call `step(heard)`; until `done`.
+    All agents of a connected team must become `done` in the same round.
+    """
+
+    @property
+    def done(self) -> bool:
+        """Whether the last round is over."""
+        ...
+
+    def message(self) -> Any:
+        """What the neighbours get in this round; a `PerNeighbor` gives each its own."""
+        ...
+
+    def step(self, heard: dict[int, Any]) -> None:
+        """Take the neighbours' messages of this round, by drone id in increasing order."""
+        ...

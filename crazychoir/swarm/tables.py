@@ -1,0 +1,193 @@
+"""What may be written in a swarm file: its tables, keys, units, ranges and defaults.
+
+Every key says what is allowed in its Meta: the reader checks with it and error texts quote it.
+"""
+
+from typing import Annotated, Any, Literal
+
+from msgspec import Meta, Struct, field
+
+Id = Annotated[int, Meta(ge=0, le=9999, description="a drone id, 0 to 9999", examples=[3])]
+Ids = Annotated[tuple[Id, ...], Meta(description="a list of drone ids", examples=[[0, 1]])]
+Groups = Annotated[
+    tuple[Annotated[tuple[Id, ...], Meta(min_length=1)], ...],
+    Meta(description="lists of drone ids, none of them empty", examples=[[[0, 1], [2, 3]]]),
+]
+Edges = Annotated[tuple[tuple[Id, Id], ...], Meta(description="pairs of drone ids", examples=[[[0, 1], [1, 2]]])]
+Position = Annotated[
+    tuple[float, float, float], Meta(description="a position [x, y, z] in m", examples=[[0.0, 0.6, 0.0]])
+]
+Metres = Annotated[float, Meta(ge=0, description="a length in m, not negative", examples=[0.0005])]
+Height = Annotated[float, Meta(gt=0, le=100, description="a height in m, above 0, at most 100", examples=[1.0])]
+Level = Annotated[float, Meta(description="a height in m", examples=[0.0])]
+Radians = Annotated[float, Meta(ge=-7, le=7, description="an angle in rad, -7 to 7", examples=[1.57])]
+Turn = Annotated[float, Meta(ge=0, le=1, description="an angle in rad, 0 to 1", examples=[0.001])]
+Speed = Annotated[float, Meta(gt=0, le=20, description="a speed in m/s, above 0, at most 20", examples=[1.0])]
+Acceleration = Annotated[
+    float, Meta(gt=0, le=50, description="an acceleration in m/s2, above 0, at most 50", examples=[2.0])
+]
+Seconds = Annotated[float, Meta(ge=0, description="a time in s, not negative", examples=[0.02])]
+Timeout = Annotated[float, Meta(gt=0, description="a time in s, above 0", examples=[5.0])]
+Hertz = Annotated[float, Meta(gt=0, le=1000, description="a rate in Hz, above 0, at most 1000", examples=[100])]
+Probability = Annotated[float, Meta(ge=0, le=1, description="a probability, 0 to 1", examples=[0.1])]
+Flag = Annotated[bool, Meta(description="true or false", examples=[True])]
+Text = Annotated[str, Meta(description="a text", examples=["scout"])]
+Free = Annotated[dict[str, Any], Meta(description="a table of your own keys", examples=[{"speed": 0.5}])]
+Name = Annotated[
+    str, Meta(pattern=r"^[a-z0-9_-]{1,40}\Z", description="1 to 40 of a-z, 0-9, _ and -", examples=["lab6"])
+]
+Mission = Annotated[
+    str,
+    Meta(
+        pattern=r"^([a-z][a-z0-9_]*|.+\.py)\Z",
+        description="the name of a file in agents/, or the path of a .py file",
+        examples=["pickup_delivery"],
+    ),
+]
+Seed = Annotated[int, Meta(ge=0, description="a whole number, not negative", examples=[1])]
+Start = Annotated[
+    Literal["all"] | Annotated[int, Meta(ge=1)],
+    Meta(description='"all", or the number of drones that is enough', examples=["all"]),
+]
+Port = Annotated[int, Meta(ge=1024, le=65535, description="a port, 1024 to 65535", examples=[7460])]
+Burst = Annotated[float, Meta(ge=1, description="a mean number of messages lost in a row, 1 or more", examples=[4])]
+Bandwidth = Annotated[float, Meta(gt=0, description="bytes a second, above 0", examples=[50000])]
+Inputs = Annotated[
+    Literal["rates", "euler"],
+    Meta(description='what steers it: "rates" (of the body) or "euler" (of the Euler angles)', examples=["rates"]),
+]
+Hosts = Annotated[
+    dict[str, str], Meta(description="a table of names and addresses", examples=[{"laptop": "192.168.1.10"}])
+]
+
+
+class Table(Struct, frozen=True, kw_only=True):
+    """A table of a swarm file."""
+
+
+class Drone(Table, frozen=True, kw_only=True):
+    """One [[drones]]: home is where it stands before the start, world frame; yaw rad; neighbors: whom it hears."""
+
+    id: Id
+    home: Position
+    uri: Text = "sim://"
+    yaw: Radians = 0.0
+    neighbors: Ids | None = None
+    leader: Flag = False
+    role: Text = ""
+    host: Name | None = None
+    options: Free = field(default_factory=dict)
+
+
+class Link(Table, frozen=True, kw_only=True):
+    """What happens to messages on their way.
+
+    loss, duplicate, reorder: probability a message;  burst: mean length of a run of losses (without: independent);
+    delay, jitter: s;  bandwidth: bytes/s.
+    """
+
+    loss: Probability | None = None
+    burst: Burst | None = None
+    delay: Seconds | None = None
+    jitter: Seconds | None = None
+    duplicate: Probability | None = None
+    reorder: Probability | None = None
+    bandwidth: Bandwidth | None = None
+
+
+class Edge(Link, frozen=True, kw_only=True):
+    """One [[network.edges]]: another rule for what `source` sends to `destination`; without one of them: any drone."""
+
+    source: Id | None = None
+    destination: Id | None = None
+
+
+class Partition(Table, frozen=True, kw_only=True):
+    """One [[network.partitions]]: groups don't hear each other from `at` to `until` s; the unnamed are one more."""
+
+    at: Seconds
+    groups: Groups
+    until: Seconds | None = None
+
+
+class Fence(Table, frozen=True, kw_only=True):
+    """[fence]: the box, world frame, that no drone may leave."""
+
+    min: Position = (-4.0, -4.0, 0.0)
+    max: Position = (4.0, 4.0, 3.0)
+
+
+class Flight(Table, frozen=True, kw_only=True):
+    """[flight]: ground: height of the floor, world frame; takeoff_height: above it; limits of references."""
+
+    ground: Level = 0.0
+    takeoff_height: Height = 1.0
+    speed_limit: Speed = 1.0
+    acceleration_limit: Acceleration = 2.0
+    landing_speed: Speed = 0.3
+
+
+class Mocap(Table, frozen=True, kw_only=True):
+    """[mocap]: rate: poses a second; noise m, noise_angle rad: standard deviations an axis;
+    dropout: probability a pose; latency s.
+    """
+
+    rate: Hertz = 100.0
+    noise: Metres = 0.0005
+    noise_angle: Turn = 0.001
+    dropout: Probability = 0.0
+    latency: Seconds = 0.005
+
+
+class Plant(Table, frozen=True, kw_only=True):
+    """[plant]: the simulated drone: rate_lag: time constant of its body rates; command_delay: s until it obeys."""
+
+    inputs: Inputs = "rates"
+    rate_lag: Seconds = 0.03
+    command_delay: Seconds = 0.02
+
+
+Drones = Annotated[
+    tuple[Drone, ...],
+    Meta(description="a list of drones: one table [[drones]] each", examples=[[{"id": 0, "home": [0.0, 0.6, 0.0]}]]),
+]
+LinkEdges = Annotated[
+    tuple[Edge, ...],
+    Meta(description="a list of tables [[network.edges]]", examples=[[{"source": 0, "destination": 1, "loss": 0.1}]]),
+]
+Partitions = Annotated[
+    tuple[Partition, ...],
+    Meta(description="a list of tables [[network.partitions]]", examples=[[{"at": 5.0, "groups": [[0, 1]]}]]),
+]
+
+
+class Network(Link, frozen=True, kw_only=True):
+    """[network]: a simulated bad network between the drones; what is not written is perfect."""
+
+    edges: LinkEdges = ()
+    partitions: Partitions = ()
+
+
+class Swarm(Table, frozen=True, kw_only=True):
+    """A swarm file. SI units, world frame; see deploy/README.md."""
+
+    name: Name
+    drones: Drones
+    mission: Mission | None = None
+    mission_options: Free = field(default_factory=dict)
+    seed: Seed = 0
+    topology: Text | None = field(default=None, name="graph")
+    edges: Edges | None = None
+    directed: Flag = False
+    start: Start = "all"
+    start_deadline: Timeout = 30.0
+    lost_after: Timeout = 5.0
+    lease: Timeout = 1.0
+    base_port: Port = 7460
+    processes: Groups | None = None
+    hosts: Hosts = field(default_factory=dict)
+    network: Network = Network()
+    flight: Flight = Flight()
+    fence: Fence = Fence()
+    mocap: Mocap = Mocap()
+    plant: Plant = Plant()

@@ -1,0 +1,171 @@
+"""States, references and commands: frozen, SI, typed. These are the message types; there is no second set.
+
+World frame ENU, z up; quaternions [x, y, z, w]; angular velocity in the body frame.
+The numbers of one value lie in one flat array, so that a compiled law and the wire take it as it is.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import msgspec
+import numpy as np
+import numpy.typing as npt
+
+Vec = npt.NDArray[np.float64]
+Mat = npt.NDArray[np.float64]
+Point = Sequence[float] | Vec
+
+
+class Wire(msgspec.Struct, frozen=True, array_like=True, gc=False):
+    """A value that may travel: immutable, encoded as an array of its fields."""
+
+
+class Pose(Wire, frozen=True, array_like=True, gc=False):
+    """What motion capture measures of one rigid body.
+
+    flat: (7,) = p (3,) m world, q (4,) body to world;  age: s, since the cameras saw it.
+    """
+
+    flat: Vec
+    age: float = 0.0
+
+    @property
+    def p(self) -> Vec:
+        """(3,) m, world."""
+        return self.flat[0:3]
+
+    @property
+    def q(self) -> Vec:
+        """(4,) [x, y, z, w], body to world."""
+        return self.flat[3:7]
+
+
+class State(Wire, frozen=True, array_like=True, gc=False):
+    """A drone's estimate of itself, or what is heard of a neighbour.
+
+    flat: (13,) = p (3,) m, v (3,) m/s, q (4,), w (3,) rad/s body;  age: s, since it was measured.
+    """
+
+    flat: Vec
+    age: float = 0.0
+
+    @classmethod
+    def at(cls, p: Point, v: Point = (0.0, 0.0, 0.0)) -> "State":
+        """A level state at p (3,) m with velocity v (3,) m/s."""
+        return cls(np.array([*p, *v, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]))
+
+    @property
+    def p(self) -> Vec:
+        """(3,) m, world."""
+        return self.flat[0:3]
+
+    @property
+    def v(self) -> Vec:
+        """(3,) m/s, world."""
+        return self.flat[3:6]
+
+    @property
+    def q(self) -> Vec:
+        """(4,) [x, y, z, w], body to world."""
+        return self.flat[6:10]
+
+    @property
+    def w(self) -> Vec:
+        """(3,) rad/s, body."""
+        return self.flat[10:13]
+
+
+class Acceleration(Wire, frozen=True, array_like=True, gc=False):
+    """Reference of a double-integrator law: a (3,) m/s2 world, yaw rad."""
+
+    a: Vec
+    yaw: float = 0.0
+
+
+class FullState(Wire, frozen=True, array_like=True, gc=False):
+    """Reference of a flat output: flat (14,) = p m, v m/s, a m/s2, j m/s3 (each (3,), world), yaw rad, yaw' rad/s."""
+
+    flat: Vec
+
+    @classmethod
+    def at(
+        cls,
+        p: Point,
+        v: Point = (0, 0, 0),
+        a: Point = (0, 0, 0),
+        j: Point = (0, 0, 0),
+        yaw: float = 0.0,
+        yaw_rate: float = 0.0,
+    ) -> "FullState":
+        """p, v, a, j: (3,) each, world; yaw rad; yaw_rate rad/s."""
+        return cls(np.array([*p, *v, *a, *j, yaw, yaw_rate], dtype=float))
+
+    @property
+    def p(self) -> Vec:
+        """(3,) m, world."""
+        return self.flat[0:3]
+
+    @property
+    def v(self) -> Vec:
+        """(3,) m/s, world."""
+        return self.flat[3:6]
+
+    @property
+    def a(self) -> Vec:
+        """(3,) m/s2, world."""
+        return self.flat[6:9]
+
+    @property
+    def yaw(self) -> float:
+        """rad."""
+        return float(self.flat[12])
+
+
+class Goto(Wire, frozen=True, array_like=True, gc=False):
+    """Ask for a point-to-point flight: p (3,) m world, yaw rad, duration s (0: as fast as the limits allow)."""
+
+    p: Vec
+    yaw: float = 0.0
+    duration: float = 0.0
+
+
+class FPQR(Wire, frozen=True, array_like=True, gc=False):
+    """Command: flat (4,) = thrust N, body rates p, q, r rad/s."""
+
+    flat: Vec
+
+    @property
+    def thrust(self) -> float:
+        """N, along the body's z."""
+        return float(self.flat[0])
+
+
+class Status(Wire, frozen=True, array_like=True, gc=False):
+    """How a drone is: what `status`, the live table and the public key show.
+
+    phase: of flight;  task: of the mission, and its progress;  round: of the running exchange;  cost: of the plan, NaN
+    before;  sent, lost, resent, dropped: messages between drones since the start;  suspect, gone: ids of silent
+    members;  process, host: where it runs;  note: the last trouble.
+    """
+
+    phase: str
+    task: str = ""
+    round: int = 0
+    cost: float = float("nan")
+    sent: int = 0
+    lost: int = 0
+    resent: int = 0
+    dropped: int = 0
+    suspect: list[int] = []
+    gone: list[int] = []
+    process: str = ""
+    host: str = ""
+    note: str = ""
+
+
+Reference = Acceleration | FullState | Goto
+Heard = dict[int, State]
+
+
+class PerNeighbor(dict[int, Any]):
+    """A payload a neighbour: `PerNeighbor({j: value})` sends each value to its j alone."""

@@ -1,0 +1,109 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from crazychoir.control.attitude import GeometryAttitudeCtrl
+from crazychoir.control.gains import FORMATION, STANDARD
+from crazychoir.control.platform import PAPER
+from crazychoir.control.position import FlatnessAccelerationCtrl, FlatnessPositionCtrl
+from crazychoir.math3d import GRAVITY, exponential, quaternion, rotation, rotation_from_flat
+from crazychoir.planning.point_to_point import PointToPoint
+from crazychoir.types import FullState, State
+
+small = arrays(float, 3, elements=st.floats(-0.5, 0.5))
+DRAGLESS = replace(PAPER, drag=(0.0, 0.0, 0.0))
+
+
+def state(p=(0, 0, 1), v=(0, 0, 0), turn=(0, 0, 0)):
+    return State(np.array([*p, *v, *exponential(*turn), 0.0, 0.0, 0.0], dtype=float))
+
+
+def desired(at, rate=(0.0, 0.0, 0.0)):
+    r = rotation(at.q)
+    return np.array([0.25, *r[:, 0], *r[:, 1], *r[:, 2], *rate])
+
+
+@given(small)
+def test_the_attitude_error_is_zero_at_the_desired_attitude(turn):
+    here = state(turn=turn)
+    u = GeometryAttitudeCtrl().command(here, desired(here))
+    np.testing.assert_allclose(u, [0.25, 0.0, 0.0, 0.0], atol=1e-12)
+
+
+@given(small, small)
+def test_the_rates_are_lees_error_in_matrices(turn, target):
+    r, rd = rotation(state(turn=turn).q), rotation(state(turn=target).q)
+    e = 0.5 * (rd.T @ r - r.T @ rd)
+    rate = np.array([0.1, -0.2, 0.3])
+    expected = -np.array(STANDARD.kr) * [e[2, 1], e[0, 2], e[1, 0]] + r.T @ rd @ rate
+    u = GeometryAttitudeCtrl().command(state(turn=turn), desired(state(turn=target), rate))
+    np.testing.assert_allclose(u[1:], expected, atol=1e-9)
+
+
+@given(arrays(float, 3, elements=st.floats(-1.5, 1.5)))
+def test_the_attitude_converges_from_afar(turn):
+    q, goal, law = np.array(exponential(*turn)), desired(state()), GeometryAttitudeCtrl()
+    for _ in range(400):
+        w = law.command(State(np.array([0, 0, 1, 0, 0, 0, *q, 0, 0, 0], dtype=float)), goal)[1:]
+        r = rotation(q) @ rotation(np.array(exponential(*(0.01 * w))))
+        q = quaternion(r)
+    np.testing.assert_allclose(rotation(q), np.eye(3), atol=1e-5)
+
+
+@given(small, small, small, small, st.floats(-3.0, 3.0))
+def test_thrust_and_attitude_follow_from_the_force(p, v, a, turn, yaw):
+    here = state(p, v, turn)
+    ref = FullState.at((0, 0, 0), (0, 0, 0), a, yaw=yaw)
+    out = FlatnessPositionCtrl(platform=DRAGLESS).desired(here, ref.flat, 0.0)
+    f = a - np.array(STANDARD.kp) * p - np.array(STANDARD.kv) * v + [0, 0, GRAVITY]
+    if 2.5 < f[2] < 15.0 and np.hypot(f[0], f[1]) < f[2] and np.linalg.norm(f) < 16.0:
+        np.testing.assert_allclose(out[1:10].reshape(3, 3).T, rotation_from_flat(f, yaw), atol=1e-9)
+        assert out[0] == pytest.approx(PAPER.mass * f @ rotation(here.q)[:, 2], abs=1e-9)
+
+
+@given(small, small)
+def test_the_drag_of_the_reference_is_given_as_thrust(v, turn):
+    r = rotation(state(turn=turn).q)
+    out = FlatnessPositionCtrl().desired(state(v=v, turn=turn), FullState.at((0, 0, 1), v).flat, 0.0)
+    f = r @ np.diag(PAPER.drag) @ r.T @ v / PAPER.mass + [0, 0, GRAVITY]
+    np.testing.assert_allclose(out[7:10], f / np.linalg.norm(f), atol=1e-12)
+
+
+def test_the_feed_forward_is_the_rate_at_which_the_desired_attitude_turns():
+    start = FullState.at((0, 0, 1), (0.5, 0, 0), (0, 1, 0), (1, 1, 1), 0.3, 0.5)
+    plan, law, h = (
+        PointToPoint(start, np.array([1.0, 1.0, 1.5]), 2.0, 2.0),
+        FlatnessPositionCtrl(platform=DRAGLESS),
+        1e-6,
+    )
+
+    def attitude(t):
+        ref = plan.sample(t)
+        return law.desired(State(np.array([*ref.flat[:6], 0, 0, 0, 1, 0, 0, 0])), ref.flat, 0.0).copy()
+
+    for t in (0.3, 0.9, 1.4):
+        r, later = (attitude(s)[1:10].reshape(3, 3).T for s in (t - h, t + h))
+        turning = (r.T @ later - later.T @ r) / (4.0 * h)
+        np.testing.assert_allclose(attitude(t)[10:13], [turning[2, 1], turning[0, 2], turning[1, 0]], atol=1e-5)
+
+
+def test_the_lead_is_its_part_of_the_rate_of_the_desired_attitude():
+    law, rate, h = FlatnessAccelerationCtrl(replace(FORMATION, lead=0.5)), 0.2, 0.01
+    for k in range(60):
+        tilt = rate * h * k
+        ref = np.zeros(14)
+        ref[6:9] = GRAVITY * np.array([np.tan(tilt), 0.0, 0.0])
+        out = law.desired(state(), ref, k * h)
+    np.testing.assert_allclose(out[10:12], [0.0, 0.5 * rate], atol=1e-4)
+
+
+def test_the_lead_starts_anew_after_a_gap():
+    law = FlatnessAccelerationCtrl()
+    ref = np.zeros(14)
+    law.desired(state(), ref, 0.0)
+    ref[6] = 3.0
+    np.testing.assert_array_equal(law.desired(state(), ref, 1.0)[10:12], 0.0)

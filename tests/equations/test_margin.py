@@ -1,0 +1,93 @@
+import math
+
+import numpy as np
+import pytest
+from scipy.signal import tf2ss
+
+from crazychoir.control import margin
+from crazychoir.control.gains import SHIPPED, STANDARD
+from crazychoir.control.margin import HOLD, REQUIRED, Inner, command_loop, delay_margin, guidance_loop
+
+
+def closed_loop_with_delay(loop, delay, until=60.0):
+    """Largest |y| in the last tenth of a run of the closed loop, delay by a line of samples, Euler steps of 0.2 ms."""
+    a, b, c, _ = tf2ss(*loop)
+    h = 0.0004
+    x, late = np.zeros(len(a)), np.zeros(max(round(delay / h), 1))
+    x[0] = 1e-3
+    peak, steps = 0.0, round(until / h)
+    for k in range(steps):
+        y = (c @ x)[0]
+        u, late[k % len(late)] = -late[k % len(late)], y
+        x = x + h * (a @ x + b[:, 0] * u)
+        if k > 0.9 * steps:
+            peak = max(peak, abs(y))
+    return peak
+
+
+def test_delay_margin_of_an_integrator_is_known():
+    assert delay_margin((np.array([4.0]), np.array([1.0, 0.0]))) == pytest.approx(math.pi / 8.0)
+
+
+def test_an_unstable_loop_has_no_margin():
+    assert delay_margin((np.array([1.0]), np.array([1.0, 0.0, 0.0, 0.0]))) == 0.0
+
+
+def test_a_loop_of_gain_below_one_bears_any_delay():
+    assert delay_margin((np.array([0.5]), np.array([1.0, 1.0]))) == math.inf
+
+
+@pytest.mark.parametrize("kr", [8.0, 16.0])
+def test_the_margin_is_where_a_run_in_time_loses_stability(kr):
+    loop = command_loop(6.0, 4.0, Inner(kr))
+    limit = delay_margin(loop)
+    assert closed_loop_with_delay(loop, 0.93 * limit, 12.0) < closed_loop_with_delay(loop, 0.93 * limit, 6.0)
+    assert closed_loop_with_delay(loop, 1.07 * limit, 12.0) > closed_loop_with_delay(loop, 1.07 * limit, 6.0)
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+@pytest.mark.parametrize("axis", [0, 1])
+def test_every_shipped_row_keeps_40_ms_horizontally(name, axis):
+    gains = SHIPPED[name]
+    inner = Inner(gains.kr[axis])
+    for opened in (command_loop, guidance_loop):
+        assert delay_margin(opened(gains.kp[axis], gains.kv[axis], inner)) - HOLD >= REQUIRED
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_every_shipped_row_keeps_40_ms_in_height_and_heading(name):
+    gains = SHIPPED[name]
+    assert delay_margin(margin.vertical_loop(gains.kp[2], gains.kv[2])) - HOLD >= REQUIRED
+    assert delay_margin(margin.heading_loop(gains.kr[2])) - HOLD >= REQUIRED
+
+
+@pytest.mark.parametrize(("kr", "enough"), [(8.0, True), (10.0, True), (12.0, True), (16.0, False)])
+def test_the_attitude_gain_is_what_the_margin_depends_on(kr, enough):
+    left = delay_margin(command_loop(STANDARD.kp[0], STANDARD.kv[0], Inner(kr))) - HOLD
+    assert (left >= REQUIRED) == enough
+
+
+def test_less_lag_leaves_more_margin():
+    lags = [0.050, 0.086, 0.110, 0.145]
+    left = [delay_margin(command_loop(6.0, 4.0, Inner(8.0, lag))) for lag in lags]
+    assert left == sorted(left, reverse=True)
+
+
+def test_without_lead_and_filter_the_loops_are_those_of_their_docstrings():
+    s = 1j * np.array([0.5, 3.0, 20.0])
+    outer = (4.0 * s + 6.0) / s**2
+    num, den = command_loop(6.0, 4.0, Inner(8.0, 0.086, math.inf))
+    np.testing.assert_allclose(np.polyval(num, s) / np.polyval(den, s), 8.0 * (1 + outer) / (s * (0.086 * s + 1)))
+    num, den = guidance_loop(6.0, 4.0, Inner(8.0, 0.086, math.inf))
+    np.testing.assert_allclose(np.polyval(num, s) / np.polyval(den, s), outer * 8.0 / (0.086 * s**2 + s + 8.0))
+
+
+def test_with_lead_and_filter_the_loops_are_those_of_their_docstrings():
+    s = 1j * np.array([0.5, 3.0, 20.0])
+    low, lead = 50.0 / (s + 50.0), 2.0 + 0.4 * s * 30.0 / (s + 30.0)
+    outer = (4.0 * s * low + 6.0) / s**2
+    inner = Inner(2.0, 0.086, 50.0, 0.4, 30.0)
+    num, den = command_loop(6.0, 4.0, inner)
+    np.testing.assert_allclose(np.polyval(num, s) / np.polyval(den, s), (2.0 + lead * outer) / (s * (0.086 * s + 1)))
+    num, den = guidance_loop(6.0, 4.0, inner)
+    np.testing.assert_allclose(np.polyval(num, s) / np.polyval(den, s), lead * outer / (0.086 * s**2 + s + 2.0))

@@ -1,0 +1,133 @@
+"""A process with a Zenoh link, obeying the test: one JSON command a line in, one JSON answer a line out.
+
+python link_process.py '{"process": "b-1", "swarm": "x", "listen": [...], "connect": [...], "drones": [2, 3]}'
+"""
+
+import asyncio
+import contextlib
+import json
+import sys
+from collections.abc import AsyncIterator
+from typing import Any
+
+import numpy as np
+
+from crazychoir.bus.local import Bus
+from crazychoir.bus.topics import BY_NAME
+from crazychoir.bus.zenoh import ZenohLink
+from crazychoir.errors import Refused
+from crazychoir.runtime.clock import Clock, WallClock, run_wall
+from crazychoir.swarm.communicator import Communicator
+from crazychoir.swarm.graph import ring
+
+
+@contextlib.asynccontextmanager
+async def linked(clock: Clock, process: str, swarm: str, drones: list[int], **options: Any) -> AsyncIterator[ZenohLink]:
+    """A bus with ports, linked and saying HELLO; closed at the end."""
+    bus = Bus(clock, process=process, host=options.pop("host", "here"))
+    for i in drones:
+        bus.port(i)
+    options = {"listen": [], "connect": [], "incarnation": 7, "version": "1", **options}
+    link = ZenohLink(bus, swarm, **options)
+    link.open()
+    running = asyncio.create_task(link.run())
+    try:
+        yield link
+    finally:
+        running.cancel()
+        with contextlib.suppress(asyncio.CancelledError):
+            await running
+        await link.on_stop()
+
+
+@contextlib.asynccontextmanager
+async def wall_clock() -> AsyncIterator[WallClock]:
+    """A clock on the running loop."""
+    clock = WallClock(asyncio.get_running_loop())
+    try:
+        yield clock
+    finally:
+        clock.close()
+
+
+async def consensus(communicator: Communicator, rounds: int) -> list[float]:
+    """Averaging on the graph, from x = id."""
+    x = np.full(6, float(communicator.id))
+    for _ in range(rounds):
+        heard = await communicator.neighbors_exchange(x, deadline=20.0)
+        x = (x + sum(heard.values())) / (1 + len(heard))
+    return x.tolist()
+
+
+async def consensus_here(link: ZenohLink, size: int, rounds: int) -> dict[str, list[float]]:
+    """All drones of this process take part."""
+    team = [Communicator(port, ring(size)) for port in link.bus.ports.values()]
+    results = await asyncio.gather(*(consensus(member, rounds) for member in team))
+    await asyncio.gather(*(member.close() for member in team))
+    return {str(member.id): x for member, x in zip(team, results, strict=True)}
+
+
+class Commands:
+    """What the test can ask for."""
+
+    def __init__(self, link: ZenohLink) -> None:
+        self.link = link
+        self.refused: list[str] = []
+        self.boxes: dict[str, Any] = {}
+
+    async def status(self) -> dict[str, Any]:
+        """Whom we have heard, and who has heard us."""
+        known = [peer for peer in self.link.peers.values() if peer.hello is not None]
+        heard_by = [peer.process for peer in known if self.link.bus.process in peer.hello.heard]
+        boxes = {name: box.received for name, box in self.boxes.items()}
+        return {
+            "heard": [peer.process for peer in known],
+            "heard_by": heard_by,
+            "refused": self.refused,
+            "received": boxes,
+            "counters": vars(self.link.counters),
+        }
+
+    async def consensus(self, size: int, rounds: int) -> dict[str, Any]:
+        """The averages of our drones."""
+        return await consensus_here(self.link, size, rounds)
+
+    async def subscribe(self, topic: str, source: int, reader: int, rate: float = 0.0) -> dict[str, Any]:
+        """Read a topic of a drone."""
+        row = BY_NAME[topic]
+        self.boxes[topic] = row.mailbox(self.link.bus.clock)
+        self.link.bus.subscribe(row, source, reader, self.boxes[topic], rate)
+        return {}
+
+    async def get(self, topic: str, seconds: float = 5.0) -> dict[str, Any]:
+        """The next message of a topic."""
+        async with asyncio.timeout(seconds):
+            return {"value": repr(await self.boxes[topic].get())}
+
+
+def answer(value: dict[str, Any]) -> None:
+    """One line."""
+    sys.stdout.write(json.dumps(value) + "\n")
+    sys.stdout.flush()
+
+
+async def obey(clock: Clock, options: dict[str, Any]) -> None:
+    """Until standard input ends."""
+    reader = asyncio.StreamReader()
+    await asyncio.get_running_loop().connect_read_pipe(lambda: asyncio.StreamReaderProtocol(reader), sys.stdin)
+    refused: list[str] = []
+
+    def on_refused(error: Refused) -> None:
+        refused.append(str(error))
+
+    async with linked(clock, **options, on_refused=on_refused) as link:
+        commands = Commands(link)
+        commands.refused = refused
+        answer({"open": link.bus.process})
+        while line := await reader.readline():
+            name, arguments = json.loads(line)
+            answer(await getattr(commands, name)(**arguments))
+
+
+if __name__ == "__main__":
+    run_wall(lambda clock: obey(clock, json.loads(sys.argv[1])))

@@ -1,0 +1,40 @@
+"""Looks at a swarm from a process of its own, in whatever namespace: one JSON line a status or log line.
+
+python observer.py SWARM.json
+"""
+
+import json
+import secrets
+import sys
+from typing import Any
+
+import msgspec
+
+from crazychoir.bus.local import OBSERVER, Bus
+from crazychoir.bus.topics import LOG, STATUS
+from crazychoir.launch import Call, observer_link
+from crazychoir.runtime.clock import Clock, run_wall
+from crazychoir.runtime.supervisor import Supervisor
+from crazychoir.swarm.config import SwarmConfig
+
+
+def say(clock: Clock, drone: int, topic: str, value: Any) -> None:
+    plain = msgspec.structs.asdict(value) if isinstance(value, msgspec.Struct) else value
+    print(json.dumps({"t": clock.now(), "drone": drone, topic: plain}), file=sys.stderr, flush=True)  # noqa: T201
+
+
+async def look(clock: Clock) -> None:
+    config = SwarmConfig.load(sys.argv[1])
+    bus = Bus(clock, process=f"observer-{secrets.token_hex(4)}", host="observer")
+    bus.port(OBSERVER + 1)
+    for i in config.ids:
+        for topic in (STATUS, LOG):
+            box = Call(clock, lambda value, age, i=i, topic=topic: say(clock, i, topic.name, value))
+            bus.subscribe(topic, i, OBSERVER + 1, box)
+    link = observer_link(bus, config)
+    link.open()
+    await Supervisor(clock, "observer").run([link])
+
+
+if __name__ == "__main__":
+    run_wall(look)

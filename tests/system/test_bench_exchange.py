@@ -1,0 +1,46 @@
+"""The bench measures what it says; its figures are nobody's test."""
+
+import importlib.util
+import io
+
+import pytest
+from rich.console import Console
+
+from crazychoir.cli import bench_exchange
+from crazychoir.cli.bench_exchange import Row
+
+pytestmark = pytest.mark.system
+
+
+@pytest.mark.parametrize(
+    ("module", "extra", "processes"),
+    [("crazychoir", "", 1), ("crazychoir", "", 2), ("cyclonedds", "cyclonedds", 4), ("mpi4py", "mpi4py", 4)],
+)
+def test_each_program_exchanges(module: str, extra: str, processes: int) -> None:
+    if extra and importlib.util.find_spec(extra) is None:
+        pytest.skip(f"the extra `bench` is not installed: no {extra}")
+    row = Row(module, f"peers_{module}", "ring", 4, processes, extra)
+    bench_exchange._measure(row, 0.2)
+    assert row.note == ""
+    assert row.rounds[0] > 1.0
+    assert row.cpu[0] > 0.1
+
+
+def test_a_missing_program_is_a_row_that_says_how_to_install_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    rows = [Row("absent", "peers_absent", "ring", 10, 10, "no_such_module")]
+    monkeypatch.setattr(bench_exchange, "_rows", lambda graphs: rows)
+    monkeypatch.setattr(bench_exchange, "_ratios", lambda rows: {})
+    result = bench_exchange.run(quick=True)
+    (row,) = result["rows"]
+    assert row["rounds_per_s"] is None
+    assert row["note"] == "not measured: pip install crazychoir[bench]"
+    console = Console(width=120, record=True, file=io.StringIO())
+    console.print(bench_exchange.table(result))
+    assert "absent: not measured: pip install crazychoir[bench]" in console.export_text()
+
+
+def test_a_program_that_fails_is_a_row_that_says_so() -> None:
+    row = Row("broken", "peers_broken", "ring", 4, 2)
+    bench_exchange._measure(row, 0.1)
+    assert row.note == "failed: a process has ended before its answer"
+    assert row.shown()["rounds_per_s"] is None

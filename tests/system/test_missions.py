@@ -1,0 +1,141 @@
+"""The missions that ship reach their goals."""
+
+from dataclasses import dataclass
+
+import pytest
+from system.commands import call, run
+
+from crazychoir.guidance.mission import load
+from crazychoir.launch import Score, fly_fast
+from crazychoir.swarm.config import SwarmConfig
+from crazychoir.types import Status
+
+pytestmark = pytest.mark.system
+KEYS = {
+    "mission", "success", "drones", "simulated_s", "wall_s", "real_time_factor", "min_separation_m", "messages",
+    "rounds", "digest",
+}  # fmt: skip
+
+
+def formed(seed):
+    """A formation of four in this process, in virtual time."""
+    mission = load("bearing_formation")
+    return fly_fast(mission.scatter(mission.swarm(None).replace(seed=seed)), mission)
+
+
+def flown(seed, loss):
+    """The pickups and deliveries in this process, in virtual time."""
+    mission = load("pickup_delivery")
+    return fly_fast(mission.swarm(None).replace(seed=seed, network={"loss": loss}), mission)
+
+
+def settled(result):
+    assert result["success"], result["reasons"]
+    assert result["formation_error_m"] <= 0.01
+    assert 1.0 < result["settling_s"] <= 16.0
+    assert result["min_separation_m"] > 0.3
+
+
+def test_the_result_of_a_run_has_its_keys():
+    result = run("bearing_formation", "--fast", "--seed", 1)
+    assert set(result) >= KEYS | {"formation_error_m", "settling_s"}
+    assert set(result["messages"]) >= {"sent", "lost", "resent"}
+    settled(result)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_four_take_their_places_within_16_s(seed):
+    settled(formed(seed))
+
+
+def test_the_settling_time_is_the_last_time_that_anybody_is_far():
+    @dataclass
+    class Seen(Score):
+        def __post_init__(self):
+            """No bus."""
+
+    score = Seen(bus=None, ids=(0,))
+    score.errors = [(0.0, 0.5), (1.0, 0.009), (2.0, 0.011), (3.0, 0.009)]
+    assert score.formation() == {"formation_error_m": 0.009, "settling_s": 2.0}
+    score.errors.append((4.0, 0.02))
+    assert score.formation()["settling_s"] is None
+
+
+@pytest.mark.timeout(240)
+def test_the_formation_in_real_time():
+    settled(run("bearing_formation", "--seed", 1, seconds=200.0))
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(240)
+@pytest.mark.parametrize("seed", range(20))
+def test_the_formation_in_real_time_over_all_seeds(seed):
+    settled(run("bearing_formation", "--seed", seed, seconds=200.0))
+
+
+def test_a_grid_without_diagonals_is_refused_with_the_reason(repository):
+    said = call("crazychoir", "run", repository / "tests/data/grid30_without_diagonals.toml", "--fast", "--json")
+    said.refuses("not bearing-rigid", "drones [2, 8, 14, 20, 26]", "Add a diagonal")
+    assert said.json["success"] is False
+
+
+@pytest.mark.timeout(180)
+def test_a_grid_whose_leaders_are_neighbours_starts_only_when_forced(repository):
+    path = repository / "tests/data/grid30_adjacent_leaders.toml"
+    call("crazychoir", "run", path, "--fast", "--json").refuses("0.0018", "952 s", "force")
+    forced = call("crazychoir", "run", path, "--fast", "--json", "--force", seconds=150.0)
+    assert forced.code == 0, forced.err
+    assert "0.0018" in forced.err
+    assert forced.json["drones"] == 30
+    assert forced.json["settling_s"] is None, "2 s of the law are not enough"
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(180)
+def test_thirty_drones_take_their_places(repository):
+    result = run(repository / "deploy" / "grid30.toml", "--fast", seconds=150.0)
+    assert result["success"]
+    assert result["formation_error_m"] <= 0.01
+    assert result["settling_s"] <= 16.0
+
+
+@pytest.mark.parametrize(("seed", "loss"), [(1, 0.0), (2, 0.3), (3, 0.5)])
+def test_pickups_and_deliveries_keep_their_distance(seed, loss):
+    served(flown(seed, loss))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("loss", [0.0, 0.2, 0.5])
+@pytest.mark.parametrize("seed", range(10, 20))
+def test_pickups_and_deliveries_keep_their_distance_over_many_seeds(seed, loss):
+    served(flown(seed, loss))
+
+
+def served(result):
+    assert result["success"], result["reasons"]
+    assert result["tasks"] == {"total": 10, "served": 10}
+    assert result["violations"] == []
+    assert result["min_separation_m"] > 0.3
+    for robot, planned in result["planned_m"].items():
+        assert result["flown_m"][robot] == pytest.approx(planned + 1.0, rel=0.1), "the route, up and down"
+
+
+def test_a_drone_that_is_stopped_on_its_way_still_gets_there():
+    mission = load("pickup_delivery")
+    config = mission.swarm(None).replace(seed=4, mocap={"dropout": 0.6})
+    notes = set()
+
+    def watch(score):
+        notes.update(status.note for status in score.statuses.values() if isinstance(status, Status))
+
+    result = fly_fast(config, mission, watch)
+    assert any("pose" in note for note in notes), "poses were missed often enough to matter"
+    assert result["success"], result["reasons"]
+    assert result["tasks"] == {"total": 10, "served": 10}
+
+
+def test_every_swarm_file_that_ships_is_valid(repository):
+    for path in sorted((repository / "deploy").glob("*.toml")):
+        config = SwarmConfig.load(path)
+        mission = load(str(config.mission))
+        assert mission.check(config, False) == [], path.name

@@ -1,0 +1,81 @@
+"""`crazychoir solve`: instances with a proven optimum, without flying."""
+
+import json
+
+import pytest
+from system.commands import call
+
+from crazychoir.routing.instance import Instance
+from crazychoir.solving import solve_here
+
+pytestmark = pytest.mark.system
+KEYS = {
+    "cost", "feasible", "lower_bound", "bound_exact", "method", "disclosed", "rounds", "messages", "bytes", "wall_s",
+    "critical_path_s", "plan_digest", "routes",
+}  # fmt: skip
+SHARED = ["N3_M3_s1", "N5_M5_s1", "N5_M8_s1_R25", "lab6_M10_s1", "N10_M15_s1_R25"]
+OWN = ["flat", "limited", "room"]
+
+
+def solved(path, *words):
+    """The object that it prints, and the proven optimum."""
+    said = call("crazychoir", "solve", path, *words, "--json")
+    assert said.code == 0, said.err
+    return said.json, json.loads(path.read_text())["optimum"]
+
+
+def near(result, optimum):
+    """Within 1 % of the optimum, with a bound that is one, in an object that is complete."""
+    assert set(result) >= KEYS
+    assert result["feasible"]
+    assert optimum - 1e-6 <= result["cost"] <= 1.01 * optimum
+    assert result["lower_bound"] <= optimum + 1e-6
+    assert result["cost"] == pytest.approx(sum(route["length"] for route in result["routes"]))
+    served = [stop["task"] for route in result["routes"] for stop in route["stops"] if stop["kind"] == "pickup"]
+    assert len(served) == len(set(served))
+
+
+@pytest.mark.parametrize("name", SHARED)
+def test_the_optimum_also_when_messages_are_lost(reference_data, name):
+    path = reference_data("pdvrp") / f"pdvrp_opt_{name}.json"
+    optimum = json.loads(path.read_text())["optimum"]
+    result, lossy = (solve_here(Instance.load(path), loss=loss) for loss in (0.0, 0.3))
+    near(result, optimum)
+    near(lossy, optimum)
+    assert lossy["plan_digest"] == result["plan_digest"]
+    assert lossy["lost"] > 0
+
+
+@pytest.mark.parametrize("name", OWN)
+def test_own_instances(repository, name):
+    path = repository / "tests" / "data" / f"pickup_delivery_{name}.json"
+    result, optimum = solved(path, "--loss", 0.3, "--seed", 7)
+    near(result, optimum)
+
+
+@pytest.fixture
+def instance(repository):
+    """A small instance, to be spoilt."""
+    return json.loads((repository / "tests" / "data" / "pickup_delivery_flat.json").read_text())
+
+
+def test_a_task_that_no_robot_can_carry_is_named(tmp_path, instance):
+    path = tmp_path / "heavy.json"
+    instance["load"][2] = 1e3
+    path.write_text(json.dumps(instance))
+    said = call("crazychoir", "solve", path, "--json")
+    said.refuses("InstanceError", "task 2")
+    assert said.json["success"] is False
+
+
+@pytest.mark.parametrize("text", ["", "[]", "{", '{"home": []}', "\x00\xff"])
+def test_a_file_that_is_no_instance_is_refused(tmp_path, text):
+    path = tmp_path / "odd.json"
+    path.write_text(text)
+    call("crazychoir", "solve", path).refuses("odd.json")
+
+
+def test_a_method_and_a_graph_that_do_not_exist_are_refused(repository):
+    path = repository / "tests" / "data" / "pickup_delivery_flat.json"
+    call("crazychoir", "solve", path, "--method", "magic").refuses("magic", "resource-columns")
+    call("crazychoir", "solve", path, "--graph", "knot").refuses("knot")

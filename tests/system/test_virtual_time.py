@@ -1,0 +1,65 @@
+"""Virtual time: the same run is the same run, whatever the machine does and the network loses."""
+
+import multiprocessing
+
+import pytest
+from system.commands import run
+
+pytestmark = pytest.mark.system
+
+
+def _busy() -> None:
+    while True:
+        pass
+
+
+@pytest.fixture
+def load():
+    """Both processors have other things to do."""
+    others = [multiprocessing.get_context("spawn").Process(target=_busy, daemon=True) for _ in range(2)]
+    for other in others:
+        other.start()
+    yield
+    for other in others:
+        other.kill()
+        other.join()
+
+
+@pytest.fixture(scope="module")
+def usual():
+    """Seed 1, hash seed 0, nothing lost."""
+    return run("pickup_delivery", "--fast", "--seed", 1, PYTHONHASHSEED="0")
+
+
+@pytest.mark.parametrize("hash_seed", ["1", "random"])
+def test_the_digest_does_not_depend_on_the_hash_seed(usual, hash_seed):
+    again = run("pickup_delivery", "--fast", "--seed", 1, PYTHONHASHSEED=hash_seed)
+    assert again["digest"] == usual["digest"]
+
+
+def test_the_digest_does_not_depend_on_the_load_of_the_machine(usual, load):
+    again = run("pickup_delivery", "--fast", "--seed", 1, PYTHONHASHSEED="random")
+    assert again["digest"] == usual["digest"]
+
+
+def test_another_seed_is_another_run(usual):
+    assert run("pickup_delivery", "--fast", "--seed", 2)["digest"] != usual["digest"]
+
+
+@pytest.mark.parametrize("loss", [0.2, 0.5])
+def test_the_plan_does_not_depend_on_what_is_lost(usual, loss):
+    lossy = run("pickup_delivery", "--fast", "--seed", 1, "--loss", loss)
+    assert lossy["success"]
+    assert lossy["plan_digest"] == usual["plan_digest"]
+    assert lossy["messages"]["lost"] == pytest.approx(loss * lossy["messages"]["sent"], rel=0.1)
+    assert lossy["messages"]["resent"] > usual["messages"]["resent"]
+    assert lossy["digest"] != usual["digest"]
+
+
+@pytest.mark.timeout(240)
+def test_six_processes_make_the_plan_of_one(usual):
+    real = run("pickup_delivery", "--seed", 1, "--loss", 0.2, seconds=200.0)
+    assert real["plan_digest"] == usual["plan_digest"]
+    assert real["success"], real["reasons"]
+    assert real["digest"] is None
+    assert real["real_time_factor"] == 1.0

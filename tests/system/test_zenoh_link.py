@@ -1,0 +1,417 @@
+"""Real processes over Zenoh on loopback."""
+
+import asyncio
+import contextlib
+import json
+import os
+import secrets
+import signal
+import socket
+import sys
+import threading
+import time
+from collections.abc import AsyncIterator, Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import zenoh
+from system.link_process import consensus_here, linked, wall_clock
+
+from crazychoir.bus.codec import encode
+from crazychoir.bus.frames import Envelope, Frame, encode_frame
+from crazychoir.bus.hello import Hello
+from crazychoir.bus.local import Bus
+from crazychoir.bus.topics import HELLO, LOG, RESULT, ROUND, STATE, STATUS
+from crazychoir.bus.zenoh import ZenohLink
+from crazychoir.errors import ConfigError, Refused
+from crazychoir.swarm.communicator import Communicator
+from crazychoir.swarm.graph import Graph
+from crazychoir.types import State, Status
+
+pytestmark = pytest.mark.system
+CHILD = Path(__file__).with_name("link_process.py")
+OBSERVER = 10_001
+
+
+def free_ports(count: int) -> list[int]:
+    sockets = [socket.create_server(("127.0.0.1", 0)) for _ in range(count)]
+    ports = [one.getsockname()[1] for one in sockets]
+    for one in sockets:
+        one.close()
+    return ports
+
+
+def endpoint(port: int) -> str:
+    return f"tcp/127.0.0.1:{port}"
+
+
+async def until(condition: Callable[[], Any], seconds: float = 10.0) -> float:
+    """Wait for it; returns how long that took."""
+    began = time.perf_counter()
+    async with asyncio.timeout(seconds):
+        while not condition():  # noqa: ASYNC110 - of another process or thread
+            await asyncio.sleep(0.001)
+    return time.perf_counter() - began
+
+
+class Child:
+    """Another process, and its answers."""
+
+    def __init__(self, process: asyncio.subprocess.Process) -> None:
+        self.process = process
+
+    async def ask(self, command: str, **arguments: Any) -> dict[str, Any]:
+        self.process.stdin.write(json.dumps([command, arguments]).encode() + b"\n")
+        return await self.answer()
+
+    async def answer(self) -> dict[str, Any]:
+        async with asyncio.timeout(30):
+            line = await self.process.stdout.readline()
+        assert line, (await self.process.stderr.read()).decode()
+        return json.loads(line)
+
+    async def when(self, name: str, empty: bool = False) -> dict[str, Any]:
+        """Its status as soon as an entry is there (or gone)."""
+        async with asyncio.timeout(5):
+            while bool((status := await self.ask("status"))[name]) is empty:  # noqa: ASYNC110
+                await asyncio.sleep(0.01)
+        return status
+
+    async def end(self) -> str:
+        """Close its input and wait; returns what it wrote to standard error."""
+        self.process.stdin.close()
+        async with asyncio.timeout(10):
+            errors = await self.process.stderr.read()
+            assert await self.process.wait() == 0, errors.decode()
+        return errors.decode()
+
+
+class Ground:
+    """One swarm on two ports: this process listens on the first, a child on the second."""
+
+    def __init__(self, clock: Any, stack: contextlib.AsyncExitStack) -> None:
+        self.clock, self.stack = clock, stack
+        self.swarm = f"test-{secrets.token_hex(4)}"
+        self.ports = free_ports(2)
+        self.tokens: list[tuple[list[int], bool, float]] = []
+        self.refused: list[Refused] = []
+
+    async def link(self, drones: list[int], process: str = "a-1", **options: Any) -> ZenohLink:
+        options.setdefault("on_token", lambda ids, there: self.tokens.append((ids, there, time.perf_counter())))
+        options.setdefault("listen", [endpoint(self.ports[0])])
+        connect = [endpoint(self.ports[1])]
+        made = linked(
+            self.clock, process, self.swarm, drones, connect=connect, on_refused=self.refused.append, **options
+        )
+        return await self.stack.enter_async_context(made)
+
+    async def child(self, drones: list[int], process: str = "b-1", **more: Any) -> Child:
+        options = {"process": process, "swarm": self.swarm, "drones": drones, "lease": 10.0}
+        options |= {"listen": [endpoint(self.ports[1])], "connect": [endpoint(self.ports[0])], **more}
+        pipe = asyncio.subprocess.PIPE
+        started = await asyncio.create_subprocess_exec(
+            sys.executable, CHILD, json.dumps(options), stdin=pipe, stdout=pipe, stderr=pipe
+        )
+        self.stack.push_async_callback(reap, started)
+        child = Child(started)
+        assert await child.answer() == {"open": process}
+        return child
+
+    def knows(self, link: ZenohLink, process: str = "b-1") -> Callable[[], bool]:
+        """Whether HELLO has gone both ways."""
+
+        def known() -> bool:
+            peer = link.peers.get(process)
+            return peer is not None and peer.hello is not None and link.bus.process in peer.hello.heard
+
+        return known
+
+    def outsider(self) -> zenoh.Session:
+        """A session of some other program that reaches this process."""
+        config = zenoh.Config()
+        config.insert_json5("connect/endpoints", json.dumps([endpoint(self.ports[0])]))
+        config.insert_json5("scouting/multicast/enabled", "false")
+        session = zenoh.open(config)
+        self.stack.callback(session.close)
+        return session
+
+
+async def reap(process: asyncio.subprocess.Process) -> None:
+    if process.returncode is None:
+        process.kill()
+    await process.wait()
+    process._transport.close()
+
+
+@pytest.fixture
+async def ground() -> AsyncIterator[Ground]:
+    async with wall_clock() as clock, contextlib.AsyncExitStack() as stack:
+        yield Ground(clock, stack)
+
+
+async def test_two_processes_reach_the_answer_of_one(ground: Ground) -> None:
+    link = await ground.link([0, 1])
+    child = await ground.child([2, 3])
+    theirs = asyncio.create_task(child.ask("consensus", size=4, rounds=200))
+    both = await consensus_here(link, 4, 200) | await theirs
+    async with wall_clock() as clock:
+        alone = Bus(clock)
+        for i in range(4):
+            alone.port(i)
+        fields = type("Link", (), {"bus": alone})
+        assert await consensus_here(fields, 4, 200) == both
+    assert (await child.end()) == ""
+    assert link.counters.frames_received > 90
+    assert link.counters.malformed == link.counters.failed == 0
+    assert link.counters.strangers <= 2, "a HELLO may overtake its token"
+
+
+async def test_hello_goes_both_ways(ground: Ground) -> None:
+    link = await ground.link([0])
+    child = await ground.child([1])
+    await until(ground.knows(link))
+    status = await child.when("heard_by")
+    assert status["heard"] == status["heard_by"] == ["a-1"]
+    assert link.peers["b-1"].hello.drones == [1]
+    assert (ground.tokens[0][0], ground.tokens[0][1]) == ([1], True)
+
+
+async def test_an_observer_elsewhere_gets_what_it_asked_for_at_its_rate(ground: Ground) -> None:
+    link = await ground.link([0])
+    child = await ground.child([OBSERVER])
+    await until(ground.knows(link))
+    sent = link.bus.ports[0]
+    link.bus.ports[0].publish(STATE, State.at([0.0, 0.0, 0.0]))
+    assert not sent._readers.get(STATE.number), "nobody has asked"
+    await child.ask("subscribe", topic="state", source=0, reader=OBSERVER, rate=20.0)
+    await until(lambda: link.bus.ports[0]._readers.get(STATE.number))
+    for k in range(200):
+        link.bus.ports[0].publish(STATE, State.at([0.005 * k, 0.0, 0.0]))
+        await asyncio.sleep(0.005)
+    received = (await child.ask("status"))["received"]["state"]
+    assert 8 <= received <= 30
+
+
+async def test_an_observer_gets_the_last_value_of_a_latched_topic(ground: Ground) -> None:
+    link = await ground.link([0])
+    link.bus.ports[0].publish(STATUS, Status("landed", note="long ago"))
+    child = await ground.child([OBSERVER])
+    await child.ask("subscribe", topic="status", source=0, reader=OBSERVER)
+    assert "long ago" in (await child.ask("get", topic="status"))["value"]
+
+
+async def test_a_port_opened_later_serves_earlier_interests(ground: Ground) -> None:
+    link = await ground.link([0])
+    child = await ground.child([OBSERVER])
+    await child.ask("subscribe", topic="log", source=5, reader=OBSERVER)
+    await until(lambda: ground.knows(link)() and link.peers["b-1"].hello.interests)
+    port = link.bus.port(5)
+    await until(lambda: port._readers)
+    port.publish(LOG, "here I am")
+    assert "here I am" in (await child.ask("get", topic="log"))["value"]
+
+
+async def test_a_killed_process_is_noticed_at_once_and_its_messages_are_dropped(ground: Ground) -> None:
+    link = await ground.link([0])
+    child = await ground.child([1])
+    await until(ground.knows(link))
+    link.bus.ports[0].send(ROUND, (1,), b"x")
+    assert link.bus.unroutable == 0
+    child.process.kill()
+    killed = time.perf_counter()
+    await until(lambda: ground.tokens[-1][:2] == ([1], False))
+    assert ground.tokens[-1][2] - killed < 0.1
+    link.bus.ports[0].send(ROUND, (1,), b"x")
+    assert link.bus.unroutable == 1
+    assert link.peers == {}
+
+
+async def test_a_process_that_comes_back_under_another_name_goes_on(ground: Ground) -> None:
+    link = await ground.link([0])
+    child = await ground.child([1], "b-1")
+    await until(ground.knows(link))
+    child.process.kill()
+    await child.process.wait()
+    again = await ground.child([1], "b-2")
+    await until(ground.knows(link, "b-2"))
+    theirs = asyncio.create_task(again.ask("consensus", size=2, rounds=50))
+    ours = await consensus_here(link, 2, 50)
+    assert (await theirs)["1"] == ours["0"] == [0.5] * 6
+    assert list(link.peers) == ["b-2"]
+    assert link.counters.strangers <= 2, "a HELLO may overtake its token"
+
+
+async def test_of_two_agents_with_one_id_the_later_is_refused(ground: Ground) -> None:
+    link = await ground.link([3])
+    await asyncio.sleep(0.1)
+    child = await ground.child([3, 4])
+
+    (text,) = (await child.when("refused"))["refused"]
+    assert text.startswith(f"swarm {ground.swarm}: refused: process a-1 on host here flies drone(s) 3 too and has done")
+    assert text.endswith("Give this agent another --id, or stop that one.")
+    assert ground.refused == []
+    assert 4 not in link.directory
+
+
+async def test_another_version_is_not_talked_to(ground: Ground, caplog: pytest.LogCaptureFixture) -> None:
+    link = await ground.link([0])
+    await ground.child([1], version="2")
+    await until(lambda: "runs version 2, this one runs 1: it is refused" in caplog.text)
+    assert link.directory == {}
+    assert ground.refused == []
+
+
+async def test_a_busy_port_is_named(ground: Ground) -> None:
+    where = endpoint(ground.ports[0])
+    with socket.create_server(("127.0.0.1", ground.ports[0])), pytest.raises(ConfigError) as caught:
+        await ground.link([0])
+    assert str(caught.value) == (
+        f"listen endpoint = {where}: Address already in use; it must be a free port of an address of this host. "
+        "Is another agent with this id running here? Stop it, or set another base_port in the swarm file."
+    )
+
+
+async def test_hostile_frames_are_counted_and_nothing_breaks(ground: Ground) -> None:
+    link = await ground.link([0])
+    child = await ground.child([1])
+    await until(ground.knows(link))
+    outsider = ground.outsider()
+    prefix = f"choir/{ground.swarm}/f/a-1"
+    message = Envelope(ROUND.number, 1, (0,), 0, 0, 0.0, "main", encode(1.0))
+    forged = encode_frame(Frame("b-1", 7, 2, [message]))
+    await until(lambda: outsider.declare_publisher(f"{prefix}/x").matching_status.matching)
+    put: list[tuple[str, bytes]] = [(f"{prefix}/here/z-1/rounds", os.urandom(n)) for n in range(200)]
+    put += [(f"{prefix}/here/b-1/rounds", b"\x01" + os.urandom(n)) for n in range(200)]
+    put += [(f"{prefix}/here/b-1/rounds", b"\x02" + forged[1:])]  # another version
+    put += [(f"{prefix}/here/z-1/rounds", forged), (f"{prefix}/there/b-1/rounds", forged)]  # not its key
+    put += [(prefix, forged), (f"{prefix}/x", forged), (f"{prefix}/**", forged)]
+    hello = Hello("z-1", "here", 7, "1", 0.0, [1], [], [], [], True).payload()
+    put += [
+        (f"{prefix}/here/z-1/rounds", encode_frame(Frame("z-1", 7, 2, [Envelope(32, 0, (), 0, 0, 0.0, "", hello)])))
+    ]
+    for key, data in put:
+        outsider.put(key, data, congestion_control=zenoh.CongestionControl.BLOCK)
+    counters = link.counters
+    await until(lambda: counters.malformed + counters.strangers + counters.other_version >= len(put))
+    assert counters.malformed >= 200
+    assert counters.other_version >= 190
+    assert counters.strangers >= 6
+    assert (counters.failed, link.bus.stopped, list(link.peers)) == (0, False, ["b-1"])
+    theirs = asyncio.create_task(child.ask("consensus", size=2, rounds=50))
+    assert (await consensus_here(link, 2, 50))["0"] == (await theirs)["1"] == [0.5] * 6
+
+
+async def test_a_peer_that_sends_nonsense_is_counted(ground: Ground) -> None:
+    link = await ground.link([0])
+    outsider = ground.outsider()
+    token = outsider.liveliness().declare_token(f"choir/{ground.swarm}/live/there/z-1")
+    await until(lambda: "z-1" in link.peers)
+    hello = Hello("z-1", "there", 7, "1", 0.0, [1], [], [], [], False).payload()
+    others = Hello("b-1", "there", 7, "1", 0.0, [1], [], [], [], False).payload()
+    for payload in (b"", os.urandom(40), encode({"process": "z-1"}), others, hello):
+        frame = encode_frame(Frame("z-1", 7, 2, [Envelope(HELLO.number, 0, (), 0, 0, 0.0, "", payload)]))
+        outsider.put(f"choir/{ground.swarm}/f/a-1/there/z-1/rounds", frame)
+    await until(lambda: 1 in link.directory)
+    assert link.counters.malformed == 4
+    messages = [Envelope(n % 65, 1, (0,), n, n, 1e8, "c" * n, os.urandom(n)) for n in range(256)]
+    frame = encode_frame(Frame("z-1", 7, 2, messages))
+    Communicator(link.bus.ports[0], Graph.from_edges([0, 1], [[0, 1]]))
+    outsider.put(f"choir/{ground.swarm}/f/a-1/there/z-1/rounds", frame)
+    await until(lambda: link.bus.ports[0].counters.received >= 252)
+    assert link.counters.failed == 0
+    token.undeclare()
+
+
+async def test_what_cannot_be_sent_is_counted(ground: Ground) -> None:
+    link = await ground.link([0])
+    await ground.child([1])
+    await until(ground.knows(link))
+    link.forward(RESULT, 0, [1], bytes(5 << 20), 0, "", 0, 0.0)
+    link.forward(RESULT, 0, [1], b"", 0, "c" * 300, 0, 0.0)
+    link.forward(RESULT, 0, [1], b"", 0, "", 0, float("inf"))
+    assert link.counters.unsendable == 3
+    link.forward(RESULT, 0, [1], b"", 0, "", 0, -1e-9)
+    assert link.counters.unsendable == 3
+    before = link.counters.frames_sent
+    await until(lambda: link.counters.frames_sent > before)
+
+
+@pytest.mark.parametrize("size", [60_000, 100_000, 649_000])
+async def test_large_messages_arrive(ground: Ground, size: int) -> None:
+    link = await ground.link([0])
+    other = await ground.link([1], "c-1", listen=[endpoint(ground.ports[1])])
+    await until(ground.knows(link, "c-1"))
+    await until(ground.knows(other, "a-1"))
+    arrived: list[int] = []
+    other.bus.ports[1].handlers[ROUND.number] = lambda *message: arrived.append(len(message[1]))
+    for k in range(5):
+        link.forward(ROUND, 0, [1], bytes(size), k, "", 0, 0.0)
+        await asyncio.sleep(0.1)
+    await until(lambda: len(arrived) >= 3, 2.0)
+
+
+async def test_a_message_ages_while_the_loop_hangs(ground: Ground) -> None:
+    link = await ground.link([0])
+    other = await ground.link([1], "c-1", listen=[endpoint(ground.ports[1])])
+    await until(ground.knows(link, "c-1"))
+    ages: list[float] = []
+    link.bus.ports[0].handlers[ROUND.number] = lambda *message: ages.append(message[-1])
+    other.bus.ports[1].send(ROUND, (0,), b"x")
+    other._flush()
+    time.sleep(0.2)  # noqa: ASYNC251 - the loop hangs
+    await until(lambda: ages)
+    assert 0.15 < ages[0] < 1.0
+
+
+async def test_an_alarm_is_heard_while_the_loop_hangs(ground: Ground) -> None:
+    link = await ground.link([0])
+    child = await ground.child([OBSERVER])
+    await child.ask("subscribe", topic="log", source=-1, reader=OBSERVER)
+    public: list[str] = []
+    subscriber = ground.outsider().declare_subscriber(
+        f"choir/{ground.swarm}/drone/0/alarm", lambda sample: public.append(sample.payload.to_string())
+    )
+    await until(lambda: link.bus.ports[0]._readers.get(LOG.number))
+    await asyncio.sleep(0.1)
+    got = asyncio.create_task(child.ask("get", topic="log"))
+    await asyncio.sleep(0.05)
+    thread = threading.Thread(target=link.alarm, args=(0, "loop hangs"))
+    thread.start()
+    time.sleep(0.3)  # noqa: ASYNC251 - the loop hangs
+    assert public == ["loop hangs"]
+    assert "loop hangs" in (await got)["value"]
+    thread.join()
+    subscriber.undeclare()
+
+
+async def test_a_stopped_peer_delays_nobody(ground: Ground) -> None:
+    link = await ground.link([0], lease=10.0)
+    child = await ground.child([1])
+    await until(ground.knows(link))
+    os.kill(child.process.pid, signal.SIGSTOP)
+    worst = []
+    for _ in range(3):
+        link.counters.worst_put_s = 0.0
+        for _ in range(200):
+            link.bus.ports[0].send(ROUND, (1,), bytes(20_000))
+            await asyncio.sleep(0.001)
+        worst.append(link.counters.worst_put_s)
+    assert min(worst) < 0.002, "this machine may steal some ms, but not always"
+    assert max(worst) < 1.0, "and a put that waits does so for 5 s"
+    began = time.perf_counter()
+    await ground.stack.aclose()
+    assert time.perf_counter() - began < 3.0
+
+
+async def test_closing_ends_a_link_for_good(ground: Ground) -> None:
+    link = await ground.link([0])
+    child = await ground.child([1])
+    await until(ground.knows(link))
+    began = time.perf_counter()
+    await link.on_stop()
+    assert time.perf_counter() - began < 3.0
+    link.forward(RESULT, 0, [1], b"", 0, "", 0, 0.0)
+    link.alarm(0, "too late")
+    assert link.counters.dropped == 1
+    assert (await child.when("heard", empty=True))["heard"] == []

@@ -1,0 +1,278 @@
+import asyncio
+
+import numpy as np
+import pytest
+from virtual_time import virtual
+
+from crazychoir.bus import commands
+from crazychoir.bus.codec import decode, encode
+from crazychoir.bus.commands import ACCEPTED, DONE, REFUSED, Answer, Commander, CommandServer
+from crazychoir.bus.local import OBSERVER, Bus
+from crazychoir.bus.topics import ANSWER, ESTOP, REQUEST
+from crazychoir.errors import Refused
+
+
+class Swarm:
+    """An operator and the command servers of some drones; what they were told is in `done` and `stops`."""
+
+    def __init__(self, clock, *ids, execute=None):
+        self.clock = clock
+        self.bus = Bus(clock)
+        self.operator = Commander(self.bus.port(OBSERVER, 0xF1))
+        self.done, self.stops = [], []
+        self.execute = execute or self.note
+        self.servers = {i: self.serve(i) for i in ids}
+
+    def serve(self, i):
+        return CommandServer(self.bus.port(i), self.execute, lambda on: self.stops.append((i, on)))
+
+    async def note(self, verb, arguments):
+        self.done.append((verb, arguments))
+        return len(self.done)
+
+
+def losing(port, lose):
+    """Lose what arrives at a port where `lose(topic, payload, number)` is true; returns all that came."""
+    deliver, came = port.deliver, []
+
+    def lossy(topic, source, payload, number, *rest):
+        came.append((topic, payload))
+        if not lose(topic, payload, number):
+            deliver(topic, source, payload, number, *rest)
+
+    port.deliver = lossy
+    return came
+
+
+def ask(server, body, number=1, channel="f1", age=0.0):
+    server.port.deliver(REQUEST.number, OBSERVER, body, number, channel, 0, age)
+
+
+@virtual
+async def test_a_request_is_done_and_answered(clock):
+    swarm = Swarm(clock, 1, 2)
+    answer = await swarm.operator.request(2, "go", height=1.5, path=[1, 2])
+    assert answer == Answer(2, DONE, 1)
+    assert swarm.done == [("go", {"height": 1.5, "path": [1, 2]})]
+    assert clock.now() == 0.0
+
+
+@virtual
+async def test_a_request_is_accepted_at_once_and_done_later(clock):
+    async def slowly(verb, arguments):
+        await clock.sleep(2.0)
+        return "there"
+
+    swarm = Swarm(clock, 1, execute=slowly)
+    came = losing(swarm.operator.port, lambda *message: False)
+    assert await swarm.operator.request(1, "go") == Answer(1, DONE, "there")
+    kinds = [decode(payload)[0] for _, payload in came]
+    assert kinds[0] == ACCEPTED
+    assert kinds.count(DONE) == 1
+    assert clock.now() == 2.0
+
+
+@virtual
+async def test_refusals_carry_their_reason(clock):
+    async def refuse(verb, arguments):
+        if verb == "fly":
+            raise Refused("drone 1", "battery low")
+        raise KeyError("height")
+
+    swarm = Swarm(clock, 1, execute=refuse)
+    assert await swarm.operator.request(1, "fly") == Answer(1, REFUSED, "battery low")
+    assert await swarm.operator.request(1, "go") == Answer(1, REFUSED, "KeyError: 'height'")
+
+
+@virtual
+async def test_a_result_that_cannot_travel_is_a_refusal(clock):
+    async def strange(verb, arguments):
+        return object()
+
+    answer = await Swarm(clock, 1, execute=strange).operator.request(1, "go")
+    assert answer.kind == REFUSED
+    assert "CodecError" in answer.detail
+
+
+@virtual
+async def test_nobody_there_is_a_timeout_that_names_drone_and_verb(clock):
+    swarm = Swarm(clock, 1)
+    with pytest.raises(TimeoutError, match=r"drone 9: no answer to 'land' within 2 s"):
+        await swarm.operator.request(9, "land", deadline=2.0)
+    assert clock.now() == 2.0
+    assert swarm.bus.unroutable == 20
+    assert swarm.operator._waiting == {}
+
+
+@virtual
+async def test_a_cancelled_request_is_forgotten(clock):
+    swarm = Swarm(clock)
+    request = asyncio.create_task(swarm.operator.request(9, "land"))
+    await clock.sleep(0.25)
+    request.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await request
+    assert swarm.operator._waiting == {}
+
+
+@virtual
+async def test_under_loss_requests_are_resent_and_executed_once(clock):
+    swarm, draws = Swarm(clock, 1, 2, 3), np.random.default_rng(4)
+    for port in swarm.bus.ports.values():
+        losing(port, lambda *message: draws.random() < 0.5)
+    wanted = []
+    for k in range(60):
+        answer = await swarm.operator.request(1 + k % 3, "step", deadline=10.0, k=k)
+        wanted.append(("step", {"k": k}))
+        assert (answer.kind, answer.detail) == (DONE, k + 1)
+    assert swarm.done == wanted
+    assert clock.now() > 3.0
+
+
+@virtual
+async def test_a_repeat_while_it_runs_is_accepted_and_not_started_again(clock):
+    async def slowly(verb, arguments):
+        begun.append(verb)
+        await clock.sleep(1.0)
+
+    begun, swarm = [], Swarm(clock, 1, execute=slowly)
+    server = swarm.servers[1]
+    for number in range(2):
+        ask(server, encode(["go", {}, 5.0]), number)
+    await clock.sleep(0.5)
+    for number in range(100, 101 + commands.REMEMBERED):
+        ask(server, encode(["late", {}, -1.0]), number)
+    ask(server, encode(["go", {}, 5.0]), 0)
+    await clock.sleep(2.0)
+    assert begun == ["go", "go"]
+    assert server._running == {}
+    assert len(server._answers) <= commands.REMEMBERED
+
+
+@virtual
+async def test_equal_numbers_of_other_issuers_and_lives_are_other_requests(clock):
+    swarm = Swarm(clock, 1)
+    for channel in ("f1", "f2"):
+        for _ in range(2):
+            ask(swarm.servers[1], encode(["go", {}, 1.0]), 1, channel)
+    swarm.servers[1].port.deliver(REQUEST.number, OBSERVER + 1, encode(["go", {}, 1.0]), 1, "f1", 0, 0.0)
+    await clock.sleep(0.1)
+    assert len(swarm.done) == 3
+
+
+@virtual
+async def test_a_request_past_its_deadline_is_refused(clock):
+    swarm = Swarm(clock, 1)
+    came = losing(swarm.operator.port, lambda *message: False)
+    ask(swarm.servers[1], encode(["go", {}, 0.5]), 1, age=0.6)
+    ask(swarm.servers[1], encode(["go", {}, 0.5]), 2, age=0.4)
+    await clock.sleep(0.1)
+    assert [decode(payload) for _, payload in came] == [
+        [REFUSED, "the deadline has passed"],
+        [ACCEPTED, None],
+        [DONE, 1],
+    ]
+    assert swarm.done == [("go", {})]
+
+
+@virtual
+async def test_a_resent_request_says_how_much_time_remains(clock):
+    swarm = Swarm(clock, 1)
+    came = losing(swarm.bus.ports[1], lambda *message: True)
+    with pytest.raises(TimeoutError):
+        await swarm.operator.request(1, "go", deadline=0.25)
+    assert [decode(payload)[2] for _, payload in came] == pytest.approx([0.25, 0.15, 0.05])
+
+
+@virtual
+async def test_malformed_requests_and_answers_are_counted(clock):
+    swarm = Swarm(clock, 1)
+    bodies = [b"", b"\xff", encode(3), encode(["go"]), encode([1, {}, 1.0]), encode(["go", 3, 1.0])]
+    for number, body in enumerate([*bodies, encode(["go", {}, "soon"])]):
+        ask(swarm.servers[1], body, number)
+    await clock.sleep(0.1)
+    assert (swarm.done, swarm.servers[1].port.counters.malformed) == ([], 7)
+    for body in (b"\xff", encode(3), encode([1, 2, 3])):
+        swarm.operator.port.deliver(ANSWER.number, 1, body, 1, "f1", 0, 0.0)
+    assert swarm.operator.port.counters.malformed == 3
+
+
+@virtual
+async def test_answers_to_a_former_life_of_the_operator_are_not_taken(clock):
+    swarm = Swarm(clock)
+    request = asyncio.create_task(swarm.operator.request(1, "go", deadline=1.0))
+    await clock.sleep(0.1)
+    swarm.operator.port.deliver(ANSWER.number, 1, encode([DONE, "old"]), 1, "f0", 0, 0.0)
+    swarm.operator.port.deliver(ANSWER.number, 1, encode([DONE, "now"]), 1, "f1", 0, 0.0)
+    assert await request == Answer(1, DONE, "now")
+
+
+# Emergency stop -----------------------------------------------------------------------------------------------
+
+
+@virtual
+async def test_everybody_stops_and_a_clear_undoes_it(clock):
+    swarm = Swarm(clock, 1, 2, 3)
+    assert await swarm.operator.emergency_stop([1, 2, 3]) == []
+    assert swarm.stops == [(1, True), (2, True), (3, True)]
+    assert swarm.bus.stopped
+    assert await swarm.operator.emergency_stop([1, 2, 3], clear=True) == []
+    assert swarm.stops[3:] == [(1, False), (2, False), (3, False)]
+    assert not swarm.bus.stopped
+
+
+@virtual
+async def test_a_stop_is_resent_until_all_have_acknowledged_and_carried_out_once(clock):
+    swarm, draws = Swarm(clock, 1, 2, 3), np.random.default_rng(2)
+    for port in swarm.bus.ports.values():
+        losing(port, lambda *message: draws.random() < 0.7)
+    assert await swarm.operator.emergency_stop([1, 2, 3]) == []
+    assert sorted(swarm.stops) == [(1, True), (2, True), (3, True)]
+    assert clock.now() > 0.2
+    assert swarm.operator._acknowledged == {}
+
+
+@virtual
+async def test_only_those_that_did_not_answer_are_asked_again(clock):
+    swarm = Swarm(clock, 1, 2)
+    first = losing(swarm.bus.ports[1], lambda *message: False)
+    second = losing(swarm.bus.ports[2], lambda *message: clock.now() < 1.0)
+    await swarm.operator.emergency_stop([1, 2])
+    assert (len(first), len(second)) == (1, 11)
+
+
+@virtual
+async def test_those_that_do_not_acknowledge_are_returned(clock):
+    swarm = Swarm(clock, 1, 2)
+    losing(swarm.bus.ports[2], lambda *message: True)
+    assert await swarm.operator.emergency_stop([1, 2, 9], deadline=3.0) == [2, 9]
+    assert 3.0 <= clock.now() <= 3.2
+    assert swarm.operator._acknowledged == {}
+
+
+@virtual
+async def test_a_stop_persists_over_a_restart(clock):
+    swarm = Swarm(clock, 1)
+    await swarm.operator.emergency_stop([1])
+    swarm.bus.close(1)
+    swarm.serve(1)
+    assert swarm.bus.stopped
+
+
+@virtual
+async def test_a_late_repeat_of_a_clear_does_not_undo_a_later_stop(clock):
+    swarm = Swarm(clock, 1)
+    for number, clear in [(1, False), (2, True), (3, False), (2, True), (1, False)]:
+        swarm.servers[1].port.deliver(ESTOP.number, OBSERVER, encode(clear), number, "f1", 0, 0.0)
+    assert swarm.bus.stopped
+    assert swarm.stops == [(1, True), (1, False), (1, True)]
+
+
+@virtual
+async def test_a_stop_that_cannot_be_read_is_a_stop(clock):
+    swarm = Swarm(clock, 1)
+    for number, payload in enumerate([b"\xff", encode(1), encode("clear")]):
+        swarm.bus.stopped = False
+        swarm.servers[1].port.deliver(ESTOP.number, OBSERVER, payload, number, "f1", 0, 0.0)
+        assert swarm.bus.stopped
+    assert swarm.stops == [(1, True)] * 3

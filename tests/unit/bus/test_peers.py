@@ -1,0 +1,185 @@
+"""Peers, HELLO, endpoints and public copies, without a network."""
+
+import json
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from crazychoir.bus import endpoints
+from crazychoir.bus.codec import encode
+from crazychoir.bus.hello import TIE, Hello
+from crazychoir.bus.local import Bus, Interest
+from crazychoir.bus.peers import MAX_PEERS, Peer, Peers
+from crazychoir.bus.public import as_json
+from crazychoir.bus.topics import STATUS
+from crazychoir.errors import CodecError, ConfigError, Refused
+from crazychoir.runtime.clock import Clock
+from crazychoir.types import State, Status
+
+
+def hello(process: str = "b", drones: tuple[int, ...] = (1,), **changes: Any) -> Hello:
+    fields = {"host": "there", "incarnation": 2, "version": "1", "uptime": 1.0, "observers": []}
+    fields |= {"interests": [], "heard": ["a"], "stopped": False}
+    return Hello(process=process, drones=list(drones), **{**fields, **changes})
+
+
+class Still(Clock):
+    """Stands still until it is set."""
+
+    ns = 0
+
+    def now_ns(self) -> int:
+        return self.ns
+
+
+class Here:
+    """Process a with drone 0, and what it was told."""
+
+    def __init__(self, uptime: float = 0.0) -> None:
+        self.clock = Still()
+        self.bus = Bus(self.clock, process="a", host="here")
+        self.bus.port(0)
+        self.tokens: list[tuple[list[int], bool]] = []
+        self.refused: list[Refused] = []
+        self.peers = Peers(
+            self.bus, "s", 1, "1", lambda ids, there: self.tokens.append((ids, there)), self.refused.append
+        )
+        self.clock.ns = round(uptime * 1e9)
+
+    def hear(self, said: Hello, age: float = 0.0) -> bool:
+        peer = self.peers.came("there", said.process) or self.peers.by_name[said.process]
+        return self.peers.greeted(peer, said.payload(), age)
+
+
+@pytest.fixture
+def here() -> Here:
+    return Here()
+
+
+def test_a_peer_is_known_from_token_to_token(here: Here) -> None:
+    assert here.hear(hello(heard=[])) is True, "it does not know us"
+    assert here.hear(hello()) is False
+    assert here.peers.directory[1].process == "b"
+    assert here.peers.went("elsewhere", "b") is None, "the token of another host"
+    assert here.peers.went("there", "b") is not None
+    assert (here.peers.directory, here.peers.by_name) == ({}, {})
+    assert here.tokens == [([1], True), ([1], False)]
+
+
+def test_hello_of_somebody_else_is_refused(here: Here) -> None:
+    peer = here.peers.came("there", "b")
+    with pytest.raises(CodecError, match="sent by b on there"):
+        here.peers.greeted(peer, hello("c").payload(), 0.0)
+    assert peer.hello is None
+
+
+def test_we_repeat_the_same_bytes_until_something_changes(here: Here) -> None:
+    payload, age = here.peers.hello()
+    here.clock.ns += 2_000_000_000
+    again, older = here.peers.hello()
+    assert again is payload
+    assert older - age == pytest.approx(2.0)
+    here.bus.port(7)
+    changed, age = here.peers.hello()
+    assert (Hello.of(changed).drones, Hello.of(changed).uptime, age) == ([0, 7], 2.0, 0.0)
+
+
+def test_the_later_of_two_gives_way(here: Here) -> None:
+    here.hear(hello(drones=(0,), uptime=1.0), age=0.5)
+    (refused,) = here.refused
+    assert str(refused) == (
+        "swarm s: refused: process b on host there flies drone(s) 0 too and has done so for 1.5 s. "
+        "Give this agent another --id, or stop that one."
+    )
+    here.hear(hello(drones=(0,), uptime=2.0))
+    assert len(here.refused) == 1, "once is enough"
+    senior = Here(uptime=5.0)
+    senior.hear(hello(drones=(0,), uptime=1.0))
+    assert (senior.refused, senior.peers.directory) == ([], {})
+
+
+@given(st.floats(0.0, TIE / 2), st.floats(0.0, TIE / 2), st.floats(0.0, 0.9 * TIE))
+def test_of_two_that_start_together_exactly_one_gives_way_or_both(ours: float, theirs: float, apart: float) -> None:
+    """The way of a HELLO takes `ours` or `theirs` s; b starts `apart` s after a."""
+    b_yields = hello("a").precedes("b", apart - ours)
+    a_yields = hello("b").precedes("a", -apart - theirs)
+    assert b_yields or a_yields
+    assert not a_yields, "a is the lesser name and was first"
+
+
+def test_a_third_party_believes_the_elder(here: Here) -> None:
+    here.hear(hello("young", (5,), uptime=1.0))
+    here.hear(hello("old", (5, 6), uptime=9.0))
+    assert [here.peers.directory[i].process for i in (5, 6)] == ["old", "old"]
+    here.peers.went("there", "old")
+    assert here.peers.directory[5].process == "young"
+
+
+def test_interests_count_once_both_have_heard(here: Here) -> None:
+    sent: list[tuple[int, ...]] = []
+    here.bus.forwarder = type("F", (), {"forward": lambda self, topic, source, to, *rest: sent.append(tuple(to))})()
+    here.bus.ports[0].publish(STATUS, Status("landed"))
+    wish = [Interest("status", 0, 10_001)]
+    here.hear(hello(drones=(), observers=[10_001], interests=wish, heard=[]))
+    assert sent == []
+    here.hear(hello(drones=(), observers=[10_001], interests=wish))
+    here.hear(hello(drones=(), observers=[10_001], interests=wish, uptime=3.0))
+    assert sent == [(10_001,)], "the latched value, once"
+    here.peers.went("there", "b")
+    here.bus.ports[0].publish(STATUS, Status("flying"))
+    assert sent == [(10_001,)]
+
+
+def test_only_sensible_interests_are_wanted() -> None:
+    rates = (0.0, 10.0, -1.0, float("nan"), float("inf"), 5e-324)
+    wishes = [Interest("state", 0, 10_001, rate) for rate in rates] + [Interest("state", 0, 3)]
+    assert [one.rate for one in hello(observers=[10_001], interests=wishes).wants()] == [0.0, 10.0]
+
+
+def test_an_emergency_stop_spreads_to_newcomers(here: Here) -> None:
+    here.hear(hello(stopped=True))
+    assert here.bus.stopped is True
+
+
+def test_peers_are_bounded(here: Here) -> None:
+    made = [here.peers.came("there", f"p{k}") for k in range(MAX_PEERS + 5)]
+    assert sum(isinstance(peer, Peer) for peer in made) == MAX_PEERS
+
+
+@given(st.binary(max_size=200) | st.builds(encode, st.dictionaries(st.text(), st.integers(-9, 9) | st.text())))
+def test_nonsense_is_no_hello(payload: bytes) -> None:
+    with pytest.raises(CodecError):
+        Hello.of(payload)
+
+
+@pytest.mark.parametrize(
+    "wrong", ["bogus", "tcp/127.0.0.1", "tcp/127.0.0.1:99999", "foo/127.0.0.1:7", "tcp/a b:7", "tcp/::1:7", ""]
+)
+def test_malformed_endpoints_are_named(wrong: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        endpoints.settings(["tcp/127.0.0.1:7460"], [wrong], 1.0)
+    assert str(caught.value) == (
+        f"connect endpoint: found {wrong}; allowed: tcp/<address>:<port>, as tcp/192.168.1.10:7460, port 0 to 65535; "
+        "also udp, tls, quic, ws. Look at base_port and [hosts] in the swarm file."
+    )
+
+
+def test_the_lease_is_for_other_hosts() -> None:
+    lease = "transport/link/tx/lease"
+    near, far = ["tcp/127.0.0.1:7460"], ["tcp/[::1]:7461", "tls/lab.local:7462?rel=1"]
+    assert endpoints.settings(near, far[:1], 1.0)[lease] == 10_000
+    assert endpoints.settings(near, far, 1.0)[lease] == 1_000
+
+
+def test_names_must_fit_into_keys() -> None:
+    endpoints.check_name("swarm", "lab-3.x_Y")
+    with pytest.raises(ConfigError, match=r"name of the swarm: found a/\*; allowed: 1 to 100 of"):
+        endpoints.check_name("swarm", "a/*")
+
+
+def test_public_copies_are_plain_json() -> None:
+    value = json.loads(as_json(State.at([1.0, 2.0, float("nan")])))
+    assert value == {"p": [1, 2, None], "v": [0, 0, 0], "q": [0, 0, 0, 1], "w": [0, 0, 0], "age": 0}
+    assert json.loads(as_json(Status("flying", note="ü")))["note"] == "ü"

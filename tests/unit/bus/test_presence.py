@@ -1,0 +1,185 @@
+import asyncio
+
+import pytest
+from virtual_time import virtual
+
+from crazychoir.bus.impairment import Impairment
+from crazychoir.bus.local import Bus
+from crazychoir.bus.presence import Presence, PresenceMonitor
+from crazychoir.bus.rules import Partition, Rule
+from crazychoir.bus.topics import HEARTBEAT, ROUND
+from crazychoir.runtime.actor import ON_FAILURE
+
+ABSENT, ALIVE, SUSPECT, LOST = Presence.ABSENT, Presence.ALIVE, Presence.SUSPECT, Presence.LOST
+
+
+class Team:
+    """Monitors of drones 1 to n, each with the diary of what it believed when."""
+
+    def __init__(self, clock, n=2, impairment=None, lost_after=5.0):
+        self.clock = clock
+        self.bus = Bus(clock, impairment)
+        ids = range(1, n + 1)
+        self.monitors = {
+            i: PresenceMonitor(self.bus.port(i), tuple(j for j in ids if j != i), lambda: None, lost_after) for i in ids
+        }
+        self.diaries = {i: [] for i in ids}
+        self.tasks = {}
+        for i in ids:
+            self.monitors[i].listeners.append(lambda j, state, i=i: self.note(i, j, state))
+            self.start(i)
+
+    def note(self, i, j, state):
+        self.diaries[i].append((self.clock.now(), j, state))
+
+    def start(self, i):
+        self.tasks[i] = asyncio.create_task(self.monitors[i].run())
+
+    async def stop(self, i):
+        self.tasks[i].cancel()
+        await asyncio.wait([self.tasks[i]])
+
+
+@virtual
+async def test_silence_makes_suspect_and_then_lost(clock):
+    team = Team(clock)
+    assert team.monitors[1].state(2) is ABSENT
+    await clock.sleep(10.1)
+    await team.stop(2)
+    await clock.sleep(20.0)
+    (alive, *_), (suspect, *_), (lost, *_) = team.diaries[1]
+    assert [state for _, _, state in team.diaries[1]] == [ALIVE, SUSPECT, LOST]
+    assert alive <= 0.25
+    assert 11.0 < suspect <= 11.5
+    assert 5.0 < lost - suspect <= 5.5
+    assert (team.monitors[1].those(LOST), team.monitors[1].those(ALIVE)) == ([2], [])
+
+
+@virtual
+async def test_who_was_never_heard_is_absent_and_not_lost(clock):
+    team = Team(clock, 2, Impairment(1, [Rule({"loss": 1.0}, edge=(2, 1), directed=True)]))
+    await clock.sleep(10.0)
+    team.monitors[1].token_gone(2)
+    await clock.sleep(10.0)
+    assert (team.monitors[1].state(2), team.diaries[1]) == (ABSENT, [])
+    assert team.monitors[2].state(1) is ALIVE
+
+
+@virtual
+async def test_back_before_lost_is_alive_again(clock):
+    team = Team(clock)
+    await clock.sleep(3.1)
+    await team.stop(2)
+    await clock.sleep(4.0)
+    team.start(2)
+    await clock.sleep(20.0)
+    assert [state for _, _, state in team.diaries[1]] == [ALIVE, SUSPECT, ALIVE]
+
+
+@virtual
+async def test_back_after_lost_is_alive_again_too(clock):
+    team = Team(clock, lost_after=1.0)
+    await clock.sleep(1.0)
+    await team.stop(2)
+    await clock.sleep(5.0)
+    team.start(2)
+    await clock.sleep(1.0)
+    assert [state for _, _, state in team.diaries[1]] == [ALIVE, SUSPECT, LOST, ALIVE]
+
+
+@virtual
+async def test_a_partition_looks_like_a_silent_peer_on_both_sides(clock):
+    team = Team(clock, 4, Impairment(1, [], [Partition(10.0, 13.0, (1, 2), (3, 4))]))
+    await clock.sleep(30.0)
+    for i, others in [(1, (3, 4)), (4, (1, 2))]:
+        after = [entry for entry in team.diaries[i] if entry[0] > 1.0]
+        assert [(j, state) for _, j, state in after] == [(j, state) for state in (SUSPECT, ALIVE) for j in others]
+        assert all(11.0 <= when <= 11.3 for when, _, state in after if state is SUSPECT)
+        assert all(13.0 <= when <= 13.3 for when, _, state in after if state is ALIVE)
+
+
+@virtual
+async def test_a_long_partition_loses_the_other_side_only(clock):
+    team = Team(clock, 4, Impairment(1, [], [Partition(10.0, 99.0, (1, 2))]))
+    await clock.sleep(30.0)
+    assert [team.monitors[i].those(LOST) for i in (1, 2, 3, 4)] == [[3, 4], [3, 4], [1, 2], [1, 2]]
+    assert [team.monitors[i].those(ALIVE) for i in (1, 2, 3, 4)] == [[2], [1], [4], [3]]
+
+
+@virtual
+async def test_heavy_loss_is_not_silence(clock):
+    team = Team(clock, 3, Impairment(7, [Rule({"loss": 0.2})]))
+    await clock.sleep(60.0)
+    assert not any(state is LOST for diary in team.diaries.values() for _, _, state in diary)
+
+
+@virtual
+async def test_any_message_is_a_sign_of_life(clock):
+    team = Team(clock)
+    await clock.sleep(1.0)
+    await team.stop(2)
+    for k in range(40):
+        team.bus.ports[2].send(ROUND, (1,), b"", k)
+        await clock.sleep(0.25)
+    assert [state for _, _, state in team.diaries[1]] == [ALIVE]
+
+
+@virtual
+async def test_a_token_that_goes_is_suspect_at_once_and_lost_in_time(clock):
+    team = Team(clock, lost_after=2.0)
+    await clock.sleep(1.1)
+    team.monitors[1].token_gone(2)
+    assert (clock.now(), 2, SUSPECT) in team.diaries[1]
+    await clock.sleep(3.0)
+    assert team.monitors[1].state(2) is LOST  # its heartbeats still come; its process is going
+
+
+@virtual
+async def test_a_token_that_comes_back_is_alive_again(clock):
+    team = Team(clock)
+    await clock.sleep(1.1)
+    team.monitors[1].token_gone(2)
+    await clock.sleep(1.0)
+    team.monitors[1].token_back(2)
+    await clock.sleep(0.3)
+    assert [state for _, _, state in team.diaries[1]] == [ALIVE, SUSPECT, ALIVE]
+
+
+@virtual
+async def test_a_token_tells_nothing_about_a_drone_that_hangs(clock):
+    team = Team(clock)
+    await clock.sleep(1.1)
+    await team.stop(2)
+    await clock.sleep(2.0)
+    team.monitors[1].token_back(2)
+    await clock.sleep(0.3)
+    assert team.monitors[1].state(2) is SUSPECT
+
+
+@virtual
+async def test_who_is_watched_may_change(clock):
+    team = Team(clock, 3)
+    await clock.sleep(1.0)
+    team.monitors[1].watched = (2,)
+    sent = team.bus.ports[1].counters.sent
+    await clock.sleep(1.0)
+    assert team.bus.ports[1].counters.sent - sent == 4
+    assert team.monitors[1].those(ALIVE) == [2]
+
+
+@virtual
+async def test_heartbeats_carry_what_beat_says_and_are_numbered(clock):
+    bus = Bus(clock)
+    seen, beats = [], iter([[1], [2], [3], [4], [5]])
+    bus.port(2).handlers[HEARTBEAT.number] = lambda *message: seen.append(message[2:4])
+    monitor = PresenceMonitor(bus.port(1), (2,), lambda: next(beats))
+    running = asyncio.create_task(monitor.run())
+    await clock.sleep(1.1)
+    running.cancel()
+    assert seen == [(number, "heartbeat") for number in range(1, 6)]
+    with pytest.raises(StopIteration):
+        next(beats)
+
+
+def test_a_monitor_that_fails_is_started_again():
+    assert PresenceMonitor.restart is ON_FAILURE

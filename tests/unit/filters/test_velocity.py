@@ -1,0 +1,65 @@
+import numpy as np
+import pytest
+
+from crazychoir.filters.velocity import VelocityFilter
+from crazychoir.types import Pose
+
+
+def pose(x, age=0.0):
+    return Pose(np.array([x, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]), age)
+
+
+def test_before_the_first_pose_there_is_no_state():
+    assert VelocityFilter().predict(3.0) is None
+
+
+def test_the_first_sample_gives_no_spike():
+    state = VelocityFilter().update(pose(5.0), 100.0)
+    np.testing.assert_array_equal(state.v, 0.0)
+    np.testing.assert_array_equal(state.w, 0.0)
+    np.testing.assert_array_equal(state.p, [5.0, 0.0, 1.0])
+
+
+def flying(f, until):
+    for k in range(until + 1):
+        state = f.update(pose(0.01 * k), 0.01 * k)
+    return state
+
+
+def test_without_poses_it_goes_on_at_constant_velocity_and_says_how_old_it_is():
+    f = VelocityFilter()
+    flying(f, 100)
+    state = f.predict(1.2)
+    assert state.p[0] == pytest.approx(1.2, abs=1e-6)
+    assert state.age == pytest.approx(0.2)
+
+
+def test_a_prediction_goes_no_further_than_the_horizon():
+    f = VelocityFilter(horizon=0.5)
+    flying(f, 100)
+    assert f.predict(9.0).p[0] == pytest.approx(1.5, abs=1e-6)
+    assert f.predict(9.0).age == pytest.approx(8.0)
+
+
+def test_a_gap_leaves_the_mean_velocity_and_no_spike():
+    f = VelocityFilter()
+    flying(f, 100)
+    assert f.update(pose(1.5), 1.5).v[0] == pytest.approx(1.0, abs=1e-6)
+
+
+@pytest.mark.parametrize("now", [1.0, 0.9])
+def test_a_repeated_or_older_pose_changes_nothing(now):
+    f = VelocityFilter()
+    before = flying(f, 100)
+    again = f.update(pose(0.3, age=1.0 - now), 1.0)
+    np.testing.assert_array_equal(again.flat, before.flat)
+
+
+def test_a_pose_that_is_not_finite_counts_as_missing():
+    f = VelocityFilter()
+    flying(f, 100)
+    state = f.update(pose(np.nan), 1.01)
+    assert np.all(np.isfinite(state.flat))
+    assert state.age == pytest.approx(0.01)
+    assert f.refused == 1
+    assert VelocityFilter().update(pose(np.inf), 0.0) is None

@@ -1,0 +1,49 @@
+import numpy as np
+import pytest
+
+from crazychoir.math3d import conjugate, logarithm, product
+from crazychoir.mocap.simulated import SimulatedMocap
+
+
+def truth(ids):
+    x = np.zeros((len(ids), 13))
+    x[:, 0] = ids
+    x[:, 9] = 1.0
+    return x
+
+
+def test_what_is_drawn_depends_on_seed_tick_and_id_alone():
+    calls = SimulatedMocap(range(4), 3)
+    for k in range(5):
+        last = calls.sample(truth(range(4)), k)
+    alone = SimulatedMocap([2], 3).sample(truth([2]), 4)
+    np.testing.assert_array_equal(alone[0].flat, last[2].flat)
+    assert not np.array_equal(SimulatedMocap([2], 4).sample(truth([2]), 4)[0].flat, last[2].flat)
+
+
+def test_the_noise_has_the_asked_deviations():
+    mocap = SimulatedMocap(range(50), 0, noise_p=0.001, noise_angle=0.01)
+    flat = np.array([p.flat for k in range(100) for p in mocap.sample(truth(range(50)), k)])
+    at = np.tile(np.arange(50.0), 100)
+    assert np.std(flat[:, 0] - at) == pytest.approx(0.001, rel=0.05)
+    turns = np.array([logarithm(product(conjugate((0.0, 0.0, 0.0, 1.0)), tuple(q))) for q in flat[:, 3:]])
+    np.testing.assert_allclose(np.std(turns, axis=0), 0.01, rtol=0.05)
+
+
+def test_dropouts_are_independent_of_each_other_and_as_frequent_as_asked():
+    mocap = SimulatedMocap(range(20), 0, dropout=0.3)
+    gone = np.array([[p is None for p in mocap.sample(truth(range(20)), k)] for k in range(1000)])
+    assert gone.mean() == pytest.approx(0.3, abs=0.01)
+    between = np.corrcoef(gone.T)[np.triu_indices(20, 1)]
+    assert np.abs(between).max() < 0.15
+
+
+def test_poses_arrive_late_with_their_age():
+    mocap = SimulatedMocap([0], 0, noise_p=0.0, noise_angle=0.0, latency_steps=3)
+    x, seen = truth([0]), []
+    for k in range(6):
+        x[0, 0] = k
+        seen.append(mocap.sample(x, k)[0])
+    assert seen[:3] == [None, None, None]
+    assert [p.p[0] for p in seen[3:]] == [0.0, 1.0, 2.0]
+    assert seen[3].age == pytest.approx(0.03)

@@ -1,0 +1,61 @@
+from itertools import product
+
+import numpy as np
+import pytest
+
+from crazychoir.routing.generate import random_instance
+from crazychoir.routing.master import Pool, partition
+from crazychoir.routing.pricing import Column, RouteTable
+
+
+@pytest.fixture
+def columns():
+    """All columns of three robots."""
+    instance = random_instance(3, 4, seed=8, capable=0.7, route_length_limit=40.0)
+    tables = [RouteTable(instance.local(i)) for i in range(3)]
+    return [(i, tables[i].column(c)) for i in range(3) for c in range(1, len(tables[i]))]
+
+
+def cheapest_exact_cover(columns):
+    own = [[None] + [c for i, c in columns if i == robot] for robot in range(3)]
+    covers = (choice for choice in product(*own) if sorted(j for c in choice if c for j in c.tasks) == [0, 1, 2, 3])
+    return min(sum(c.length for c in choice if c) for choice in covers)
+
+
+def test_the_partition_is_the_cheapest_exact_cover(columns):
+    found = partition(columns, 4, seed=0, nodes=1000)
+    assert found.cost == pytest.approx(cheapest_exact_cover(columns))
+    assert found.bound == pytest.approx(found.cost)
+    assert sorted(j for tasks in found.routes.values() for j in tasks) == [0, 1, 2, 3]
+
+
+def test_the_relaxation_is_below_and_its_prices_are_dual_feasible(columns):
+    pool = Pool(4)
+    for robot, column in columns:
+        pool.add(robot, [column])
+    relaxed = pool.relax(np.full(4, 100.0))
+    assert relaxed.value <= cheapest_exact_cover(columns) + 1e-6
+    least = [
+        min(0.0, *(c.length - relaxed.prices[list(c.tasks)].sum() for i, c in columns if i == r)) for r in range(3)
+    ]
+    assert relaxed.prices.sum() + sum(least) == pytest.approx(relaxed.value)
+
+
+def test_no_cover_is_none_and_relaxes_at_the_penalty():
+    lonely = [(0, Column(3.0, (0,)))]
+    assert partition(lonely, 2, seed=0, nodes=10) is None
+    assert partition([], 2, seed=0, nodes=10) is None
+    pool = Pool(2)
+    pool.add(0, [Column(3.0, (0,))])
+    assert pool.relax(np.array([50.0, 50.0])).value == pytest.approx(53.0)
+    assert Pool(2).relax(np.array([50.0, 60.0])).value == pytest.approx(110.0)
+
+
+def test_a_shorter_tour_of_the_same_set_replaces_the_longer():
+    pool = Pool(3)
+    assert pool.add(1, [Column(5.0, (0, 2)), Column(6.0, (1,))]) == 2
+    assert pool.add(1, [Column(5.0, (0, 2))]) == 0
+    assert pool.add(1, [Column(4.5, (0, 2))]) == 1
+    assert pool.add(0, [Column(9.0, (0, 2))]) == 1
+    assert pool.items() == [(0, Column(9.0, (0, 2))), (1, Column(4.5, (0, 2))), (1, Column(6.0, (1,)))]
+    assert not pool.has(1, Column(4.0, (0, 2)))

@@ -1,0 +1,261 @@
+import json
+import os
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from crazychoir.bus.codec import decode, encode
+from crazychoir.errors import ConfigError, SolverError
+from crazychoir.routing.checker import check
+from crazychoir.routing.generate import random_instance
+from crazychoir.routing.instance import Instance
+from crazychoir.routing.master import partition
+from crazychoir.routing.member import Settings
+from crazychoir.routing.pickup_delivery import METHODS, PickupDelivery
+from crazychoir.routing.pricing import RouteTable
+from crazychoir.routing.solve import diameter, joined, solve_in_loop, team
+from crazychoir.swarm.round import Round
+
+BENCHMARKS = [
+    "pdvrp_opt_N3_M3_s1",
+    "pdvrp_opt_N5_M5_s1",
+    "pdvrp_opt_N5_M8_s1_R25",
+    "pdvrp_opt_lab6_M10_s1",
+    "pdvrp_opt_N10_M15_s1_R25",
+]
+
+
+@pytest.mark.parametrize("shape", ["ring", "complete"])
+@pytest.mark.parametrize("name", BENCHMARKS)
+def test_the_optimum_is_found_and_proven(reference_data, graph, name, shape):
+    path = reference_data("pdvrp") / f"{name}.json"
+    instance, optimum = Instance.load(path), json.loads(path.read_text())["optimum"]
+    solution = solve_in_loop(instance, graph(shape, instance.robots))
+    assert solution.feasible
+    assert solution.cost == pytest.approx(optimum, abs=1e-6)
+    assert solution.bound_exact
+    assert optimum - 1e-4 <= solution.lower_bound <= solution.cost
+    assert solution.rounds <= 200
+
+
+@pytest.mark.parametrize("shape", ["ring", "path", "star"])
+@pytest.mark.parametrize("name", ["flat", "limited", "room"])
+def test_own_instances_on_other_graphs(small, graph, name, shape):
+    instance, optimum = small(name)
+    solution = solve_in_loop(instance, graph(shape, instance.robots))
+    assert (solution.feasible, solution.cost) == (True, pytest.approx(optimum, abs=1e-6))
+
+
+def test_the_demo_flies_all_six_robots(repository, graph):
+    path = repository / "agents" / "data" / "lab6.json"
+    solution = solve_in_loop(Instance.load(path), graph("ring", 6))
+    assert solution.cost == pytest.approx(json.loads(path.read_text())["optimum"])
+    assert [route.robot for route in solution.routes] == [0, 1, 2, 3, 4, 5]
+
+
+@pytest.mark.parametrize("method", ["resource", "resource-argmax"])
+@pytest.mark.parametrize("seed", range(6))
+def test_prices_and_claims_alone_end_in_a_feasible_plan_above_their_bound(graph, method, seed):
+    instance = random_instance(5, 7, seed, capable=0.7, route_length_limit=45.0)
+    solution = solve_in_loop(instance, graph("ring", 5), method)
+    best = solve_in_loop(instance, graph("ring", 5))
+    assert check(instance, solution.plan) == []
+    assert solution.lower_bound <= best.cost + 1e-6
+    assert best.cost <= solution.cost + 1e-6
+    assert not any("columns" in word for word in solution.disclosed)
+
+
+@pytest.mark.parametrize(("method", "names_only"), [("resource", True), ("resource-argmax", False)])
+def test_claims_by_name_tell_no_share(small, graph, method, names_only):
+    instance, _ = small("limited")
+    bids = []
+
+    def listen(message):
+        bids.extend(bid for bid in message if isinstance(bid, list) and len(bid) == 3)
+        return message
+
+    solve_in_loop(instance, graph("ring", 4), method, carry=listen)
+    assert bids
+    assert all(amount == -float(robot) for _, amount, robot in bids) == names_only
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_messages_are_plain_values_and_the_codec_changes_nothing(small, graph, method):
+    instance, _ = small("limited")
+    plain = solve_in_loop(instance, graph("ring", 4), method)
+    coded = solve_in_loop(instance, graph("ring", 4), method, carry=lambda message: decode(encode(message)))
+    assert coded == plain
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_the_order_of_the_agents_changes_nothing(small, graph, method):
+    instance, _ = small("limited")
+    agents = team(instance, graph("path", 4), method)
+    plain = solve_in_loop(instance, graph("path", 4), method)
+    order = [2, 0, 3, 1]
+    while not agents[0].done:
+        messages = {i: agents[i].message() for i in order}
+        for i in order:
+            agents[i].step({j: messages[j] for j in reversed(graph("path", 4)[i])})
+    assert all(agent.done for agent in agents.values())
+    assert joined(instance, [agents[i].solution for i in order]) == plain
+
+
+def test_all_robots_know_the_same_digest_cost_and_bound_but_only_their_own_route(small, graph):
+    instance, _ = small("limited")
+    agents = team(instance, graph("ring", 4))
+    assert all(isinstance(agent, Round) and agent.heavy for agent in agents.values())
+    while not all(agent.done for agent in agents.values()):
+        messages = {i: agent.message() for i, agent in agents.items()}
+        assert len({agent.done for agent in agents.values()}) == 1
+        for i, agent in agents.items():
+            agent.step({j: messages[j] for j in graph("ring", 4)[i]})
+    solutions = [agent.solution for agent in agents.values()]
+    assert len({(s.plan_digest, s.cost, s.lower_bound, s.rounds) for s in solutions}) == 1
+    for i, solution in enumerate(solutions):
+        assert all(route.robot == i for route in solution.routes)
+    assert {agent.progress.phase for agent in agents.values()} == {"done"}
+    with pytest.raises(SolverError, match="digest"):
+        joined(instance, [replace(solutions[0], plan_digest="0" * 64), *solutions[1:]])
+
+
+def test_the_hash_seed_changes_nothing(repository):
+    code = (
+        "from crazychoir.routing.solve import Instance, solve_in_loop;"
+        f"i = Instance.load(r'{repository / 'tests' / 'data' / 'pickup_delivery_limited.json'}');"
+        "s = solve_in_loop(i, {0: [1, 3], 1: [0, 2], 2: [1, 3], 3: [2, 0]});"
+        "print(s.plan_digest, repr(s.cost), repr(s.lower_bound), s.rounds)"
+    )
+    lines = {
+        subprocess.run(
+            [sys.executable, "-c", code], env=os.environ | {"PYTHONHASHSEED": seed}, capture_output=True, check=True
+        ).stdout
+        for seed in ("1", "2")
+    }
+    assert len(lines) == 1
+    assert len(lines.pop().split()) == 4
+
+
+def test_one_robot_alone(graph):
+    instance = random_instance(1, 4, seed=2, capacities=(5, 5))
+    for method in METHODS:
+        solution = solve_in_loop(instance, {0: []}, method)
+        assert solution.feasible
+        assert len(solution.routes) == 1
+        assert solution.lower_bound <= solution.cost
+
+
+WEAK = Settings(price_rounds=3, batch=2, first_gap=0.002, most_shared=20)
+
+
+@pytest.mark.parametrize("settings", [Settings(), WEAK], ids=["default", "weak"])
+@pytest.mark.parametrize("seed", [18, 33, 39, 45, 52])
+def test_where_the_relaxation_has_a_gap_the_widening_finds_what_enumeration_finds(graph, seed, settings):
+    robots, tasks, limit = 3 + seed % 4, 6 + seed % 5, (25, 32, 45)[seed // 3 % 3]
+    instance = random_instance(robots, tasks, seed, capable=(1, 0.8, 0.5)[seed % 3], route_length_limit=limit)
+    tables = [RouteTable(instance.local(i)) for i in range(robots)]
+    columns = [(i, table.column(c)) for i, table in enumerate(tables) for c in range(1, len(table))]
+    best = partition(columns, tasks, seed=0, nodes=10_000)
+    solution = solve_in_loop(instance, graph("ring", robots), settings=settings)
+    assert solution.cost == pytest.approx(best.cost, abs=1e-6)
+    assert solution.lower_bound == pytest.approx(best.cost, abs=1e-3)
+
+
+def infeasible():
+    """Each task fits alone, both together do not, and there is one robot for them."""
+    raw = {"pickup": [[1.0, 0.0], [9.0, 0.0]], "delivery": [[1.0, 0.0], [9.0, 0.0]], "load": [1.0, 1.0]}
+    homes = {"home": [[5.0, 0.0], [5.0, 1.0]], "capacity": [1.0, 1.0], "route_length_limit": 9.0}
+    return Instance.parse(raw | homes | {"capability": [[True, True], [False, False]]})
+
+
+def test_an_infeasible_instance_is_a_clear_error():
+    with pytest.raises(SolverError, match="infeasible: no plan serves every task"):
+        solve_in_loop(infeasible(), {0: [1], 1: [0]})
+    with pytest.raises(SolverError, match="use the method resource-columns"):
+        solve_in_loop(infeasible(), {0: [1], 1: [0]}, "resource")
+
+
+def test_a_table_that_is_cut_gives_a_plan_without_a_bound(graph):
+    instance = random_instance(4, 6, seed=3)
+    cut = Settings(most_labels=200)
+    for method in METHODS:
+        solution = solve_in_loop(instance, graph("ring", 4), method, cut)
+        assert (solution.feasible, solution.lower_bound, solution.bound_exact) == (True, None, False)
+
+
+def test_one_searcher_is_enough_for_a_large_search(small, graph):
+    instance, optimum = small("limited")
+    solution = solve_in_loop(instance, graph("ring", 4), settings=Settings(small=0, searchers=1))
+    assert solution.cost == pytest.approx(optimum)
+
+
+def test_columns_shared_a_few_at_a_time_still_prove_the_optimum(small, graph):
+    instance, optimum = small("limited")
+    solution = solve_in_loop(instance, graph("ring", 4), settings=Settings(most_shared=1, price_rounds=3, batch=1))
+    assert solution.cost == pytest.approx(optimum)
+
+
+def test_neighbours_with_other_tasks_or_options_are_noticed(small):
+    instance, _ = small("limited")
+    other = Instance.parse(instance.to_json() | {"load": [1.0] * 5})
+    for stranger in (
+        PickupDelivery(other.local(1), [0], 4, 3, {0: 1}),
+        PickupDelivery(instance.local(1), [0], 4, 3, {0: 1}, "resource"),
+        PickupDelivery(instance.local(1), [0], 4, 3, {0: 1}, settings=Settings(batch=3)),
+    ):
+        me = PickupDelivery(instance.local(0), [1], 4, 3, {1: 1})
+        with pytest.raises(ConfigError, match=r"robot 0: neighbour\(s\) 1: found another task list"):
+            me.step({1: stranger.message()})
+
+
+def test_the_first_message_is_light_and_the_table_is_made_in_a_step(small):
+    instance, _ = small("limited")
+    agent = PickupDelivery(instance.local(0), [1], 4, 3, {1: 1})
+    assert isinstance(agent.message(), str)
+    assert "table" not in vars(agent._member)
+    agent.step({1: agent.message()})
+    mu, _ = agent.message()
+    assert isinstance(mu, np.ndarray)
+    assert agent.progress.phase == "prices"
+    with pytest.raises(SolverError, match="not done in round 1"):
+        _ = agent.solution
+
+
+def test_a_damaged_plan_is_noticed(small, graph):
+    instance, _ = small("limited")
+
+    def damage(message):
+        if isinstance(message, list) and len(message) == 5 and isinstance(message[4], str):
+            return [*message[:2], [[9, [0]]], *message[3:]]
+        return message
+
+    with pytest.raises(SolverError, match="its hash differs"):
+        solve_in_loop(instance, graph("path", 4), carry=damage, settings=Settings(small=0, searchers=1))
+
+
+@pytest.mark.parametrize(
+    ("wrong", "text"),
+    [
+        ({0: [1], 1: []}, "one-way edge 0 -> 1"),
+        ({0: [], 1: []}, "no path from 0 to \\[1\\]"),
+        ({0: [1], 1: [0, 2]}, "one-way edge 1 -> 2"),
+    ],
+)
+def test_a_graph_must_be_connected_and_undirected(wrong, text):
+    with pytest.raises(ConfigError, match=text):
+        diameter(wrong)
+
+
+def test_the_graph_must_be_of_the_robots_and_the_method_known(small, graph):
+    instance, _ = small("limited")
+    with pytest.raises(ConfigError, match="the robots 0 to 3"):
+        solve_in_loop(instance, graph("ring", 5))
+    with pytest.raises(ConfigError, match="resource-columns, resource, resource-argmax"):
+        solve_in_loop(instance, graph("ring", 4), "auction")
+
+
+def test_diameters(graph):
+    assert [diameter(graph(shape, 6)) for shape in ("ring", "complete", "path", "star")] == [3, 1, 5, 2]

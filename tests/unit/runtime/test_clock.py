@@ -1,0 +1,335 @@
+import asyncio
+import os
+import threading
+import time
+
+import pytest
+from virtual_time import virtual
+
+from crazychoir.errors import Deadlock, Livelock
+from crazychoir.runtime import clock as clock_module
+from crazychoir.runtime.clock import MESSAGE, SECOND, TICK, TIMEOUT, WORLD, run_virtual, run_wall, within
+from crazychoir.runtime.mailbox import Latest
+
+MS = 1_000_000
+
+
+@virtual
+async def test_alarms_go_by_time_priority_drone_and_sequence(clock):
+    wanted = [
+        (1, TIMEOUT, 9),
+        (2, WORLD, 5),
+        (2, TICK, -1),
+        (2, TICK, 3),
+        (2, TICK, 4),
+        (2, MESSAGE, 0),
+        (3, WORLD, 0),
+    ]
+    seen = []
+    for when, priority, drone in [wanted[k] for k in (3, 6, 0, 5, 4, 1, 2)]:
+        clock.call_at(when * MS, seen.append, (when, priority, drone), priority=priority, drone=drone)
+    await clock.sleep(0.01)
+    assert seen == wanted
+
+
+@virtual
+async def test_equal_alarms_go_in_the_order_of_their_making(clock):
+    seen = []
+    for k in range(20):
+        clock.call_at(MS, seen.append, k)
+    await clock.sleep(0.01)
+    assert seen == list(range(20))
+
+
+@virtual
+async def test_what_an_alarm_sets_off_is_done_before_the_next_alarm_of_that_instant(clock):
+    seen = []
+
+    async def follow(name):
+        await clock.sleep(0.001)
+        seen.append(f"{name} wakes")
+        await asyncio.gather(asyncio.create_task(step(name)))
+        seen.append(f"{name} ends")
+
+    async def step(name):
+        seen.append(f"{name} steps")
+
+    await asyncio.gather(follow("a"), follow("b"))
+    assert seen == ["a wakes", "a steps", "a ends", "b wakes", "b steps", "b ends"]
+
+
+@virtual
+async def test_a_cancelled_alarm_neither_rings_nor_moves_the_clock(clock):
+    seen = []
+    clock.call_at(5 * MS, seen.append, "cancelled").cancel()
+    await clock.sleep(0.001)
+    assert (seen, clock.now_ns()) == ([], MS)
+
+
+def test_an_hour_takes_no_time():
+    async def main(clock):
+        await clock.sleep(3600.0)
+        return clock.now(), asyncio.get_running_loop().time()
+
+    began = time.perf_counter()
+    assert run_virtual(main) == (3600.0, 3600.0)
+    assert time.perf_counter() - began < 1.0
+
+
+def test_deadlock_names_who_waits_for_what():
+    async def main(clock):
+        box = Latest(clock, "drone 3 pose")
+        clock.call_at(5 * MS, print, "a cancelled alarm moves no clock").cancel()
+        await asyncio.create_task(box.get(), name="drone 3 pilot")
+
+    with pytest.raises(Deadlock) as caught:
+        run_virtual(main)
+    text = str(caught.value)
+    assert "at 0.000000000 s" in text
+    assert "drone 3 pilot waits in mailbox.py:" in text
+    assert "Mailbox._wait (drone 3 pose)" in text
+    assert "test_deadlock_names_who_waits_for_what.<locals>.main" in text
+
+
+def test_passes_without_time_are_a_livelock(monkeypatch):
+    monkeypatch.setattr(clock_module, "LIVELOCK_PASSES", 1000)
+
+    async def main(clock):
+        await asyncio.create_task(spin(clock), name="drone 1 guidance")
+
+    async def spin(clock):
+        while True:
+            await clock.sleep(0.0)
+
+    with pytest.raises(Livelock, match=r"1000 loop passes at 0\.0.*drone 1 guidance waits in clock\.py"):
+        run_virtual(main)
+
+
+def test_alarms_that_set_themselves_again_at_once_are_a_livelock(monkeypatch):
+    monkeypatch.setattr(clock_module, "LIVELOCK_PASSES", 1000)
+
+    async def main(clock):
+        def again():
+            clock.call_at(clock.now_ns(), again)
+
+        again()
+        await clock.sleep(1.0)
+
+    with pytest.raises(Livelock):
+        run_virtual(main)
+
+
+def test_many_passes_with_time_are_no_livelock(monkeypatch):
+    monkeypatch.setattr(clock_module, "LIVELOCK_PASSES", 100)
+
+    async def main(clock):
+        for _ in range(1000):
+            await clock.sleep(1e-9)
+        return clock.now_ns()
+
+    assert run_virtual(main) == 1000
+
+
+@virtual
+async def test_executors_run_inline_in_virtual_time(clock):
+    here = threading.get_ident()
+    loop = asyncio.get_running_loop()
+    assert await loop.run_in_executor(None, threading.get_ident) == here
+    assert await asyncio.to_thread(threading.get_ident) == here
+    assert await clock.compute(threading.get_ident) == here
+    with pytest.raises(ZeroDivisionError):
+        await asyncio.to_thread(lambda: 1 / 0)
+    assert clock.now_ns() == 0
+
+
+@virtual
+async def test_timeouts_of_asyncio_are_in_virtual_time(clock):
+    with pytest.raises(TimeoutError):
+        async with asyncio.timeout(1.5):
+            await clock.sleep(2.0)
+    assert clock.now() == 1.5
+    with pytest.raises(TimeoutError):
+        await within(0.25, asyncio.Event().wait())
+    assert clock.now() == 1.75
+    _, pending = await asyncio.wait([asyncio.create_task(clock.sleep(9.0))], timeout=0.25)
+    assert (len(pending), clock.now()) == (1, 2.0)
+
+
+@virtual
+async def test_what_is_done_at_the_very_deadline_is_in_time(clock):
+    async with asyncio.timeout(0.5):
+        await clock.sleep(0.5)
+    assert clock.now() == 0.5
+
+
+@virtual
+async def test_ticks_are_on_a_grid_and_missed_ones_are_skipped(clock):
+    await clock.sleep(0.5)
+    ticks, seen = clock.ticks(100), []
+    async for due in ticks:
+        seen.append(((due - SECOND // 2) // MS, clock.now_ns() // MS - 500))
+        if len(seen) == 2:
+            await clock.sleep(0.035)
+        if len(seen) == 5:
+            break
+    assert seen == [(10, 10), (20, 20), (50, 55), (60, 60), (70, 70)]
+    assert ticks.missed == 2
+
+
+@virtual
+async def test_a_tick_says_how_late_it_is(clock):
+    ticks = clock.ticks(100)
+    await anext(ticks)
+    assert ticks.late_ns == 0
+    await clock.sleep(0.013)
+    await anext(ticks)
+    assert (ticks.late_ns, ticks.missed) == (3 * MS, 0)
+
+
+def test_a_virtual_run_repeats():
+    async def main(clock):
+        seen = []
+
+        async def actor(i):
+            async for due in clock.ticks(50 + 25 * (i % 3), drone=i):
+                seen.append((due, i))
+
+        with pytest.raises(TimeoutError):
+            await within(0.5, asyncio.gather(*(actor(i) for i in (4, 2, 0, 3, 1))))
+        return seen
+
+    first = run_virtual(main)
+    assert first == run_virtual(main)
+    assert first == sorted(first)
+    assert len(first) > 100
+
+
+def test_an_error_of_the_program_comes_out():
+    async def main(clock):
+        await clock.sleep(1.0)
+        raise LookupError("mine")
+
+    with pytest.raises(LookupError, match="mine"):
+        run_virtual(main)
+
+
+# Wall clock ---------------------------------------------------------------------------------------------------
+
+
+def test_a_sleep_in_real_time_is_never_early():
+    async def main(clock):
+        async def one(seconds):
+            wanted = time.monotonic_ns() + round(seconds * SECOND)
+            await clock.sleep(seconds)
+            late.append(time.monotonic_ns() - wanted)
+
+        await asyncio.gather(*(one(0.0001 * k) for k in range(60)))
+        for k in range(20):
+            await one(0.00013 * k)
+
+    late = []
+    run_wall(main)
+    assert len(late) == 80
+    assert min(late) >= 0
+    assert min(late) < MS // 2  # asyncio's own sleep is a millisecond late
+
+
+def test_an_earlier_alarm_is_not_kept_waiting_by_a_later_one():
+    async def main(clock):
+        later = asyncio.create_task(clock.sleep(5.0))
+        await clock.sleep(0.001)
+        began = clock.now()
+        await clock.sleep(0.005)
+        later.cancel()
+        return clock.now() - began
+
+    assert 0.005 <= run_wall(main) < 1.0
+
+
+def test_due_alarms_of_real_time_go_in_the_same_order_as_in_virtual_time(caplog):
+    async def main(clock):
+        seen, when = [], clock.now_ns()
+        for priority, drone in [(TIMEOUT, 0), (TICK, 2), (TICK, 1), (WORLD, 7)]:
+            clock.call_at(when, seen.append, (priority, drone), priority=priority, drone=drone)
+        clock.call_at(when, seen.append, "cancelled").cancel()
+        await clock.sleep(0.002)
+        return seen
+
+    assert run_wall(main) == [(WORLD, 7), (TICK, 1), (TICK, 2), (TIMEOUT, 0)]
+    assert caplog.text == ""
+
+
+def test_ticks_in_real_time():
+    async def main(clock):
+        ticks, seen = clock.ticks(500), []
+        began = ticks.due_ns
+        async for due in ticks:
+            assert clock.now_ns() >= due
+            seen.append(due - began)
+            if len(seen) == 20:
+                return seen, ticks.missed
+
+    seen, missed = run_wall(main)
+    assert all(due % (2 * MS) == 0 for due in seen)
+    assert seen[-1] == (20 + missed) * 2 * MS
+
+
+def test_an_alarm_that_fails_does_not_stop_the_clock(caplog):
+    async def main(clock):
+        clock.call_at(clock.now_ns(), lambda: 1 / 0)
+        await clock.sleep(0.002)
+        return True
+
+    assert run_wall(main)
+    assert "ZeroDivisionError" in caplog.text
+
+
+def test_computing_in_real_time_is_in_a_thread_and_the_loop_goes_on():
+    async def main(clock):
+        ticks = 0
+        event = threading.Event()
+        computing = asyncio.create_task(clock.compute(lambda: (event.wait(5.0), threading.get_ident())))
+        async for _ in clock.ticks(1000):
+            ticks += 1
+            if ticks == 5:
+                event.set()
+                return await computing
+
+    in_time, thread = run_wall(main)
+    assert in_time
+    assert thread != threading.get_ident()
+
+
+def test_the_wall_clock_gives_its_descriptor_back():
+    async def main(clock):
+        await clock.sleep(0.001)
+
+    run_wall(main)
+    before = len(os.listdir("/proc/self/fd"))
+    run_wall(main)
+    assert len(os.listdir("/proc/self/fd")) == before
+
+
+@virtual
+async def test_a_task_that_waits_for_a_tick_can_be_cancelled_and_go_on_with_the_next(clock):
+    seen = []
+
+    async def tick():
+        ticks = clock.ticks(10.0)
+        try:
+            seen.append(await anext(ticks))
+            await anext(ticks)
+        except asyncio.CancelledError:
+            seen.append(clock.now_ns())
+            seen.append(await anext(ticks))
+            raise
+
+    task = asyncio.create_task(tick())
+    await clock.sleep(0.15)
+    assert task.cancel()
+    await clock.sleep(0.0)
+    assert seen == [100 * MS, 150 * MS]
+    await asyncio.wait([task])
+    assert task.cancelled()
+    assert seen == [100 * MS, 150 * MS, 300 * MS]
+    assert not clock._heap

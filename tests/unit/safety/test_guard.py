@@ -1,0 +1,102 @@
+import numpy as np
+import pytest
+
+from crazychoir.errors import ConfigError
+from crazychoir.safety.guard import ALL_WELL, TABLE, Action, Fence, Guard, Rule, Throttle
+from crazychoir.types import State
+
+HERE = State.at((0.0, 0.0, 1.0))
+
+
+def test_all_is_well():
+    assert Guard().check(0.0, HERE, 0.01, 0.02) is ALL_WELL
+    assert Guard().check(0.0, HERE, 0.01, None) is ALL_WELL
+
+
+@pytest.mark.parametrize(
+    ("age", "action"),
+    [(0.10, Action.NOMINAL), (0.11, Action.HOVER), (0.6, Action.LAND), (2.1, Action.CUT), (np.nan, Action.CUT)],
+)
+def test_an_old_pose_brakes_then_lands_then_cuts(age, action):
+    assert Guard().check(0.0, HERE, age, 0.0).action == action
+
+
+@pytest.mark.parametrize(("age", "action"), [(0.3, Action.NOMINAL), (0.31, Action.HOVER), (5.1, Action.LAND)])
+def test_an_old_reference_hovers_then_lands(age, action):
+    assert Guard().check(0.0, HERE, 0.0, age).action == action
+
+
+@pytest.mark.parametrize(
+    ("x", "action"), [(3.0, Action.NOMINAL), (3.1, Action.HOVER), (-3.3, Action.LAND), (3.6, Action.CUT)]
+)
+def test_the_fence(x, action):
+    assert Guard().check(0.0, State.at((x, 0.0, 1.0)), 0.0, 0.0).action == action
+
+
+def test_a_state_that_is_not_finite_and_no_state_at_all_cut():
+    broken = State(np.array([0.0, 0.0, 1.0, *[np.nan] * 10]))
+    assert Guard().check(0.0, broken, 0.0, 0.0).action == Action.CUT
+    assert Guard().check(0.0, None, np.inf, None).action == Action.CUT
+
+
+def test_the_reason_names_what_was_found_the_limit_and_what_is_done():
+    assert Guard().check(0.0, HERE, 0.31, 0.0).reason == "pose 0.31 s old, limit 0.10 s: braking"
+    assert "outside the fence" in Guard().check(0.0, State.at((0, 0, 2.6)), 0.0, 0.0).reason
+
+
+def test_the_worst_action_wins():
+    verdict = Guard().check(0.0, State.at((3.1, 0.0, 1.0)), 0.6, 0.4)
+    assert verdict.action == Action.LAND
+    assert verdict.reason.startswith("pose")
+
+
+def test_recovery_waits_until_all_has_been_calm_for_a_while():
+    guard = Guard()
+    actions = []
+    for k in range(200):
+        age = 0.2 if k < 10 else (0.08 if k < 60 else 0.01)  # below the limit but not yet below `clear` until tick 60
+        actions.append(guard.check(0.01 * k, HERE, age, 0.0).action)
+    assert set(actions[:110]) == {Action.HOVER}
+    assert set(actions[111:]) == {Action.NOMINAL}
+
+
+def test_a_relapse_starts_the_wait_anew():
+    guard = Guard()
+    guard.check(0.0, HERE, 0.2, 0.0)
+    guard.check(0.1, HERE, 0.0, 0.0)
+    guard.check(0.4, HERE, 0.2, 0.0)
+    assert guard.check(0.7, HERE, 0.0, 0.0).action == Action.HOVER
+    assert guard.check(1.1, HERE, 0.0, 0.0).action == Action.HOVER
+    assert guard.check(1.3, HERE, 0.0, 0.0).action == Action.NOMINAL
+
+
+def test_a_latched_rule_acts_until_it_is_reset():
+    guard = Guard()
+    guard.check(0.0, State.at((4.0, 0.0, 1.0)), 0.0, 0.0)
+    assert guard.check(99.0, HERE, 0.0, 0.0).action == Action.CUT
+    guard.reset()
+    assert guard.check(99.1, HERE, 0.0, 0.0).action == Action.NOMINAL
+
+
+def test_the_table_is_data():
+    strict = Guard(table=(*TABLE, Rule("reference", 0.05, Action.CUT, latched=True)))
+    assert strict.check(0.0, HERE, 0.0, 0.06).action == Action.CUT
+    with pytest.raises(ConfigError, match="measure"):
+        Guard(table=(Rule("battery", 1.0, Action.LAND),))
+
+
+def test_outside_is_the_distance_over_the_nearest_side_passed():
+    fence = Fence.box((-1, -2, 0), (1, 2, 3))
+    assert fence.outside(0.0, 0.0, 1.5) == pytest.approx(-1.0)
+    assert fence.outside(1.25, 0.0, 1.5) == pytest.approx(0.25)
+    assert fence.outside(0.0, 0.0, -0.5) == pytest.approx(0.5)
+    np.testing.assert_allclose(fence.nearest(np.array([5.0, 0.0, 1.0])), [0.9, 0.0, 1.0])
+    with pytest.raises(ConfigError, match="corners"):
+        Fence.box((0, 0, 0), (1, -1, 1))
+
+
+def test_a_reason_is_said_once_a_second():
+    say = Throttle()
+    said = [k for k in range(250) if say.due(0.01 * k, "pose")]
+    assert said == [0, 100, 200]
+    assert say.due(0.5, "fence")
