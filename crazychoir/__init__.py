@@ -1,13 +1,21 @@
-"""crazychoir: swarms of Crazyflie quadrotors that optimise and fly together, without ROS."""
+"""crazychoir: swarms of Crazyflie quadrotors that optimise and fly together, without ROS.
 
-from crazychoir.errors import CrazyChoirError
-from crazychoir.guidance.base import CFDistributedFeedback, CFGuidance
-from crazychoir.guidance.pickup_delivery import PDVRPGuidance
-from crazychoir.swarm.communicator import Communicator
-from crazychoir.swarm.config import SwarmConfig
-from crazychoir.swarm.graph import Graph, GraphSequence
-from crazychoir.swarm.round import Round
-from crazychoir.types import FPQR, Acceleration, FullState, Goto, PerNeighbor, Pose, State
+The names below are imported when they are first used: numerics and kernels take 1 s, which a command line's help,
+or a program that needs one room, does not spend.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from crazychoir.errors import CrazyChoirError
+    from crazychoir.guidance.base import CFDistributedFeedback, CFGuidance
+    from crazychoir.guidance.pickup_delivery import PDVRPGuidance
+    from crazychoir.swarm.communicator import Communicator
+    from crazychoir.swarm.config import SwarmConfig
+    from crazychoir.swarm.graph import Graph, GraphSequence
+    from crazychoir.swarm.round import Round
+    from crazychoir.types import FPQR, Acceleration, FullState, Goto, PerNeighbor, Pose, State
 
 __all__ = [
     "FPQR",
@@ -27,3 +35,27 @@ __all__ = [
     "State",
     "SwarmConfig",
 ]
+_ROOM_OF = {
+    "CrazyChoirError": "errors",
+    "CFDistributedFeedback": "guidance.base",
+    "CFGuidance": "guidance.base",
+    "PDVRPGuidance": "guidance.pickup_delivery",
+    "Communicator": "swarm.communicator",
+    "SwarmConfig": "swarm.config",
+    "Graph": "swarm.graph",
+    "GraphSequence": "swarm.graph",
+    "Round": "swarm.round",
+    **dict.fromkeys(("FPQR", "Acceleration", "FullState", "Goto", "PerNeighbor", "Pose", "State"), "types"),
+}
+
+if not TYPE_CHECKING:  # with it, a type checker would take every name for one of ours
+
+    def __getattr__(name: str) -> object:
+        """A public name, from its room (PEP 562)."""
+        if name not in _ROOM_OF:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        value = globals()[name] = getattr(import_module(f"{__name__}.{_ROOM_OF[name]}"), name)
+        return value
+
+    def __dir__() -> list[str]:
+        return sorted([*globals(), *__all__])

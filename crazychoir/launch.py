@@ -4,14 +4,14 @@ import asyncio
 import contextlib
 import json
 import math
-import os
 import random
 import signal
 import socket
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterable
+from collections import deque
+from collections.abc import AsyncIterator, Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -39,6 +39,8 @@ SETTLED = 0.01
 """m, from the goal: a formation is settled when every drone stays within it."""
 GRACE = 20.0
 """s that processes get to end after SIGTERM, before they are killed."""
+LOGGED = 1000
+"""Log lines that a score keeps: the newest."""
 
 Watch = Callable[["Score"], None]
 
@@ -61,7 +63,12 @@ class Call(Mailbox[Any]):
 
 @dataclass
 class Score(Actor):
-    """What an observer sees of a swarm: states, statuses, distances, lengths flown, distance from a goal."""
+    """What an observer sees of a swarm: states, statuses, distances, lengths flown, distance from a goal.
+
+    It is as large after an hour as after a minute.
+    errors: (s since the law began, m of the drone that is farthest from its goal), the last time that anybody was
+    beyond SETTLED, and the newest.
+    """
 
     bus: Bus
     ids: tuple[int, ...]
@@ -72,10 +79,9 @@ class Score(Actor):
 
     def __post_init__(self) -> None:
         self.statuses: dict[int, Status] = {}
-        self.log: list[str] = []
+        self.log: deque[str] = deque(maxlen=LOGGED)
         self.min_separation = float("inf")
         self.flown: dict[int, float] = dict.fromkeys(self.ids, 0.0)
-        self.paths: dict[int, list[Vec]] = {i: [] for i in self.ids}
         self.errors: list[tuple[float, float]] = []
         self._seen: dict[int, tuple[Vec, Vec, float]] = {}
         self._law = False
@@ -101,7 +107,6 @@ class Score(Actor):
         if seen is not None:
             self.flown[i] += math.dist(state.p.tolist(), seen[0].tolist())
         self._seen[i] = (state.p, state.v, self.bus.clock.now() - age)
-        self.paths[i].append(state.p)
 
     def _logged(self, line: str, age: float) -> None:
         self.log.append(line)
@@ -125,7 +130,8 @@ class Score(Actor):
             self.min_separation = min(self.min_separation, float(gaps.min()))
         if self._law and np.isnan(self._ended):
             far = max(float(np.linalg.norm(self._seen[i][0] - self.goal[i])) for i in self.goal)
-            self.errors.append((now - self._started, far))
+            beyond = [error for error in self.errors if error[1] > SETTLED]
+            self.errors = [*beyond[-1:], (now - self._started, far)]
 
     def formation(self) -> dict[str, float | None]:
         """formation_error_m at the end of the law, settling_s until all stay within 1 cm of the goal (null: never)."""
@@ -174,16 +180,23 @@ def summary(
     score: Score,
     simulated: float,
     wall: float,
+    here: tuple[int, ...] | None = None,
 ) -> dict[str, Any]:
-    """The object that `run --json` prints."""
+    """The object that `run --json` prints.
+
+    here: the drones that were started here, None for all: they decide on the success. What is measured from outside
+    is of the whole swarm. The mission's own report needs the results of all drones, and is left out without them.
+    """
+    here = here or config.ids
     reasons = {i: r.get("reason", "no result") for i, r in sorted(results.items()) if not r.get("success")}
-    absent = [i for i in config.ids if i not in results]
+    absent = [i for i in here if i not in results]
     separation = score.min_separation
-    of_mission = mission.report(config, results) if has(mission, "report") else {}
+    of_mission = mission.report(config, results) if here == config.ids and has(mission, "report") else {}
     return {
         "mission": config.mission,
         "success": not reasons and not absent and bool(of_mission.pop("success", True)),
         "drones": len(config.ids),
+        "here": list(here),
         "simulated_s": simulated,
         "wall_s": wall,
         "real_time_factor": simulated / wall,
@@ -194,7 +207,7 @@ def summary(
         "reasons": reasons,
         "absent": absent,
         "flown_m": {i: round(length, 4) for i, length in score.flown.items()},
-        "log": score.log,
+        "log": list(score.log),
         "results": results,
         **of_mission,
         **score.formation(),
@@ -204,30 +217,44 @@ def summary(
 # Real time ------------------------------------------------------------------------------------------------------
 
 
+@contextlib.contextmanager
+def swarm_file(config: SwarmConfig) -> Iterator[Path]:
+    """The swarm as a file, while it flies: for its processes, and for who wants to look into it."""
+    with tempfile.TemporaryDirectory(prefix=f"crazychoir-{config.name}-") as folder:
+        path = Path(folder) / "swarm.json"
+        path.write_text(config.dumps())
+        yield path
+
+
 def fly_real(
-    config: SwarmConfig, mission: Mission, options: Iterable[str] = (), watch: Watch | None = None,
-    say: Callable[[str], None] = lambda line: None, only: tuple[int, ...] | None = None,
+    path: Path, config: SwarmConfig, mission: Mission, options: Iterable[str] = (), watch: Watch | None = None,
+    say: Callable[[str], None] = lambda line: None, here: tuple[int, ...] | None = None,
 ) -> dict[str, Any]:  # fmt: skip
-    """One process a group of the swarm file, over Zenoh; this process looks on."""
+    """One process a group of the swarm file, over Zenoh; this process looks on.
+
+    path: the file of `config`, for the processes;  here: the drones to start, None for all: whole groups.
+    """
     began = time.perf_counter()
-    groups = [group for group in config.groups() if only is None or any(i in group for i in only)]
+    groups = [group for group in config.groups() if here is None or any(i in here for i in group)]
 
     async def main(clock: Clock) -> dict[str, Any]:
-        with tempfile.TemporaryDirectory(prefix="crazychoir-") as folder:
-            path = Path(folder) / "swarm.json"
-            path.write_text(config.dumps())
-            bus = Bus(clock, process=f"observer-{os.getpid()}", host="observer")
-            score = Score(bus, config.ids, goal_of(mission, config), watch or (lambda score: None))
-            link = observer_link(bus, config)
-            link.open()
-            looking = asyncio.create_task(Supervisor(clock, "observer").run([link, score]))
+        link = observer(clock, config)
+        address = next(iter(link.bus.ports))
+        score = Score(link.bus, config.ids, goal_of(mission, config), watch or (lambda score: None), address=address)
+        async with attached(link, score):
             results = await _run_children(groups, path, list(options), say)
-            looking.cancel()
-            await asyncio.wait([looking])
-            wall = time.perf_counter() - began
-            return summary(config, mission, results, score, wall, wall)
+        wall = time.perf_counter() - began
+        return summary(config, mission, results, score, wall, wall, here)
 
     return run_wall(main)
+
+
+def observer(clock: Clock, config: SwarmConfig) -> ZenohLink:
+    """The link of an observer under a name and an address of its own: many may look on at once, from many hosts."""
+    draw = random.SystemRandom()
+    bus = Bus(clock, process=f"observer-{draw.getrandbits(32):08x}", host="observer")
+    bus.port(OBSERVER + 1 + draw.getrandbits(24), draw.getrandbits(32))
+    return observer_link(bus, config)
 
 
 def observer_link(bus: Bus, config: SwarmConfig) -> ZenohLink:
@@ -236,6 +263,18 @@ def observer_link(bus: Bus, config: SwarmConfig) -> ZenohLink:
         bus, config.name, listen=["tcp/127.0.0.1:0"], connect=list(config.endpoints().values()),
         incarnation=random.SystemRandom().getrandbits(62), version=VERSION, lease=config.lease,
     )  # fmt: skip
+
+
+@contextlib.asynccontextmanager
+async def attached(link: ZenohLink, *actors: Actor) -> AsyncIterator[None]:
+    """On the network, with these actors at work; afterwards all have stopped."""
+    link.open()
+    serving = asyncio.create_task(Supervisor(link.bus.clock, "observer").run([link, *actors]))
+    try:
+        yield
+    finally:
+        serving.cancel()
+        await asyncio.wait([serving])
 
 
 async def _run_children(

@@ -3,17 +3,20 @@
 import json
 import logging
 import sys
-from typing import Any, NoReturn
+import time
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, Generic, NoReturn, Self, TypeVar
 
 import typer
 from rich.console import Console
-from rich.live import Live
-from rich.logging import RichHandler
 from rich.table import Table
 
 from crazychoir.errors import CrazyChoirError
-from crazychoir.launch import Score
 
+if TYPE_CHECKING:
+    from crazychoir.launch import Score
+
+T = TypeVar("T")
 STDERR = Console(stderr=True)
 REFRESH = 4
 """Tables a second."""
@@ -22,6 +25,8 @@ REFRESH = 4
 def set_up_logging(level: int = logging.WARNING) -> None:
     """Logs go to standard error."""
     if sys.stderr.isatty():
+        from rich.logging import RichHandler
+
         handler: logging.Handler = RichHandler(console=STDERR, show_path=False, rich_tracebacks=False)
     else:
         handler = logging.StreamHandler()
@@ -51,7 +56,7 @@ def _short(value: Any) -> str:
     return text if len(text) <= 40 else f"{text[:37]}..."
 
 
-def status_table(score: Score) -> Table:
+def status_table(score: "Score") -> Table:
     """The live view of a swarm: drones, phase, task, round, cost, messages lost, trouble."""
     table = Table("drone", "phase", "task", "round", "cost", "sent", "lost", "resent", "silent", "note")
     for i in score.ids:
@@ -66,22 +71,28 @@ def status_table(score: Score) -> Table:
     return table
 
 
-class Progress:
-    """A live table of a score, REFRESH times a second; call it with the score."""
+class Progress(Generic[T]):
+    """A live table of what it is called with, REFRESH times a second, and lines above it."""
 
-    def __init__(self, enabled: bool) -> None:
+    def __init__(self, table: Callable[[T], Table], enabled: bool) -> None:
+        from rich.live import Live
+
+        self.table = table
         self.live = Live(console=STDERR, refresh_per_second=REFRESH, transient=True) if enabled else None
+        self._due = 0.0
 
-    def __call__(self, score: Score) -> None:
-        """Show the newest state."""
-        if self.live is not None:
-            self.live.update(status_table(score))
+    def __call__(self, seen: T) -> None:
+        """Show the newest state, when it is time."""
+        if self.live is None or time.perf_counter() < self._due:
+            return
+        self._due = time.perf_counter() + 1.0 / REFRESH
+        self.live.update(self.table(seen))
 
     def say(self, line: str) -> None:
         """A line above the table."""
         STDERR.print(line, markup=False, highlight=False, soft_wrap=True)
 
-    def __enter__(self) -> "Progress":
+    def __enter__(self) -> Self:
         if self.live is not None:
             self.live.start()
         return self
@@ -100,6 +111,8 @@ def summary_table(run: dict[str, Any]) -> Table:
         ("min_separation_m", "{:.3f} m"), ("formation_error_m", "{:.4f} m"), ("settling_s", "{:.2f} s"),
         ("planned_m", "{}"), ("flown_m", "{}"), ("digest", "{}"), ("picture", "{}"),
     ]  # fmt: skip
+    if len(run["here"]) < run["drones"]:
+        table.add_row("started here", ", ".join(map(str, run["here"])))
     for key, form in shown:
         if run.get(key) is not None:
             table.add_row(key, form.format(run[key] if not isinstance(run[key], dict) else _pairs(run[key])))

@@ -2,25 +2,26 @@
 
 import json
 import sys
-import time
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Group
-from rich.live import Live
 from rich.table import Table
 
-from crazychoir.cli.show import STDERR, fail, set_up_logging
+from crazychoir.cli.show import STDERR, Progress, fail, set_up_logging
 from crazychoir.errors import CrazyChoirError
-from crazychoir.routing.instance import Instance
-from crazychoir.routing.pickup_delivery import METHODS
-from crazychoir.solving import Team, solve_here
+
+if TYPE_CHECKING:
+    from crazychoir.routing.instance import Instance
+    from crazychoir.solving import Team
 
 
 def solve(
     instance: Annotated[Path, typer.Argument(help="Instance file (JSON).")],
-    method: Annotated[str, typer.Option(help=f"Recovery of the plan: {', '.join(METHODS)}.")] = METHODS[0],
+    method: Annotated[
+        str, typer.Option(help="Recovery of the plan: resource-columns, resource, resource-argmax.")
+    ] = "resource-columns",
     loss: Annotated[float, typer.Option(help="Share of messages between robots that is lost.")] = 0.0,
     graph: Annotated[
         str, typer.Option(help="Communication graph: ring, path, complete, star, k-regular:4, ...")
@@ -31,9 +32,12 @@ def solve(
 ) -> None:
     """Solve an instance: every robot with its own part of it."""
     set_up_logging()
+    from crazychoir.routing.instance import Instance  # kernels and solvers: 1 s that --help does not need
+    from crazychoir.solving import solve_here
+
     try:
         problem = Instance.load(instance)
-        with _Progress(enabled=not as_json) as progress:
+        with Progress(_progress_table, enabled=not as_json) as progress:
             result = solve_here(problem, method=method, loss=loss, graph=graph, seed=seed, watch=progress)
         if picture is not None:
             _draw(problem, result, picture)
@@ -46,7 +50,7 @@ def solve(
     raise typer.Exit(0 if result["feasible"] else 1)
 
 
-def _draw(problem: Instance, result: dict[str, Any], path: Path) -> None:
+def _draw(problem: "Instance", result: dict[str, Any], path: Path) -> None:
     from crazychoir.routing.picture import draw_routes
     from crazychoir.routing.plan import Plan, Route
 
@@ -54,32 +58,13 @@ def _draw(problem: Instance, result: dict[str, Any], path: Path) -> None:
     draw_routes(problem, Plan(tuple(Route.from_json(route) for route in result["routes"])), path)
 
 
-class _Progress:
-    """A live line a robot: phase, round, cost."""
-
-    def __init__(self, enabled: bool) -> None:
-        self.live = Live(console=STDERR, refresh_per_second=4, transient=True) if enabled else None
-        self._due = 0.0
-
-    def __call__(self, team: Team) -> None:
-        """Show the team, a few times a second."""
-        if self.live is None or time.perf_counter() < self._due:
-            return
-        self._due = time.perf_counter() + 0.2
-        table = Table("robot", "phase", "round", "cost")
-        for i, agent in team.items():
-            cost = "" if agent.progress.cost is None else f"{agent.progress.cost:.3f}"
-            table.add_row(str(i), agent.progress.phase, str(agent.progress.round), cost)
-        self.live.update(table)
-
-    def __enter__(self) -> "_Progress":
-        if self.live is not None:
-            self.live.start()
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        if self.live is not None:
-            self.live.stop()
+def _progress_table(team: "Team") -> Table:
+    """One row a robot: phase, round, cost."""
+    table = Table("robot", "phase", "round", "cost")
+    for i, agent in team.items():
+        cost = "" if agent.progress.cost is None else f"{agent.progress.cost:.3f}"
+        table.add_row(str(i), agent.progress.phase, str(agent.progress.round), cost)
+    return table
 
 
 def _tables(result: dict[str, Any]) -> Group:

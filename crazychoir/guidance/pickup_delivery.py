@@ -39,6 +39,7 @@ class PDVRPGuidance(CFGuidance):
             await self.fly(route, delays[self.id], solution)
         else:
             await self.member.communicator.close("start")  # a neighbour may still lack our last message
+        self.member.report = lambda: {"task": f"done: {len(self.served)} stops", "cost": solution.cost}
         return self.outcome(solution, route)
 
     async def plan(self) -> Solution:
@@ -72,10 +73,11 @@ class PDVRPGuidance(CFGuidance):
 
     async def fly(self, route: Route, delay: float, solution: Solution) -> None:
         """Wait, take off, serve stop by stop, come home, land."""
+        self.member.report = lambda: {"task": f"waiting {delay:g} s for its start", "cost": solution.cost}
+        await self.sleep(delay)
         self.member.report = lambda: {
             "task": f"flying: {len(self.served)}/{len(route.stops)} stops", "cost": solution.cost,
         }  # fmt: skip
-        await self.sleep(delay)
         await self.take_off()
         for stop in route.stops:
             await self.go_to(self.place(stop.task, stop.kind))

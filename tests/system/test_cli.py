@@ -3,17 +3,21 @@
 import asyncio
 import contextlib
 import json
+import logging
 import os
 import signal
 import socket
 from pathlib import Path
 
 import pytest
-from system.agents import AGENT, BRISK, CRAZYCHOIR, Program, until
-from system.commands import call, run
+from system.agents import AGENT, BRISK, CRAZYCHOIR, Program, Team, until
+from system.commands import Said, call, run
+from typer.testing import CliRunner
 
+from crazychoir.cli import agent, crazychoir, window
 from crazychoir.guidance.mission import load
-from crazychoir.launch import apart
+from crazychoir.launch import apart, fly_fast
+from crazychoir.swarm.config import SwarmConfig
 
 pytestmark = pytest.mark.system
 
@@ -38,19 +42,44 @@ def swarm(drones=None):
 DRONE = "[[drones]]\nid = 0\nhome = [0.0, 0.0, 0.0]\n"
 
 
+
+
+@pytest.fixture
+def here(monkeypatch):
+    """Calls a command in this process, where nothing is imported anew; like `call`, which starts one."""
+    monkeypatch.setattr(logging.root, "handlers", [*logging.root.handlers])  # a command sets up its own
+    apps = {"crazychoir": crazychoir.app, "crazychoir-agent": agent.app}
+
+    def call_here(program, *words):
+        done = CliRunner().invoke(apps[program], [str(word) for word in words], catch_exceptions=False)
+        return Said(done.exit_code, done.stdout, done.stderr)
+
+    return call_here
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [
         (["nothing", "--fast"], ["nothing", "bearing_formation, pickup_delivery"]),
         (["no_file.toml", "--fast"], ["no_file.toml"]),
-        (["bearing_formation", "--only", "x"], ["--only", "0 to 3"]),
-        (["bearing_formation", "--only", "17"], ["--only", "17"]),
+        (["bearing_formation", "--only", "2,3"], ["--only", "2,3 without a swarm file", "--swarm"]),
+        (["deploy/lab6.toml", "--only", "x"], ["--only", "0 to 5"]),
+        (["deploy/lab6.toml", "--only", "17"], ["--only: found 17", "0 to 5"]),
+        (["deploy/lab6.toml", "--only", "2", "--fast"], ["--only", "--fast"]),
         (["bearing_formation", "--fast", "--drones", "30"], ["--drones", "30"]),
         (["bearing_formation", "--fast", "--loss", "2"], ["loss", "probability"]),
     ],
 )
-def test_run_refuses(words, said):
-    call("crazychoir", "run", *words).refuses(*said)
+def test_run_refuses(here, repository, monkeypatch, words, said):
+    monkeypatch.chdir(repository)
+    here("crazychoir", "run", *words).refuses(*said)
+
+
+def test_what_is_refused_is_one_json_object_and_exit_code_2():
+    said = call("crazychoir", "run", "nothing", "--fast", "--json")
+    said.refuses("bearing_formation, pickup_delivery")
+    assert said.json["kind"] == "ConfigError"
+    assert said.json["success"] is False
 
 
 @pytest.mark.parametrize(
@@ -61,10 +90,10 @@ def test_run_refuses(words, said):
         ("raise RuntimeError('at import')\n", ["RuntimeError", "at import"]),
     ],
 )
-def test_a_mission_file_that_is_none_is_refused(tmp_path, text, said):
+def test_a_mission_file_that_is_none_is_refused(here, tmp_path, text, said):
     path = tmp_path / "mission.py"
     path.write_text(text)
-    call("crazychoir", "run", path, "--fast").refuses("mission.py", *said)
+    here("crazychoir", "run", path, "--fast").refuses("mission.py", *said)
 
 
 @pytest.mark.parametrize(
@@ -77,10 +106,10 @@ def test_a_mission_file_that_is_none_is_refused(tmp_path, text, said):
         ("name = [", ["swarm.toml"]),
     ],
 )
-def test_a_swarm_file_that_is_wrong_is_refused(tmp_path, text, said):
+def test_a_swarm_file_that_is_wrong_is_refused(here, tmp_path, text, said):
     path = tmp_path / "swarm.toml"
     path.write_text(text)
-    call("crazychoir", "run", path, "--fast").refuses("swarm.toml", *said)
+    here("crazychoir", "run", path, "--fast").refuses("swarm.toml", *said)
 
 
 def test_a_mission_that_fails_lands_its_drone_and_the_others_go_on(tmp_path):
@@ -94,6 +123,20 @@ def test_a_mission_that_fails_lands_its_drone_and_the_others_go_on(tmp_path):
     assert result["flown_m"]["1"] == pytest.approx(2.0, abs=0.1), "up, and down again"
 
 
+def test_the_live_table_shows_a_drone_flying_only_when_it_flies():
+    mission, told = load("pickup_delivery"), {}
+
+    def watch(score):
+        for i, status in score.statuses.items():
+            told.setdefault(i, {})[status.phase, status.task.split(":")[0].split()[0]] = None
+
+    fly_fast(mission.swarm(None).replace(flight=BRISK), mission, watch)
+    assert not any(("on ground", "flying") in seen for seen in told.values()), told
+    assert any(("on ground", "waiting") in seen for seen in told.values()), told
+    assert all(("on ground", "done") in seen for seen in told.values()), told
+    assert all(("hovering", "flying") in seen for seen in told.values()), told
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [
@@ -102,47 +145,61 @@ def test_a_mission_that_fails_lands_its_drone_and_the_others_go_on(tmp_path):
         (["--id", "0", "--connect", "nonsense"], ["connect", "nonsense", "tcp/"]),
     ],
 )
-def test_an_agent_refuses(words, said):
-    call("crazychoir-agent", *words).refuses(*said)
+def test_an_agent_refuses(here, words, said):
+    here("crazychoir-agent", *words).refuses(*said)
+
+
+@pytest.mark.parametrize("words", [["bench"], ["bench", "--help"]])
+def test_bench_has_commands_of_its_own(here, words):
+    said = here("crazychoir", *words)
+    assert all(name in said.out for name in ("exchange", "flight", "latency", "all")), said
+
+
+def test_an_option_of_a_bench_is_read_by_it(here):
+    said = here("crazychoir", "bench", "flight", "--quack")
+    assert said.code == 2
+    assert "--quack" in said.err
 
 
 @pytest.fixture
 def four(tmp_path):
-    """A swarm file of a long formation, on ports of its own."""
-    mission = load("bearing_formation")
-    config = apart(mission.swarm(None).replace(flight=BRISK, mission_options={"duration": 300.0}), None)
-    config = config.replace(start_deadline=3.0)
-    path = tmp_path / "four.json"
+    """A swarm file of a long formation, two drones a process, on ports of its own."""
+    config = apart(load("bearing_formation").swarm(None).replace(flight=BRISK, mission_options={"duration": 300.0}), 2)
+    return written(tmp_path / "four.json", config.replace(start_deadline=60.0))
+
+
+def written(path, config):
     path.write_text(config.dumps())
     return path, config
 
 
-def test_a_port_in_use_is_named(four):
+def test_a_port_in_use_is_named(here, four):
     path, config = four
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", config.base_port))
         taken.listen()
-        call("crazychoir-agent", "--swarm", path, "--id", 0).refuses(str(config.base_port))
+        here("crazychoir-agent", "--swarm", path, "--id", 0).refuses(str(config.base_port))
 
 
 def test_who_is_absent_at_the_start_is_named(four):
-    path, _ = four
+    path, _ = written(four[0], four[1].replace(start_deadline=1.0))
     said = call("crazychoir-agent", "--swarm", path, "--id", 0, "--json")
     assert said.code == 1
-    assert "1, 2, 3 absent after 3 s" in said.json["results"]["0"]["reason"]
+    assert "1, 2, 3 absent after 1 s" in said.json["results"]["0"]["reason"]
 
 
 @pytest.mark.parametrize(
     "words",
     [["echo", "state", "--seconds", "1"], ["hz", "state"], ["status"], ["impair", "--loss", "0.3"], ["stop", "--land"]],
 )
-def test_looking_into_a_swarm_that_does_not_run(four, words):
-    call("crazychoir", *words, "--swarm", four[0]).refuses("no agent found", "is it running?")
+def test_looking_into_a_swarm_that_does_not_run(here, four, monkeypatch, words):
+    monkeypatch.setattr(window, "DISCOVERY", 0.1)
+    here("crazychoir", *words, "--swarm", four[0]).refuses("no agent found", "is it running?")
 
 
-def test_topics_that_do_not_exist_and_edges_that_are_none():
-    call("crazychoir", "echo", "nothing").refuses("nothing", "state")
-    call("crazychoir", "impair", "--edge", "a,b").refuses("--edge", "a,b")
+def test_topics_that_do_not_exist_and_edges_that_are_none(here):
+    here("crazychoir", "echo", "nothing").refuses("nothing", "state")
+    here("crazychoir", "impair", "--edge", "a,b").refuses("--edge", "a,b")
     topics = call("crazychoir", "topics", "--json").json
     assert {"pose", "state", "round"} <= {topic["topic"] for topic in topics}
 
@@ -152,19 +209,34 @@ async def look(*words):
     return await asyncio.to_thread(call, "crazychoir", *words)
 
 
-@pytest.mark.timeout(240)
-async def test_looking_into_a_swarm_that_runs_then_landing_it(four, compiled):
-    path, config = four
-    path.write_text(config.replace(start_deadline=60.0).dumps())
+@contextlib.asynccontextmanager
+async def flown_by(program, path, config, folder):
+    """All drones in the air, flown by `crazychoir run` or by one `crazychoir-agent`; the program and its observer."""
     ids = [word for i in config.ids for word in ("--id", str(i))]
-    agent = await Program.start(*AGENT, "--swarm", path, "--json", *ids)
+    command = (*AGENT, "--swarm", path, "--json", *ids) if program == "agent" else (*CRAZYCHOIR, "run", path, "--json")
+    flying = await Program.start(*command)
+    team = None
     try:
-        phases: dict[str, str] = {}
-        for _ in range(20):
-            said = await look("status", "--swarm", path, "--json")
-            phases = {i: row["phase"] for i, row in said.json.items()} if said.code == 0 else {}
-            if phases.get("2") == "mission":
-                break
+        if program == "run":
+            said = await flying.says("crazychoir status --swarm ")
+            config = SwarmConfig.load(said.rsplit(" ", 1)[1])
+        team = Team(config, folder, lambda i: [])
+        await team.look()
+        await team.phase("mission", "hovering", seconds=60.0)
+        yield flying, team
+    finally:
+        await flying.kill()
+        if team is not None:
+            await team.observer.kill()
+
+
+@pytest.mark.timeout(240)
+async def test_looking_into_a_swarm_that_runs_then_landing_it(four, tmp_path, compiled):
+    path, config = four
+    async with flown_by("agent", path, config, tmp_path) as (agent, team):
+        await until(lambda: all(team.statuses(i)[-1]["phase"] == "mission" for i in (2, 3)), 20.0)
+        said = await look("status", "--swarm", path, "--json")
+        phases = {i: row["phase"] for i, row in said.json.items()}
         assert phases == {"0": "hovering", "1": "hovering", "2": "mission", "3": "mission"}
         said = await look("echo", "state", "--seconds", "1", "--swarm", path)
         rows = [json.loads(line) for line in said.out.splitlines()]
@@ -172,14 +244,67 @@ async def test_looking_into_a_swarm_that_runs_then_landing_it(four, compiled):
         rates = (await look("hz", "state", "--seconds", "2", "--json", "--swarm", path)).json
         assert all(rate > 20.0 for rate in rates.values()), rates
         said = await look("impair", "--loss", "0.3", "--json", "--swarm", path)
+        assert said.code == 0
         assert set(said.json) == {"0", "1", "2", "3"}
         assert "0.3" in str(said.json["0"])
-        assert (await look("stop", "--land", "--swarm", path)).code == 0
+        said = await look("stop", "--land", "--json", "--swarm", path)
+        assert (said.code, said.json) == (0, dict.fromkeys("0123", "acknowledged"))
         ended = await agent.end(40.0)
         assert ended["code"] == 1
         assert "land" in ended["results"]["2"]["reason"]
+
+
+@pytest.mark.timeout(120)
+async def test_a_stop_says_who_has_not_acknowledged(four, compiled):
+    path, _ = four
+    agent = await Program.start(*AGENT, "--swarm", path, "--json", "--id", "0", "--id", "1")
+    try:
+        await listening(four[1].base_port)
+        said = await look("stop", "--json", "--swarm", path)
+        expected = {"0": "acknowledged", "1": "acknowledged", "2": "absent", "3": "absent"}
+        assert (said.code, said.json) == (1, expected), said
     finally:
         await agent.kill()
+
+
+async def listening(port):
+    """Wait until a process listens there."""
+
+    def answers():
+        with socket.socket() as probe:
+            return probe.connect_ex(("127.0.0.1", port)) == 0
+
+    await until(answers, 40.0, lambda: f"nobody listens on {port}")
+
+
+@pytest.mark.timeout(180)
+async def test_two_runs_of_one_swarm_file_meet_when_each_starts_its_drones(four, compiled):
+    path, config = written(four[0], four[1].replace(mission_options={"duration": 1.0}))
+    runs = {only: await Program.start(*CRAZYCHOIR, "run", path, "--only", only, "--json") for only in ("0,1", "2,3")}
+    try:
+        said = await runs["2,3"].says("crazychoir status --swarm ")
+        effective = SwarmConfig.load(said.rsplit(" ", 1)[1])
+        assert effective == config, "the name and the ports of the file"
+        for only, program in runs.items():
+            ended = await program.end(90.0)
+            here = [int(word) for word in only.split(",")]
+            assert (ended["code"], ended["success"], ended["here"]) == (0, True, here), ended
+            assert (ended["drones"], list(map(int, ended["results"]))) == (4, here)
+            assert all(length > 0.5 for length in ended["flown_m"].values()), "all four were seen flying"
+    finally:
+        for program in runs.values():
+            await program.kill()
+
+
+@pytest.mark.timeout(120)
+async def test_a_run_of_some_drones_fails_when_one_of_them_is_missing(four, compiled):
+    path, config = written(four[0], four[1].replace(start_deadline=1.0))
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", config.base_port + 2))
+        taken.listen()
+        said = await look("run", path, "--only", "2,3", "--json")
+    assert said.code == 1
+    assert (said.json["here"], said.json["absent"]) == ([2, 3], [2, 3])
 
 
 def children_of(pid):
@@ -193,56 +318,54 @@ def alive(pid):
     return False
 
 
-async def flying(path):
-    """`crazychoir run` of a swarm file, and its children."""
-    program = await Program.start(*CRAZYCHOIR, "run", path, "--json")
-    await until(lambda: len(children_of(program.process.pid)) == 4, 60.0)
-    await asyncio.sleep(12.0)
-    return program, children_of(program.process.pid)
+def landed(team):
+    """Whether every drone was seen landing, then on the ground, and never stopped in the air."""
+    phases = {i: [status["phase"] for status in team.statuses(i)] for i in team.config.ids}
+    return all("landing" in seen and seen[-1] == "on ground" and "stopped" not in seen for seen in phases.values())
 
 
 @pytest.mark.timeout(240)
-async def test_an_interrupted_run_lands_and_leaves_nobody_behind(four, compiled):
-    path, config = four
-    path.write_text(config.replace(start_deadline=60.0).dumps())
-    program, children = await flying(path)
-    try:
-        program.signal(signal.SIGINT)
-        ended = await program.end(60.0)
-        assert ended["code"] != 0
-        assert ended["success"] is False
-        assert len(ended["reasons"]) == 4, ended
-        assert all("SIG" in reason for reason in ended["reasons"].values())
+@pytest.mark.parametrize("program", ["run", "agent"])
+async def test_an_interrupted_flight_lands_then_ends_and_leaves_nobody_behind(four, tmp_path, compiled, program):
+    async with flown_by(program, *four, tmp_path) as (flying, team):
+        children = children_of(flying.process.pid)
+        assert len(children) == (2 if program == "run" else 0)
+        flying.signal(signal.SIGINT)
+        ended = await flying.end(60.0)
+        assert ended["code"] == 1
+        reasons = [result["reason"] for result in ended["results"].values()]
+        assert len(reasons) == 4, ended
+        assert all("SIG" in reason for reason in reasons)
+        assert landed(team), team.statuses()
         assert not any(alive(child) for child in children)
-    finally:
-        await program.kill()
+        assert "Traceback" not in flying.text
 
 
 @pytest.mark.timeout(240)
-async def test_children_land_and_end_when_their_parent_is_killed(four, compiled):
-    path, config = four
-    path.write_text(config.replace(start_deadline=60.0).dumps())
-    program, children = await flying(path)
-    await program.kill()
-    try:
-        await until(lambda: not any(alive(child) for child in children), 40.0, lambda: "children still run")
-    finally:
-        for child in children:
-            with contextlib.suppress(ProcessLookupError):
-                os.kill(child, signal.SIGKILL)
+async def test_children_land_and_end_when_their_parent_is_killed(four, tmp_path, compiled):
+    async with flown_by("run", *four, tmp_path) as (flying, team):
+        children = children_of(flying.process.pid)
+        assert len(children) == 2
+        await flying.kill()
+        try:
+            await until(lambda: not any(alive(child) for child in children), 40.0, lambda: "children still run")
+            assert landed(team), team.statuses()
+        finally:
+            for child in children:
+                with contextlib.suppress(ProcessLookupError):
+                    os.kill(child, signal.SIGKILL)
 
 
 @pytest.mark.timeout(120)
 async def test_the_second_agent_of_one_drone_is_refused(four, compiled):
     path, config = four
-    path.write_text(config.replace(start_deadline=30.0).dumps())
     first = await Program.start(*AGENT, "--swarm", path, "--id", "0", "--json")
     try:
-        await asyncio.sleep(6.0)
+        await listening(config.base_port)
         second = await Program.start(*AGENT, "--swarm", path, "--id", "0", "--json", "--listen", "tcp/127.0.0.1:0",
                                      "--connect", config.endpoint(0))  # fmt: skip
         ended = await second.end(60.0)
-        assert ended["code"] != 0
+        assert ended["code"] == 1
         assert "Traceback" not in second.text
         assert "flies drone(s) 0 too" in second.text
     finally:

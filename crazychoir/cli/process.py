@@ -1,0 +1,94 @@
+"""One process of a swarm in real time: its drones, its place on the network, its signals."""
+
+import asyncio
+import logging
+import random
+import signal
+from dataclasses import asdict
+from typing import Any
+
+from crazychoir.agent import VERSION, Agent
+from crazychoir.bus.public import PublicCopies
+from crazychoir.bus.zenoh import ZenohLink
+from crazychoir.errors import Refused
+from crazychoir.guidance.mission import Mission
+from crazychoir.runtime.clock import SECOND, Clock, run_wall
+from crazychoir.runtime.watchdog import Watchdog
+from crazychoir.swarm.config import SwarmConfig
+
+log = logging.getLogger(__name__)
+AGAIN = 2.0
+"""s within which signals count together."""
+
+
+def run_agent(
+    config: SwarmConfig, mission: Mission, ids: tuple[int, ...], listen: str | None, connect: list[str] | None
+) -> dict[str, Any]:
+    """Fly these drones in real time, over Zenoh; returns results and counters."""
+
+    async def main(clock: Clock) -> dict[str, Any]:
+        incarnation = random.SystemRandom().getrandbits(62)
+        process = f"{ids[0]}-{incarnation & 0xFFFFFFFF:08x}"
+        agent = Agent(clock, config, mission, ids, process=process, incarnation=incarnation)
+        link = _link(agent, config, ids, listen, connect)
+        link.open()
+        agent.alarm = link.alarm
+        agent.watchdog = Watchdog(clock, agent.stalled)
+        agent.watchdog.start()
+        agent.services += [link, *(PublicCopies(link, i) for i in ids)]
+        _obey_signals(clock, agent)
+        try:
+            results = await agent.run()
+            await clock.sleep(0.3)  # the last statuses leave
+        finally:
+            agent.watchdog.stop()
+        return {
+            "results": results,
+            "network": asdict(link.counters),
+            "worst_put_s": link.counters.worst_put_s,
+            "late_s": agent.watchdog.worst,
+            "presence": {i: drone.barrier.history for i, drone in agent.drones.items()},
+        }
+
+    return run_wall(main)
+
+
+def _link(
+    agent: Agent, config: SwarmConfig, ids: tuple[int, ...], listen: str | None, connect: list[str] | None
+) -> ZenohLink:
+    """Listen on the endpoint of the lowest drone; connect to every lower one: so each pair has one link."""
+    host = config.endpoint(ids[0]).rsplit(":", 1)[0]
+    own = f"{host}:{config.base_port + ids[0]}"
+    lower = [endpoint for process, endpoint in config.endpoints().items() if process < ids[0]]
+
+    def on_token(drones: list[int], there: bool) -> None:
+        for drone in agent.drones.values():
+            for j in drones:
+                (drone.barrier.monitor.token_back if there else drone.barrier.monitor.token_gone)(j)
+
+    def on_refused(refused: Refused) -> None:
+        agent.refuse(refused)
+
+    return ZenohLink(
+        agent.bus, config.name, listen=[listen or own], connect=lower if connect is None else connect,
+        incarnation=agent.incarnation, version=VERSION, lease=config.lease, on_token=on_token, on_refused=on_refused,
+    )  # fmt: skip
+
+
+def _obey_signals(clock: Clock, agent: Agent) -> None:
+    """The first signal lands; a second within 2 s warns; a third cuts the motors."""
+    loop = asyncio.get_running_loop()
+    times: list[int] = []
+
+    def on_signal(number: int) -> None:
+        times.append(clock.now_ns())
+        recent = [t for t in times if t > times[-1] - AGAIN * SECOND]
+        if len(recent) >= 3:
+            agent.cut_all("third signal")
+        elif len(recent) == 2:
+            log.warning("landing; once more within %g s cuts the motors", AGAIN)
+        else:
+            agent.land_all(f"{signal.Signals(number).name}: landing")
+
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        loop.add_signal_handler(number, on_signal, number)

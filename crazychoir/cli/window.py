@@ -1,0 +1,101 @@
+"""A look into a running swarm: the place of an observer and operator on its network."""
+
+import asyncio
+from collections.abc import Awaitable, Callable, Mapping
+from typing import Any
+
+from crazychoir.bus.commands import DONE, Answer, Commander
+from crazychoir.bus.local import OBSERVER
+from crazychoir.bus.topics import Topic
+from crazychoir.bus.zenoh import ZenohLink
+from crazychoir.cli.chosen import chosen_swarm
+from crazychoir.errors import Refused
+from crazychoir.launch import Call, Score, attached, observer
+from crazychoir.runtime.clock import Clock, run_wall
+from crazychoir.swarm.config import SwarmConfig
+
+DISCOVERY = 4.0
+"""s to find the swarm's processes."""
+ABSENT = "absent"
+
+Work = Callable[["Window"], Awaitable[Any]]
+Answers = dict[int, tuple[bool, Any]]
+"""By drone: whether it has done what it was asked, and what it says, or why not."""
+
+
+class Window:
+    """An observer's place in a running swarm."""
+
+    def __init__(self, clock: Clock, config: SwarmConfig, link: ZenohLink) -> None:
+        self.clock, self.config, self.link = clock, config, link
+        self.address, port = next(iter(link.bus.ports.items()))
+        self.commander = Commander(port)
+
+    @property
+    def drones(self) -> list[int]:
+        """Drones that were found, in order."""
+        return sorted(j for j in self.link.directory if j < OBSERVER)
+
+    async def find(self) -> list[int]:
+        """Wait until all drones are found, at most DISCOVERY s; raises Refused if there are none."""
+        ends = self.clock.now() + DISCOVERY
+        while len(self.drones) < len(self.config.ids) and self.clock.now() < ends:
+            await self.clock.sleep(0.02)
+        if not self.drones:
+            endpoints = ", ".join(list(self.config.endpoints().values())[:3])
+            raise Refused(f"swarm {self.config.name}", f"no agent found at {endpoints} ...; is it running?")
+        return self.drones
+
+    def read(self, topic: Topic, i: int, function: Callable[[Any, float], None], rate: float = 0.0) -> Call:
+        """Call the function with each value of drone i, and its age; at most `rate` times a second (0: all)."""
+        box = Call(self.clock, function)
+        self.link.bus.subscribe(topic, i, self.address, box, rate)
+        return box
+
+    def score(self) -> Score:
+        """The whole swarm, from now on."""
+        return Score(self.link.bus, self.config.ids, address=self.address)
+
+    async def request(self, verb: str, **arguments: Any) -> Answers:
+        """Ask every drone of the swarm."""
+        return await self._ask(lambda i: self._request(i, verb, arguments))
+
+    async def emergency_stop(self, clear: bool) -> Answers:
+        """Stop every drone of the swarm, or clear the stop."""
+        return await self._ask(lambda i: self._stop(i, clear))
+
+    async def _request(self, i: int, verb: str, arguments: Mapping[str, Any]) -> tuple[bool, Any]:
+        try:
+            answer: Answer = await self.commander.request(i, verb, **arguments)
+        except TimeoutError as error:
+            return False, str(error)
+        if answer.kind != DONE:
+            return False, f"refused: {answer.detail}"
+        return True, "acknowledged" if answer.detail is None else answer.detail
+
+    async def _stop(self, i: int, clear: bool) -> tuple[bool, Any]:
+        missing = await self.commander.emergency_stop([i], clear=clear)
+        return not missing, "no acknowledgement" if missing else "acknowledged"
+
+    async def _ask(self, ask: Callable[[int], Awaitable[tuple[bool, Any]]]) -> Answers:
+        """All at once, and each as soon as it is found: who is absent delays nobody."""
+        asked = {i: asyncio.ensure_future(ask(i)) for i in self.config.ids}
+        try:
+            there = await self.find()
+            await asyncio.gather(*(asked[i] for i in there if i in asked))
+            return {i: task.result() if task.done() else (False, ABSENT) for i, task in asked.items()}
+        finally:
+            for task in asked.values():
+                task.cancel()
+
+
+def look(swarm: str | None, work: Work) -> Any:
+    """Join the swarm as an observer, do the work, leave."""
+
+    async def main(clock: Clock) -> Any:
+        config, _ = chosen_swarm(swarm)
+        link = observer(clock, config)
+        async with attached(link):
+            return await work(Window(clock, config, link))
+
+    return run_wall(main)

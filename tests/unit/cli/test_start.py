@@ -1,0 +1,27 @@
+"""A command line imports what it uses: its help comes at once."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+
+from crazychoir.cli import solve
+from crazychoir.routing.pickup_delivery import METHODS
+from crazychoir.solving import solve_here
+
+HEAVY = {"numpy", "numba", "scipy", "zenoh", "highspy", "matplotlib", "msgspec", "asyncio", "rich.live"}
+
+
+@pytest.mark.parametrize("module", ["crazychoir.cli.crazychoir", "crazychoir.cli.agent"])
+def test_a_command_line_starts_without_what_is_heavy(module):
+    program = f"import sys, json, {module}; print(json.dumps(list(sys.modules)))"
+    loaded = json.loads(subprocess.run([sys.executable, "-c", program], check=True, capture_output=True).stdout)
+    assert module in loaded
+    assert HEAVY & set(loaded) == set()
+
+
+def test_solve_offers_the_methods_that_there_are():
+    option = solve.solve.__annotations__["method"].__metadata__[0]
+    assert option.help == f"Recovery of the plan: {', '.join(METHODS)}."
+    assert solve.solve.__defaults__[0] == METHODS[0] == solve_here.__kwdefaults__["method"]

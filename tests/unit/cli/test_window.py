@@ -1,0 +1,137 @@
+"""What operators ask of a swarm: whoever is there obeys at once, and everybody is accounted for."""
+
+from dataclasses import dataclass, field
+from functools import partial
+
+import pytest
+
+from crazychoir.bus.commands import CommandServer
+from crazychoir.bus.local import OBSERVER, Bus
+from crazychoir.cli.window import DISCOVERY, Window
+from crazychoir.errors import Refused
+from crazychoir.runtime.clock import run_virtual
+from crazychoir.swarm.config import default_swarm
+
+
+@dataclass
+class Swarm:
+    """Drones 0 to 2 beside an operator in virtual time; they obey, but for what a drone refuses."""
+
+    clock: object
+    stops: dict[int, list[tuple[float, bool]]] = field(default_factory=dict)
+    verbs: list[tuple[int, str]] = field(default_factory=list)
+    refuses: int = -1
+
+    def __post_init__(self):
+        self.bus = Bus(self.clock)
+        self.bus.port(OBSERVER + 1)
+        self.directory = {OBSERVER + 2: "another observer"}
+        self.window = Window(self.clock, default_swarm(3), self)
+
+    def comes(self, i, deaf=False):
+        """Drone i is found; if deaf, it never answers."""
+        self.directory[i] = "its process"
+        if not deaf:
+            CommandServer(self.bus.port(i), partial(self.execute, i), partial(self.stop, i))
+
+    async def execute(self, i, verb, arguments):
+        if i == self.refuses:
+            raise Refused(f"drone {i}", "not now")
+        self.verbs.append((i, verb))
+        return arguments or None
+
+    def stop(self, i, on):
+        self.stops.setdefault(i, []).append((self.clock.now(), on))
+
+
+def play(scene):
+    """Run `scene(swarm)`; returns the swarm, what came of it, and the seconds that it took."""
+
+    async def main(clock):
+        swarm = Swarm(clock)
+        began = clock.now()
+        said = await scene(swarm)
+        return swarm, said, clock.now() - began
+
+    return run_virtual(main)
+
+
+def test_when_all_have_answered_nobody_waits():
+    async def scene(swarm):
+        for i in range(3):
+            swarm.comes(i)
+        return await swarm.window.emergency_stop(clear=False)
+
+    swarm, said, seconds = play(scene)
+    assert said == dict.fromkeys(range(3), (True, "acknowledged"))
+    assert seconds < 0.2
+    assert {i: [on for _, on in stops] for i, stops in swarm.stops.items()} == {0: [True], 1: [True], 2: [True]}
+
+
+def test_who_is_absent_is_named_and_delays_nobody():
+    async def scene(swarm):
+        swarm.comes(0)
+        swarm.clock.call_at(int(1e9), partial(swarm.comes, 2))
+        return await swarm.window.emergency_stop(clear=False)
+
+    swarm, said, seconds = play(scene)
+    assert said == {0: (True, "acknowledged"), 1: (False, "absent"), 2: (True, "acknowledged")}
+    assert swarm.stops[0][0][0] == pytest.approx(0.0, abs=0.02), "before it is known who else is there"
+    assert swarm.stops[2][0][0] == pytest.approx(1.0, abs=0.15)
+    assert seconds == pytest.approx(DISCOVERY, abs=0.1)
+
+
+def test_who_is_there_and_does_not_answer_is_not_absent():
+    async def scene(swarm):
+        for i in range(3):
+            swarm.comes(i, deaf=i == 1)
+        return await swarm.window.emergency_stop(clear=True), await swarm.window.request("land")
+
+    swarm, (cleared, landed), seconds = play(scene)
+    assert cleared[1] == (False, "no acknowledgement")
+    assert cleared[0] == (True, "acknowledged")
+    assert [on for _, on in swarm.stops[0]] == [False]
+    assert landed[1][0] is False
+    assert "drone 1: no answer to 'land' within 5 s" in landed[1][1]
+    assert 10.0 < seconds < 16.0
+
+
+def test_who_refuses_says_why():
+    async def scene(swarm):
+        swarm.refuses = 2
+        for i in range(3):
+            swarm.comes(i)
+        return await swarm.window.request("land"), await swarm.window.request("impair", loss=0.3)
+
+    swarm, (landed, impaired), seconds = play(scene)
+    assert landed == {0: (True, "acknowledged"), 1: (True, "acknowledged"), 2: (False, "refused: not now")}
+    assert impaired[0] == (True, {"loss": 0.3})
+    assert swarm.verbs == [(0, "land"), (1, "land"), (0, "impair"), (1, "impair")]
+    assert seconds < 0.2
+
+
+def test_without_anybody_there_is_no_swarm():
+    async def scene(swarm):
+        began = swarm.clock.now()
+        with pytest.raises(Refused, match=r"no agent found at tcp/127.0.0.1:7460.*is it running"):
+            await swarm.window.emergency_stop(clear=False)
+        return swarm.clock.now() - began
+
+    _, seconds, _ = play(scene)
+    assert seconds == pytest.approx(DISCOVERY, abs=0.1)
+
+
+def test_reading_gives_values_with_their_age():
+    async def scene(swarm):
+        from crazychoir.bus.topics import STATUS
+        from crazychoir.types import Status
+
+        swarm.comes(0)
+        heard = []
+        box = swarm.window.read(STATUS, 0, lambda value, age: heard.append((value.phase, age)))
+        swarm.bus.ports[0].publish(STATUS, Status("hovering"), 0.1)
+        return box.received, heard
+
+    _, (received, heard), _ = play(scene)
+    assert received == 1
+    assert heard == [("hovering", 0.1)]

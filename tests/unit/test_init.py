@@ -1,0 +1,55 @@
+"""The public names: imported when they are used, and known to type checkers."""
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import crazychoir
+from crazychoir import Acceleration, types
+from crazychoir.guidance.base import CFGuidance
+
+
+def python(program):
+    return subprocess.run([sys.executable, "-c", program], check=True, capture_output=True, text=True).stdout
+
+
+@pytest.mark.parametrize("name", crazychoir.__all__)
+def test_every_public_name_is_there(name):
+    value = getattr(crazychoir, name)
+    assert value.__name__ == name
+    assert name in dir(crazychoir)
+
+
+def test_a_public_name_is_the_one_of_its_room():
+    assert crazychoir.CFGuidance is CFGuidance
+    assert Acceleration is types.Acceleration
+
+
+def test_a_name_that_is_none():
+    with pytest.raises(AttributeError, match="no attribute 'Nothing'"):
+        crazychoir.Nothing  # noqa: B018
+    with pytest.raises(ImportError, match="Nothing"):
+        from crazychoir import Nothing  # noqa: F401
+
+
+def test_type_checkers_see_the_same_names():
+    tree = ast.parse(Path(crazychoir.__file__).read_text())
+    imports = [node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
+    ours = [node for node in imports if node.module.startswith("crazychoir.")]
+    seen = {alias.name: node.module for node in ours for alias in node.names}
+    assert seen == {name: getattr(crazychoir, name).__module__ for name in crazychoir.__all__}
+
+
+def test_the_package_alone_imports_no_numerics():
+    found = python("import crazychoir, sys; print(sorted({name.split('.')[0] for name in sys.modules}))")
+    assert "numpy" not in found
+    assert "crazychoir" in found
+
+
+def test_a_light_name_imports_no_kernels():
+    found = python("from crazychoir import State; import sys; print(sorted(sys.modules))")
+    assert "'numpy'" in found
+    assert "'numba'" not in found
