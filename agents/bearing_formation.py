@@ -40,9 +40,9 @@ class BearingFormation(CFDistributedFeedback):
         """The follower's law; a leader hovers."""
         if self.leader:
             return None
-        u = np.zeros(3)
+        u, x = np.zeros(3), me.flat[:6]
         for j, other in heard.items():
-            u -= self.K[j] @ (me.flat[:6] - other.flat[:6])
+            u -= self.K[j].dot(x - other.flat[:6])
         return Acceleration(u)
 
 

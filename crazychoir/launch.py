@@ -30,7 +30,7 @@ from crazychoir.guidance.mission import Mission, has
 from crazychoir.math3d import Vec
 from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import Clock, run_virtual, run_wall
-from crazychoir.runtime.mailbox import Mailbox
+from crazychoir.runtime.mailbox import Call
 from crazychoir.runtime.supervisor import Supervisor
 from crazychoir.swarm.config import SwarmConfig
 from crazychoir.types import State, Status
@@ -43,22 +43,6 @@ LOGGED = 1000
 """Log lines that a score keeps: the newest."""
 
 Watch = Callable[["Score"], None]
-
-
-class Call(Mailbox[Any]):
-    """A mailbox whose reader is a function."""
-
-    def __init__(self, clock: Clock, function: Callable[[Any, float], None]) -> None:
-        super().__init__(clock)
-        self.function = function
-
-    def put(self, value: Any, age: float = 0.0) -> None:
-        """Call it at once."""
-        self.received += 1
-        self.function(value, age)
-
-    def clear(self) -> None:
-        """Nothing is kept."""
 
 
 @dataclass

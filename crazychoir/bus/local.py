@@ -4,7 +4,7 @@ A message between two drones always passes the codec and the simulated network, 
 one drone hand each other frozen values by reference. What is for another process goes to the `Forwarder`.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -46,23 +46,44 @@ class Forwarder(Protocol):
 
 
 @dataclass(slots=True)
-class Reader:
-    """One reader of a topic of one drone: its own mailbox, or (mailbox None) the port of another drone or observer.
+class Rate:
+    """How often the port of another drone or observer gets a topic: one value in each interval of a fixed grid."""
 
-    interval_ns: between two values, 0 for all, for other ports only;  due_ns: when the next may go.
-    """
-
-    address: int
-    mailbox: AnyMailbox | None
-    interval_ns: int = 0
+    interval_ns: int
     due_ns: int = 0
 
     def due(self, now_ns: int) -> bool:
-        """Whether a value may go now: one in each interval of a fixed grid."""
+        """Whether a value may go now."""
         if now_ns < self.due_ns:
             return False
         self.due_ns += ((now_ns - self.due_ns) // self.interval_ns + 1) * self.interval_ns
         return True
+
+
+@dataclass(slots=True)
+class Readers:
+    """Who reads a topic of one drone: its own actors' mailboxes; ports that get every value, or some a second."""
+
+    mailboxes: list[AnyMailbox] = field(default_factory=list)
+    every: list[int] = field(default_factory=list)
+    some: dict[int, Rate] = field(default_factory=dict)
+
+    def add(self, address: int, interval_ns: int) -> None:
+        """A port reads, at its fastest rate."""
+        if address in self.every:
+            return
+        if interval_ns == 0:
+            self.some.pop(address, None)
+            self.every.append(address)
+        elif address in self.some:
+            self.some[address].interval_ns = min(self.some[address].interval_ns, interval_ns)
+        else:
+            self.some[address] = Rate(interval_ns)
+
+    def drop(self, addresses: Sequence[int]) -> None:
+        """These ports read no more."""
+        self.every = [j for j in self.every if j not in addresses]
+        self.some = {j: rate for j, rate in self.some.items() if j not in addresses}
 
 
 @dataclass(slots=True)
@@ -105,7 +126,7 @@ class Bus:
         self.unroutable = 0
         self.stopped = False
         self.tap: Callable[[int, int, int, int, bytes], None] | None = None
-        self._readers: dict[int, dict[int, list[Reader]]] = {}
+        self._readers: dict[int, dict[int, Readers]] = {}
         self._started_ns = clock.now_ns()
         self._opened: tuple[bytes | None, Any] = (None, None)
 
@@ -113,7 +134,8 @@ class Bus:
         """Open the port of a drone or an observer; when it opens again, its readers elsewhere are still there."""
         readers = self._readers.setdefault(address, {})
         port = self.ports[address] = Port(self, address, incarnation, _readers=readers)
-        port.drop_readers([address])
+        for topic in readers.values():
+            topic.mailboxes.clear()
         for interest in self.interests:
             if address in self._sources(interest):
                 port.add_reader(interest, None)
@@ -184,54 +206,57 @@ class Port:
     handlers: dict[int, Handler] = field(default_factory=dict)
     mailboxes: dict[int, dict[int, list[AnyMailbox]]] = field(default_factory=dict)
     heard_ns: dict[int, int] = field(default_factory=dict)
-    _readers: dict[int, list[Reader]] = field(default_factory=dict)
+    _readers: dict[int, Readers] = field(default_factory=dict)
     _latched: dict[int, tuple[Any, int]] = field(default_factory=dict)
     _numbers: dict[int, int] = field(default_factory=dict)
 
     def send(
         self,
         topic: Topic,
-        to: tuple[int, ...],
+        to: Sequence[int],
         payload: bytes,
         number: int = 0,
         channel: str = "",
         flags: int = 0,
         attempt: int = 0,
+        age: float = 0.0,
     ) -> None:
-        """Send along edges: to each address of `to`, here or elsewhere, through the simulated network."""
+        """Send to each address of `to`, here or elsewhere; between drones through the simulated network."""
         bus = self.bus
-        counters = self.counters
-        counters.sent += len(to)
-        counters.bytes += len(payload) * len(to)
-        if topic.impaired and bus.impairment.active:
-            for j in to:
-                self._send_impaired(topic, j, payload, number, channel, flags, attempt)
-            return
-        ports, far = bus.ports, []
+        impaired = topic.impaired and bus.impairment.active
+        ports, sent, far = bus.ports, 0, []
         for j in to:
+            if j < OBSERVER:
+                sent += 1
+                if impaired:
+                    self._send_impaired(topic, j, payload, number, channel, flags, attempt, age)
+                    continue
             port = ports.get(j)
             if port is None:
                 far.append(j)
             else:
-                port.deliver(topic.number, self.address, payload, number, channel, flags, 0.0)
+                port.deliver(topic.number, self.address, payload, number, channel, flags, age)
+        self.counters.sent += sent
+        self.counters.bytes += sent * len(payload)
         if far:
-            self._forward(topic, far, payload, number, channel, flags, 0.0)
+            self._forward(topic, far, payload, number, channel, flags, age)
 
     def publish(self, topic: Topic, value: Any, age: float = 0.0) -> None:
         """Give a value to all its readers; costs nothing where nobody reads."""
         if topic.latched:
             self._latched[topic.number] = value, self.bus.clock.now_ns() - round(age * SECOND)
         readers = self._readers.get(topic.number)
-        if not readers:
+        if readers is None:
             return
-        payload: bytes | None = None
-        number = self._numbers[topic.number] = self._numbers.get(topic.number, 0) + 1
-        for reader in readers:
-            if reader.mailbox is not None:
-                reader.mailbox.put(value, age)
-            elif not reader.interval_ns or reader.due(self.bus.clock.now_ns()):
-                payload = payload or encode(value)
-                self._publish_to(topic, reader.address, payload, number, age)
+        for mailbox in readers.mailboxes:
+            mailbox.put(value, age)
+        to = readers.every
+        if readers.some:
+            now_ns = self.bus.clock.now_ns()
+            to = [*to, *(j for j, rate in readers.some.items() if rate.due(now_ns))]
+        if to:
+            number = self._numbers[topic.number] = self._numbers.get(topic.number, 0) + 1
+            self.send(topic, to, encode(value), number, age=age)
 
     def deliver(
         self, topic: int, source: int, payload: bytes, number: int, channel: str, flags: int, age: float
@@ -268,14 +293,11 @@ class Port:
         mailbox: of an actor of this drone itself, None for another port. A port is served once, at its fastest rate.
         """
         topic = BY_NAME[interest.topic]
-        interval_ns = round(SECOND / interest.rate) if interest.rate > 0 else 0
-        readers = self._readers.setdefault(topic.number, [])
-        for reader in readers:
-            if reader.address == interest.reader and reader.mailbox is mailbox:
-                reader.interval_ns = min(reader.interval_ns, interval_ns)
-                break
-        else:
-            readers.append(Reader(interest.reader, mailbox, interval_ns))
+        readers = self._readers.setdefault(topic.number, Readers())
+        if mailbox is None:
+            readers.add(interest.reader, round(SECOND / interest.rate) if interest.rate > 0 else 0)
+        elif mailbox not in readers.mailboxes:
+            readers.mailboxes.append(mailbox)
         if topic.number in self._latched:
             self._give_latched(topic, interest.reader, mailbox)
 
@@ -285,26 +307,12 @@ class Port:
         if mailbox is not None:
             mailbox.put(value, age)
         else:
-            self._publish_to(topic, j, encode(value), 0, age)
+            self.send(topic, (j,), encode(value), age=age)
 
     def drop_readers(self, addresses: list[int]) -> None:
         """Forget the readers at these addresses."""
-        for number, readers in self._readers.items():
-            self._readers[number] = [reader for reader in readers if reader.address not in addresses]
-
-    def _publish_to(self, topic: Topic, j: int, payload: bytes, number: int, age: float) -> None:
-        bus, counters = self.bus, self.counters
-        if j < OBSERVER:
-            counters.sent += 1
-            counters.bytes += len(payload)
-        if topic.impaired and bus.impairment.active and j < OBSERVER:
-            self._send_impaired(topic, j, payload, number, topic.name, 0, 0, age)
-            return
-        port = bus.ports.get(j)
-        if port is not None:
-            port.deliver(topic.number, self.address, payload, number, "", 0, age)
-        else:
-            self._forward(topic, [j], payload, number, "", 0, age)
+        for readers in self._readers.values():
+            readers.drop(addresses)
 
     def _send_impaired(
         self,
@@ -315,7 +323,7 @@ class Port:
         channel: str,
         flags: int,
         attempt: int,
-        age: float = 0.0,
+        age: float,
     ) -> None:
         bus = self.bus
         lane = channel or topic.name

@@ -14,10 +14,9 @@ from typing import Any
 from rich.table import Table
 
 import crazychoir
-from crazychoir.agent import Agent, Trace
+from crazychoir.agent import Agent
 from crazychoir.errors import Refused
 from crazychoir.guidance.mission import load
-from crazychoir.launch import Score
 from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import Clock, run_virtual
 from crazychoir.safety.pilot import Mode
@@ -85,9 +84,9 @@ def fly(drones: int, watch: Callable[[bool], None] = lambda on: None) -> list[tu
     config = ring(drones)
 
     async def main(clock: Clock) -> list[tuple[float, float]]:
-        agent = Agent(clock, config, load("bearing_formation"), config.ids, trace=Trace())
+        agent = Agent(clock, config, load("bearing_formation"), config.ids)
         meter = Meter(agent, watch)
-        agent.services += [Score(agent.bus, config.ids), meter]
+        agent.services.append(meter)
         failed = {i: r["reason"] for i, r in (await agent.run()).items() if not r["success"]}
         if failed or len(meter.windows) < WINDOWS or agent.world.crashed:
             raise Refused(f"bench flight, {drones} drones", f"not a good flight: {failed or meter.windows}")

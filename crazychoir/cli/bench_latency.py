@@ -85,7 +85,7 @@ async def _tick(clock: Clock, late_ns: list[int]) -> None:
     missed = 0
     async for due_ns in ticks:
         if due_ns >= counted_from_ns:
-            late_ns.append(ticks.late_ns)
+            late_ns.append(clock.now_ns() - due_ns)
             late_ns.extend(k * ticks.period_ns for k in range(1, ticks.missed - missed + 1))
         missed = ticks.missed
 

@@ -27,8 +27,8 @@ class Gains:
 
     @property
     def position(self) -> Vec:
-        """(7,) for the kernels: kp, kv, max_tilt."""
-        return np.array([*self.kp, *self.kv, self.max_tilt])
+        """(9,) for the kernels: kp, kv, max_tilt, lead, lead_cutoff."""
+        return np.array([*self.kp, *self.kv, self.max_tilt, self.lead, self.lead_cutoff])
 
 
 STANDARD = Gains(kp=(6.0, 6.0, 10.0), kv=(4.0, 4.0, 5.0), kr=(8.0, 8.0, 4.0))

@@ -75,7 +75,7 @@ def _wish(x: Vec, ref: Vec, gains: Vec, follow: float, c: int) -> float:
 
 @kernel(vector, vector, vector, vector, real, memory)
 def _flatness(x: Vec, ref: Vec, gains: Vec, platform: Vec, follow: float, out: Vec) -> bool:
-    """The law of FlatnessPositionCtrl (follow = 1) and of FlatnessAccelerationCtrl (follow = 0) into out (13,)."""
+    """The law of FlatnessPositionCtrl (follow = 1), or without lead that of FlatnessAccelerationCtrl, into out (13,)."""
     if not (np.all(np.isfinite(x)) and np.all(np.isfinite(ref))):
         return False
     v = (ref[3], ref[4], ref[5]) if follow > 0.0 else (x[3], x[4], x[5])
@@ -94,23 +94,26 @@ def _flatness(x: Vec, ref: Vec, gains: Vec, platform: Vec, follow: float, out: V
     return True
 
 
-@kernel(memory, memory, real, real, real)
-def _lead(desired: Vec, mem: Vec, h: float, cutoff: float, lead: float) -> None:
-    """Set the roll and pitch feed-forward of desired (13,) to `lead` times the low-passed rate of R_d.
+@kernel(vector, vector, vector, vector, memory, real, memory)
+def _led(x: Vec, ref: Vec, gains: Vec, platform: Vec, mem: Vec, h: float, desired: Vec) -> bool:
+    """`_flatness` without follow; then the roll and pitch feed-forward are `lead` times the low-passed rate of R_d.
 
     mem: (12,) = columns of the last R_d, its rate;  h: s since then; after a gap, or from NaN on, it starts anew.
     Turns of R_d are summed, not turns of the force: noise of both must not leave a drift of the attitude behind.
     """
-    x, y = (desired[1], desired[2], desired[3]), (desired[4], desired[5], desired[6])
-    z = (desired[7], desired[8], desired[9])
+    if not _flatness(x, ref, gains, platform, 0.0, desired):
+        return False
+    x_d, y_d = (desired[1], desired[2], desired[3]), (desired[4], desired[5], desired[6])
+    z_d = (desired[7], desired[8], desired[9])
     a, b, c = (mem[0], mem[1], mem[2]), (mem[3], mem[4], mem[5]), (mem[6], mem[7], mem[8])
-    turn = (0.5 * (dot(c, y) - dot(b, z)), 0.5 * (dot(a, z) - dot(c, x)))
-    keep = math.exp(-cutoff * h)
+    turn = (0.5 * (dot(c, y_d) - dot(b, z_d)), 0.5 * (dot(a, z_d) - dot(c, x_d)))
+    lead, keep = gains[7], math.exp(-gains[8] * h)
     for n in range(2):
         rate = keep * mem[9 + n] + (1.0 - keep) * turn[n] / h
         mem[9 + n] = rate if 0.0 < h < LONGEST_GAP and math.isfinite(rate) else 0.0
         desired[10 + n] = lead * mem[9 + n]
     mem[0:9] = desired[1:10]
+    return True
 
 
 class FlatnessPositionCtrl:
@@ -123,15 +126,13 @@ class FlatnessPositionCtrl:
     Source: Mellinger & Kumar 2011; rotor drag as in Kai et al. 2017 and Faessler et al. 2018.
     """
 
-    _follow = 1.0
-
     def __init__(self, gains: Gains = STANDARD, platform: Platform = PAPER) -> None:
         self.gains, self.platform = gains, platform
         self._gains, self._platform, self._out = gains.position, platform.flat, np.zeros(DESIRED)
 
     def desired(self, state: State, reference: Vec, now: float) -> Vec | None:
         """Thrust, attitude and rate feed-forward (13,); None if state or reference is not finite."""
-        if _flatness(state.flat, reference, self._gains, self._platform, self._follow, self._out):
+        if _flatness(state.flat, reference, self._gains, self._platform, 1.0, self._out):
             return self._out
         return None
 
@@ -146,16 +147,14 @@ class FlatnessAccelerationCtrl(FlatnessPositionCtrl):
     The rest as in FlatnessPositionCtrl.
     """
 
-    _follow = 0.0
-
     def __init__(self, gains: Gains = FORMATION, platform: Platform = PAPER) -> None:
         super().__init__(gains, platform)
         self._memory, self._time = np.zeros(12), -math.inf
 
     def desired(self, state: State, reference: Vec, now: float) -> Vec | None:
         """Thrust, attitude and rate feed-forward (13,); None if state or reference is not finite."""
-        out = super().desired(state, reference, now)
-        if out is not None and self.gains.lead > 0.0:
-            _lead(out, self._memory, now - self._time, self.gains.lead_cutoff, self.gains.lead)
+        h = now - self._time
+        if _led(state.flat, reference, self._gains, self._platform, self._memory, h, self._out):
             self._time = now
-        return out
+            return self._out
+        return None

@@ -8,9 +8,19 @@ from crazychoir.math3d import Vec, conjugate, exponential, kernel, logarithm, me
 from crazychoir.types import Pose, State
 
 
-@kernel(vector, memory, real, real)
-def _measure(pose: Vec, mem: Vec, h: float, cutoff: float) -> bool:
-    """Take in a pose measured h seconds after the last one: mem (13,) = p, v, q, w is replaced."""
+@kernel(vector, real, memory)
+def _extrapolate(mem: Vec, t: float, out: Vec) -> None:
+    """The state t seconds after mem at constant velocity and body rate, into out (13,)."""
+    out[:] = mem
+    for c in range(3):
+        out[c] += t * mem[3 + c]
+    q = product((mem[6], mem[7], mem[8], mem[9]), exponential(t * mem[10], t * mem[11], t * mem[12]))
+    out[6], out[7], out[8], out[9] = q
+
+
+@kernel(vector, memory, real, real, real, memory)
+def _measure(pose: Vec, mem: Vec, h: float, cutoff: float, t: float, out: Vec) -> bool:
+    """Take in a pose measured h seconds after the last one: mem (13,) = p, v, q, w is replaced; out as _extrapolate."""
     for c in range(7):
         if not math.isfinite(pose[c]):
             return False
@@ -23,17 +33,8 @@ def _measure(pose: Vec, mem: Vec, h: float, cutoff: float) -> bool:
         mem[10 + c] = keep * mem[10 + c] + gain * turn[c]
         mem[c] = pose[c]
     mem[6], mem[7], mem[8], mem[9] = q
+    _extrapolate(mem, t, out)
     return True
-
-
-@kernel(vector, real, memory)
-def _extrapolate(mem: Vec, t: float, out: Vec) -> None:
-    """The state t seconds after mem at constant velocity and body rate, into out (13,)."""
-    out[:] = mem
-    for c in range(3):
-        out[c] += t * mem[3 + c]
-    q = product((mem[6], mem[7], mem[8], mem[9]), exponential(t * mem[10], t * mem[11], t * mem[12]))
-    out[6], out[7], out[8], out[9] = q
 
 
 class VelocityFilter:
@@ -56,12 +57,16 @@ class VelocityFilter:
 
     def update(self, pose: Pose, now: float) -> State | None:
         """The state at `now` with a new pose; None only before the first pose that is finite."""
-        measured = now - pose.age
-        h = measured - self._measured
-        if h > 1e-6:  # a repeated or an older pose says nothing new
-            taken = self._start(pose) if h == math.inf else _measure(pose.flat, self._memory, h, self.cutoff)
-            self._measured = measured if taken else self._measured
-            self.refused += not taken
+        h = now - pose.age - self._measured
+        if h <= 1e-6:  # a repeated or an older pose says nothing new
+            return self.predict(now)
+        if h == math.inf:
+            return self._start(pose, now)
+        out = np.empty(13)
+        if _measure(pose.flat, self._memory, h, self.cutoff, min(pose.age, self.horizon), out):
+            self._measured = now - pose.age
+            return State(out, pose.age)
+        self.refused += 1
         return self.predict(now)
 
     def predict(self, now: float) -> State | None:
@@ -73,9 +78,11 @@ class VelocityFilter:
         _extrapolate(self._memory, min(age, self.horizon), out)
         return State(out, age)
 
-    def _start(self, pose: Pose) -> bool:
-        """Take the first pose, at rest; False if it is not finite."""
-        if not np.all(np.isfinite(pose.flat)):
-            return False
-        self._memory[0:3], self._memory[6:10] = pose.p, pose.q / np.linalg.norm(pose.q)
-        return True
+    def _start(self, pose: Pose, now: float) -> State | None:
+        """Take the first pose, at rest."""
+        if np.all(np.isfinite(pose.flat)):
+            self._memory[0:3], self._memory[6:10] = pose.p, pose.q / np.linalg.norm(pose.q)
+            self._measured = now - pose.age
+        else:
+            self.refused += 1
+        return self.predict(now)

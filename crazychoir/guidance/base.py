@@ -1,5 +1,6 @@
 """What a mission is written in: CFGuidance (a coroutine with the paper's verbs) and CFDistributedFeedback (a law)."""
 
+import asyncio
 from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -9,8 +10,8 @@ import numpy as np
 
 from crazychoir.bus.topics import STATE
 from crazychoir.errors import CrazyChoirError
-from crazychoir.runtime.clock import Clock
-from crazychoir.runtime.mailbox import Latest
+from crazychoir.runtime.clock import SECOND, Clock, wake
+from crazychoir.runtime.mailbox import Call, Latest
 from crazychoir.runtime.watchdog import Watchdog
 from crazychoir.safety.pilot import Mode, Pilot
 from crazychoir.swarm.communicator import Communicator, Policy, run_rounds
@@ -21,6 +22,7 @@ from crazychoir.types import Heard, Point, Reference, State
 
 SETTLE = 0.05
 LAW_MODES = (Mode.HOVER, Mode.FOLLOW)
+TAKEOFF = Mode.TAKEOFF
 ARRIVED = 0.2
 """m from a goal that counts as there."""
 ATTEMPTS = 5
@@ -170,7 +172,8 @@ class CFDistributedFeedback(CFGuidance):
     """A feedback law on own and neighbours' states. Write `step`; it runs at `rate` Hz and never waits.
 
     `heard[j]` is the newest State of neighbour j, with its `age`; absent when beyond the topic's maximum age.
-    duration: s of the law, after everybody hovers.
+    A new state of its own triggers it: what it wants is flown in the same tick.
+    rate: Hz, at most that of the poses;  duration: s of the law, after everybody hovers.
     """
 
     rate = 100.0
@@ -183,10 +186,14 @@ class CFDistributedFeedback(CFGuidance):
     def bind(self, member: Member) -> None:
         """Meet the drone, and listen to the neighbours' states."""
         super().bind(member)
+        bus = member.communicator.port.bus
         self._boxes: dict[int, Latest[State]] = {}
         for j in self.graph.in_neighbors(self.id):
             box = self._boxes[j] = Latest(member.clock, f"drone {self.id} state of {j}", STATE.max_age)
-            member.communicator.port.bus.subscribe(STATE, j, self.id, box)
+            bus.subscribe(STATE, j, self.id, box)
+        self._law: asyncio.Future[None] | None = None
+        self._period_ns = self._due_ns = 0
+        bus.subscribe(STATE, self.id, self.id, Call(member.clock, self._moved, f"drone {self.id} state"))
 
     async def mission(self) -> dict[str, Any]:
         """Take off, wait for the others, run the law, land."""
@@ -207,22 +214,41 @@ class CFDistributedFeedback(CFGuidance):
         return None
 
     async def run_law(self) -> None:
-        """Call `step` at its rate for `duration` s."""
-        clock, pilot, watchdog = self.member.clock, self.member.pilot, self.member.watchdog
-        ends = clock.now() + self.duration
-        async for _ in clock.ticks(self.rate, drone=self.id):
-            if clock.now() > ends:
-                return
-            if pilot.mode not in LAW_MODES or pilot.state is None:
+        """Let `step` run for `duration` s; raises what `step` raises, and Interrupted when the pilot stops obeying."""
+        clock = self.member.clock
+        self._period_ns = round(SECOND / self.rate)
+        self._due_ns = clock.now_ns()
+        self._law = asyncio.get_running_loop().create_future()
+        end = clock.call_at(self._due_ns + round(self.duration * SECOND), wake, self._law, drone=self.id)
+        try:
+            await self._law
+        finally:
+            self._law = None
+            end.cancel()
+
+    def _moved(self, me: State, age: float) -> None:
+        """A new state: call `step` if it is due. Its errors end the law, not the tick."""
+        law = self._law
+        if law is None or law.done():
+            return
+        pilot, late_ns = self.member.pilot, self.member.clock.now_ns() - self._due_ns
+        if late_ns < -pilot.period_ns // 2 or pilot.mode is TAKEOFF:
+            return
+        self._due_ns += self._period_ns if late_ns < self._period_ns else (late_ns // self._period_ns + 1) * self._period_ns
+        try:
+            if pilot.mode not in LAW_MODES:
                 raise Interrupted(f"drone {self.id}: {pilot.mode.value}: {pilot.note}")
-            heard = self.hear()
+            watchdog = self.member.watchdog
             if watchdog is None:
-                reference = self.step(pilot.state, heard)
+                reference = self.step(me, self.hear())
             else:
-                with watchdog.guard():
-                    reference = self.step(pilot.state, heard)
-            if reference is not None:
-                pilot.follow(reference)
+                with watchdog.guard(f"drone {self.id} guidance"):
+                    reference = self.step(me, self.hear())
+        except (Exception, SystemExit) as error:  # noqa: BLE001 - whoever awaits the law gets it
+            law.set_exception(error)
+            return
+        if reference is not None:
+            pilot.follow(reference)
 
     def hear(self) -> Heard:
         """The neighbours' states that are not stale."""

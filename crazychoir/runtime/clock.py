@@ -121,8 +121,8 @@ class Ticks:
         self.period_ns = round(SECOND / hz)
         self.due_ns = clock.now_ns()
         self.missed = 0
-        self.late_ns = 0
         self._cancelled = False
+        self._alarm: Alarm | None = None
 
     def __aiter__(self) -> "Ticks":
         return self
@@ -139,7 +139,6 @@ class Ticks:
     def __await__(self) -> Generator["Ticks", None, int]:
         self._asyncio_future_blocking, self._cancelled = True, False
         yield self
-        self.late_ns = self.clock.now_ns() - self.due_ns
         return self.due_ns
 
     # What a task calls --------------------------------------------------------------------------------------------
@@ -151,15 +150,20 @@ class Ticks:
     def add_done_callback(self, wakeup: Callable[["Ticks"], object], *, context: Context | None = None) -> None:
         """The task is waiting: its wake-up is the alarm."""
         self._wakeup, self._context = wakeup, context
-        self._alarm = Alarm(wakeup, (self,), self.clock._loop, context)
-        self.clock.push(self.due_ns, self._alarm, self.priority, self.drone)
+        alarm = self._alarm
+        if alarm is None or alarm._cancelled or alarm._context is not context:
+            alarm = self._alarm = Alarm(wakeup, (self,), self.clock._loop, context)
+        else:  # the one that has rung
+            alarm._callback = wakeup
+        self.clock.push(self.due_ns, alarm, self.priority, self.drone)
 
     def cancel(self, msg: Any = None) -> bool:
         """The task is cancelled: wake it in the next pass."""
         if self._cancelled:
             return False
         self._cancelled = True
-        self._alarm.cancel()
+        if self._alarm is not None:
+            self._alarm.cancel()
         self.clock._loop.call_soon(self._wakeup, self, context=self._context)
         return True
 
@@ -313,10 +317,10 @@ class VirtualLoop(asyncio.SelectorEventLoop):
     def _run_once(self) -> None:
         """One pass: what is ready runs; when nothing is, time goes on."""
         ready = self._ready
-        if ready or self._stopping:
-            self._clock.passed()
-        else:
-            ready.append(self._clock.advance())
+        if not ready and not self._stopping:
+            self._clock.advance()._run()
+            return
+        self._clock.passed()
         for _ in range(len(ready)):
             handle = ready.popleft()
             if not handle._cancelled:

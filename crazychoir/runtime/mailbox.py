@@ -6,6 +6,7 @@ of time stamps: a message arrives with its age, and grows older by the receiver'
 
 import asyncio
 from collections import deque
+from collections.abc import Callable
 from typing import Any, Generic, TypeVar
 
 from crazychoir.runtime.clock import SECOND, Clock, wake
@@ -160,6 +161,22 @@ class Block(Mailbox[T]):
         """Empty the queue and let waiting senders in."""
         while not self._queue.empty():
             self._queue.get_nowait()
+
+
+class Call(Mailbox[T]):
+    """No slot: a function takes each message at once, with its age."""
+
+    def __init__(self, clock: Clock, function: Callable[[T, float], None], name: str = "") -> None:
+        super().__init__(clock, name)
+        self.function = function
+
+    def put(self, value: T, age: float = 0.0) -> None:
+        """Call it."""
+        self.received += 1
+        self.function(value, age)
+
+    def clear(self) -> None:
+        """Nothing is kept."""
 
 
 AnyMailbox = Mailbox[Any]

@@ -69,11 +69,13 @@ class Watchdog:
         """End the thread."""
         self._ending.set()
 
-    def guard(self) -> "Guard":
-        """Code in `with watchdog.guard():` is interrupted by `Hung` once it has kept the loop for a second.
+    def guard(self, actor: str) -> "Guard":
+        """Code in `with watchdog.guard(actor):` is interrupted by `Hung` once it has kept the loop for a second.
 
         It may not await and not nest. Code that swallows Hung gets it again a second later.
+        actor: who is named in a report.
         """
+        self._guard.actor = actor
         return self._guard
 
     def _beat(self) -> None:
@@ -114,7 +116,8 @@ class Watchdog:
         frame = sys._current_frames().get(self._loop_thread)
         stack = traceback.extract_stack(frame)[-1] if frame else None
         place = f"{stack.filename}:{stack.lineno} {stack.name}" if stack else "unknown code"
-        stall = Stall(late, task.get_name() if task else "the event loop", place)
+        running = task.get_name() if task else "the event loop"
+        stall = Stall(late, self._guard.actor if self._guard.since_ns else running, place)
         log.warning("%s", stall)
         try:
             self.on_stall(stall)
@@ -127,6 +130,7 @@ class Guard:
 
     def __init__(self, clock: Clock) -> None:
         self.clock = clock
+        self.actor = ""
         self.since_ns = 0
         self._lock = threading.Lock()
 

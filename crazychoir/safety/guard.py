@@ -102,12 +102,12 @@ class Verdict:
 ALL_WELL = Verdict(Action.NOMINAL)
 
 
-@kernel(vector, vector, vector)
-def _outside(x: Vec, low: Vec, high: Vec) -> float:
-    """m by which the place of x (13,) is outside the box, negative inside; not finite if x is not."""
+@kernel(vector, vector)
+def _outside(x: Vec, box: Vec) -> float:
+    """m by which the place of x (13,) is outside the box (6,) = low, high, negative inside; not finite if x is not."""
     furthest, finite = -math.inf, 0.0
     for c in range(3):
-        furthest = max(furthest, max(low[c] - x[c], x[c] - high[c]))
+        furthest = max(furthest, max(box[c] - x[c], x[c] - box[3 + c]))
     for c in range(13):
         finite += 0.0 * x[c]
     return furthest + finite
@@ -125,8 +125,9 @@ class Guard:
                 raise ConfigError("Guard: table", rule, f"a measure of {', '.join(TEXT)}; clear at or below limit")
         self.fence, self.table = fence, table
         self._acting: dict[Rule, float] = {}  # a rule that acts, and since when its measure has been calm
-        self._quiet = {m: min((r.limit for r in table if r.measure == m), default=math.inf) for m in TEXT}
-        self._low, self._high = np.array(fence.low), np.array(fence.high)
+        least = {m: min((r.limit for r in table if r.measure == m), default=math.inf) for m in TEXT}
+        self._quiet_pose, self._quiet_reference, self._quiet_fence = least["pose"], least["reference"], least["fence"]
+        self._box = np.array([*fence.low, *fence.high])
 
     def reset(self) -> None:
         """Forget everything that acts, the latched rules too: an operator's decision."""
@@ -134,11 +135,10 @@ class Guard:
 
     def check(self, now: float, state: State | None, pose_age: float, reference_age: float | None = None) -> Verdict:
         """The verdict at `now` (s); ages in s;  state None: nothing was ever seen;  reference_age None: none needed."""
-        outside = -math.inf if state is None else _outside(state.flat, self._low, self._high)
         age = 0.0 if reference_age is None else reference_age
-        quiet = self._quiet
-        if not self._acting and pose_age <= quiet["pose"] and age <= quiet["reference"] and outside <= quiet["fence"]:
-            return ALL_WELL
+        if not self._acting and pose_age <= self._quiet_pose and age <= self._quiet_reference:
+            if state is None or _outside(state.flat, self._box) <= self._quiet_fence:
+                return ALL_WELL
         return self._judge(now, self._measured(state, pose_age, age))
 
     def _measured(self, state: State | None, pose_age: float, reference_age: float) -> dict[str, float]:

@@ -4,6 +4,7 @@ It always has the last word: whatever guidance asks, or fails to ask, each tick 
 table allows. A pose triggers the tick; if none comes in time, the clock does.
 """
 
+import asyncio
 import logging
 import math
 from enum import Enum
@@ -23,7 +24,7 @@ from crazychoir.math3d import yaw_of
 from crazychoir.planning.point_to_point import PointToPoint, duration_for
 from crazychoir.runtime.actor import ON_FAILURE, Actor
 from crazychoir.runtime.clock import SECOND
-from crazychoir.runtime.mailbox import Latest
+from crazychoir.runtime.mailbox import Call, Latest
 from crazychoir.safety.guard import Action, Fence, Guard, Throttle, Verdict
 from crazychoir.swarm.tables import Flight
 from crazychoir.types import FPQR, Acceleration, FullState, Goto, Point, Pose, Reference, State
@@ -73,7 +74,8 @@ def flyable(reference: object) -> bool:
     """Whether it is a reference of the right shape, and all its numbers are numbers: their sum is one."""
     match reference:
         case Acceleration():
-            return np.shape(reference.a) == (3,) and math.isfinite(sum(reference.a) + reference.yaw)
+            a = np.asarray(reference.a)
+            return a.shape == (3,) and math.isfinite(sum(a.tolist()) + reference.yaw)
         case FullState():
             return reference.flat.shape == (14,) and math.isfinite(sum(reference.flat.tolist()))
         case Goto():
@@ -106,10 +108,9 @@ class Pilot(Actor):
         )
         self.filter = VelocityFilter()
         self.guard = Guard(fence)
-        self.poses: Latest[Pose | None] = Latest(self.clock, f"drone {self.drone} pose", POSE.max_age)
         self.references: Latest[Reference] = Latest(self.clock, f"drone {self.drone} reference", REFERENCE.max_age)
-        port.bus.subscribe(POSE, self.drone, self.drone, self.poses)
-        self._period_ns = round(SECOND / rate)
+        port.bus.subscribe(POSE, self.drone, self.drone, Call(self.clock, self._posed, f"drone {self.drone} pose"))
+        self.period_ns = round(SECOND / rate)
         self._plan: PointToPoint | None = None
         self._plan_start = 0.0
         self._last: FullState | None = None
@@ -117,16 +118,28 @@ class Pilot(Actor):
         self._ticked_ns = 0
         self._said = Throttle(1.0)
         self._idle = FPQR(np.zeros(4))
+        self._run: asyncio.Future[None] | None = None
 
     async def run(self) -> None:
-        """Tick for ever."""
-        while True:
-            self.tick(await self.poses.get())
+        """Poses and the clock tick it, without a pass of the loop between; a tick that fails ends the run."""
+        self._run = asyncio.get_running_loop().create_future()
+        try:
+            await self._run
+        finally:
+            self._run = None
+
+    def _posed(self, pose: Pose | None, age: float) -> None:
+        run = self._run
+        if run is None or run.done():
+            return
+        try:
+            self.tick(pose)
+        except Exception as error:  # noqa: BLE001 - its supervisor decides
+            run.set_exception(error)
 
     def on_restart(self) -> None:
         """Whatever made a tick fail is forgotten: it hovers where it is."""
         self.references.clear()
-        self.poses.clear()
         self._plan = self._last = None
         if self.mode is Mode.FOLLOW:
             self.mode = Mode.HOVER
@@ -139,9 +152,8 @@ class Pilot(Actor):
 
     def nudge(self, now_ns: int) -> None:
         """The clock's turn: when no pose has come for one and a half periods, tick without."""
-        if now_ns - self._ticked_ns > 1.5 * self._period_ns and not self.poses.unread:
-            self.poses.put(None)
-            self.poses.received -= 1
+        if now_ns - self._ticked_ns > 1.5 * self.period_ns:
+            self._posed(None, 0.0)
 
     def tick(self, pose: Pose | None) -> None:
         """One pass of the chain."""
@@ -151,10 +163,10 @@ class Pilot(Actor):
         self.state = state
         if state is None:
             return
+        port = self.port
+        port.publish(STATE, state, state.age)  # guidance may answer at once
         command = self._command(state, now)
         self.link.send(command)
-        port = self.port
-        port.publish(STATE, state, state.age)
         port.publish(COMMAND, command)
         if self._last is not None:
             port.publish(REFERENCE, self._last)

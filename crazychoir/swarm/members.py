@@ -47,7 +47,10 @@ class Roster(msgspec.Struct, frozen=True):
 
 @dataclass(frozen=True)
 class Beat:
-    """What a heartbeat says: incarnation, epoch and checksum of its roster, whom it hears and has lost, mission."""
+    """What a heartbeat says: incarnation, epoch and checksum of its roster, whom it has lost, mission.
+
+    hears: before the first roster, whom it hears.
+    """
 
     incarnation: int
     epoch: int

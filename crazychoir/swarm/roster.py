@@ -64,7 +64,9 @@ class Barrier:
         self._lost: dict[int, None] = {}
         self._foreign: dict[int, str] = {}
         self._checksum = 0
+        self._calm: dict[int, bytes] = {}
         self._judge_ns = 0
+        self._settled_ns = 0
         self._next: dict[int, int] = {}
         self._held: dict[int, int] = {}
         self._halves: dict[int, int] = {}
@@ -183,12 +185,14 @@ class Barrier:
                 self._lost.pop(j, None)  # the coordinator knows better
         self.roster, self._checksum = roster, roster.checksum
         self._next, self._held, self._halves, self._target = {}, {}, {}, 0
+        self._settled_ns = self.port.bus.clock.now_ns() + int(SILENCE * SECOND)  # others adopt it, and watch fewer
         for listener in self.listeners:
             listener(roster)
         self._watch()
 
     def _watch(self) -> None:
         """After the start: the coordinator watches all, the others their neighbours and it; all, if it is silent."""
+        self._calm.clear()
         if self.roster is None:
             return
         first = self.roster.ids[0]
@@ -200,10 +204,12 @@ class Barrier:
 
     def _beat(self) -> list[Any]:
         epoch = self.roster.epoch if self.roster else 0
-        hears = tuple(j for j in self.monitor.watched if self._present(j))
+        hears = () if self.roster else tuple(j for j in self.monitor.watched if self._present(j))
         return Beat(self.port.incarnation, epoch, self._checksum, hears, tuple(self._lost), self.mission_hash).wire()
 
     def _heard(self, source: int, payload: bytes, number: int, channel: str, flags: int, age: float) -> None:
+        if self._calm.get(source) == payload:
+            return  # what it has said before, and all was well
         try:
             beat = Beat.of(decode(payload))
         except (CodecError, TypeError, ValueError):
@@ -215,11 +221,14 @@ class Barrier:
         elif source in self._others:
             self._foreign.pop(source, None)
             self.beats[source] = beat
-            if source not in self.monitor.watched:
+            if source not in self.monitor.watched and self.port.bus.clock.now_ns() > self._settled_ns:
                 self.monitor.watched += (source,)  # who watches us shall hear us
             theirs = bool(beat.epoch) and source < self.id
             if self.roster is not None and not theirs and self.coordinator() == self.id:
                 self._review(source, beat, self.roster)
+            agreed = bool(beat.epoch) and beat.checksum == self._checksum and not (beat.lost or self._lost or self._next)
+            if agreed and source in self.monitor.watched:
+                self._calm[source] = payload
 
     def _review(self, source: int, beat: Beat, roster: Roster) -> None:
         """As coordinator: take in what a member reports of others, and members that are new or new again."""
@@ -260,6 +269,7 @@ class Barrier:
 
     def _propose(self, members: dict[int, int], roster: Roster) -> None:
         """Ask those who run already to hold their rounds."""
+        self._calm.clear()
         self._next = dict(sorted(members.items()))
         epochs = [self.beats[j].epoch for j in members if j in self.beats]
         self._target = max([self._target, *(epoch + 1 for epoch in (roster.epoch, *epochs))])

@@ -103,7 +103,7 @@ def test_a_listener_that_fails_does_not_end_the_watch(quick, caplog):
 def test_guarded_code_that_does_not_end_is_interrupted(quick):
     async def work(dog):
         began = time.perf_counter()
-        with pytest.raises(Hung), dog.guard():
+        with pytest.raises(Hung), dog.guard("drone 3 guidance"):
             forever()
         lasted.append(time.perf_counter() - began)
 
@@ -114,7 +114,7 @@ def test_guarded_code_that_does_not_end_is_interrupted(quick):
 
 def test_guarded_code_that_swallows_its_interruption_gets_it_again(quick):
     async def work(dog):
-        with pytest.raises(Hung), dog.guard():
+        with pytest.raises(Hung), dog.guard("drone 3 guidance"):
             stubborn()
 
     def stubborn():
@@ -133,7 +133,7 @@ def test_guarded_code_that_swallows_its_interruption_gets_it_again(quick):
 def test_unguarded_code_is_never_interrupted(quick):
     async def work(dog):
         keep_the_loop(0.3)
-        with dog.guard():
+        with dog.guard("drone 3 guidance"):
             pass
         keep_the_loop(0.3)
 
@@ -143,7 +143,7 @@ def test_unguarded_code_is_never_interrupted(quick):
 def test_the_guarded_do_not_pay_for_who_kept_the_loop_before(quick):
     async def work(dog):
         keep_the_loop(0.3)
-        with dog.guard():
+        with dog.guard("drone 3 guidance"):
             keep_the_loop(0.1)
 
     assert watched(work).stalls == 1
@@ -151,7 +151,7 @@ def test_the_guarded_do_not_pay_for_who_kept_the_loop_before(quick):
 
 def test_a_guard_left_over_an_await_is_void(quick):
     async def work(dog):
-        with dog.guard():
+        with dog.guard("drone 3 guidance"):
             await dog.clock.sleep(0.06)
             keep_the_loop(0.3)
 
@@ -174,7 +174,7 @@ async def main(clock):
     dog = watchdog.Watchdog(clock)
     dog.start()
     print("ready", flush=True)
-    with dog.guard():
+    with dog.guard("drone 3 guidance"):
         burn(0.4)
     {then}
     dog.stop()

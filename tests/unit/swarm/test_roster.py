@@ -11,7 +11,7 @@ from msgspec.structs import replace
 from crazychoir.bus.codec import decode, encode
 from crazychoir.bus.impairment import Impairment
 from crazychoir.bus.local import Bus
-from crazychoir.bus.presence import Presence
+from crazychoir.bus.presence import SILENCE, Presence
 from crazychoir.bus.rules import Partition, Rule
 from crazychoir.bus.topics import HEARTBEAT, ROSTER
 from crazychoir.errors import PeerLost, Refused, RosterChanged
@@ -496,7 +496,12 @@ def test_who_watches_us_hears_us():
         barrier = Barrier(t.bus.port(3), graph, mission_hash="abc", version="1")
         barrier._adopt(Roster(1, dict.fromkeys(range(4), 1), [], False, 0, 0, "abc", "1"))
         barrier.monitor.watched = (0, 2)
-        t.bus.ports[3].deliver(HEARTBEAT.number, 1, encode(Beat(1, 1, 0, (), (), "abc").wire()), 1, "", 0, 0.0)
+        beat = encode(Beat(1, 1, barrier.roster.checksum, (), (), "abc").wire())
+        t.bus.ports[3].deliver(HEARTBEAT.number, 1, beat, 1, "", 0, 0.0)
+        assert barrier.monitor.watched == (0, 2), "it has just heard of GO itself, and will watch fewer"
+        await t.clock.sleep(1.5 * SILENCE)
+        for number in (2, 3):  # the second one says nothing new
+            t.bus.ports[3].deliver(HEARTBEAT.number, 1, beat, number, "", 0, 0.0)
         assert barrier.monitor.watched == (0, 2, 1)
 
     team(graphs.path(4), story)
