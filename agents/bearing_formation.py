@@ -37,8 +37,8 @@ class BearingFormation(CFDistributedFeedback):
         self.K = {j: np.kron([kp, kv], projector(np.subtract(shape[j], shape[i]))) for j in neighbors}
 
     def step(self, me: State, heard: Heard) -> Acceleration | None:
-        """The follower's law; a leader hovers."""
-        if self.leader:
+        """The follower's law; a leader hovers, and so does who does not hear all its neighbours."""
+        if self.leader or len(heard) < len(self.K):
             return None
         u, x = np.zeros(3), me.flat[:6]
         for j, other in heard.items():

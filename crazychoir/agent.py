@@ -262,6 +262,7 @@ class Agent:
         for i in ids:
             self.bus.port(i, incarnation)
         self.world = self._world()
+        self.owner = self._owner()
         self._graph = config.graph()
         self._start_deadline = start_deadline or config.start_deadline
         self._digest = mission_hash(config, mission)
@@ -318,15 +319,18 @@ class Agent:
             await owner
         return {i: drone.result for i, drone in self.drones.items()}
 
-    def _shared(self) -> list[Actor]:
+    def _owner(self) -> WorldOwner:
+        """Whoever steps the world and looks at it."""
         mocap = self.config.mocap
         cameras = SimulatedMocap(
             self.ids, self.config.seed, noise_p=mocap.noise, noise_angle=mocap.noise_angle, dropout=mocap.dropout,
             latency_steps=round(mocap.latency * mocap.rate), dt=1.0 / mocap.rate,
         )  # fmt: skip
+        return WorldOwner(self.bus, self.world, cameras, mocap.rate, self.trace)
+
+    def _shared(self) -> list[Actor]:
         pilots = [drone.pilot for drone in self.drones.values()]
-        world = WorldOwner(self.bus, self.world, cameras, mocap.rate, self.trace)
-        return [*self.services, world, Pacemaker(self.clock, pilots, mocap.rate)]
+        return [*self.services, self.owner, Pacemaker(self.clock, pilots, self.config.mocap.rate)]
 
     def _flying(self, drone: Drone) -> list[Actor]:
         return [drone.barrier.monitor, drone.pilot, StatusActor(drone)]

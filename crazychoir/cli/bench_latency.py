@@ -28,6 +28,7 @@ from crazychoir.routing.generate import random_instance
 from crazychoir.routing.instance import Instance
 from crazychoir.runtime.clock import SECOND, Clock, run_wall
 from crazychoir.safety.pilot import Mode, Pilot
+from crazychoir.simulation.owner import WorldOwner
 from crazychoir.solving import solve_here
 from crazychoir.swarm.config import SwarmConfig, default_swarm
 from crazychoir.types import FPQR, Acceleration, Heard, State
@@ -115,17 +116,16 @@ def added_p99_ms(alone: Lateness, solving: Lateness) -> float:
 
 
 class StopwatchLink:
-    """A link that notes how long the pose has been in the mailbox when its command leaves."""
+    """A link that notes how long ago the cameras have seen all drones when the command of its drone leaves."""
 
-    def __init__(self, pilot: Pilot, elapsed_ns: list[int]) -> None:
-        self.pilot, self.link, self.elapsed_ns = pilot, pilot.link, elapsed_ns
+    def __init__(self, pilot: Pilot, owner: WorldOwner, elapsed_ns: list[int]) -> None:
+        self.pilot, self.owner, self.link, self.elapsed_ns = pilot, owner, pilot.link, elapsed_ns
 
     def send(self, command: FPQR) -> None:
         """Pass it on, then look at the clock."""
         self.link.send(command)
-        pose = self.pilot.poses.peek()
-        if pose is not None and self.pilot.mode is Mode.FOLLOW:
-            self.elapsed_ns.append(round((self.pilot.poses.age() - pose.age) * SECOND))
+        if self.pilot.mode is Mode.FOLLOW:
+            self.elapsed_ns.append(self.pilot.clock.now_ns() - self.owner.looked_ns)
 
     def cut(self) -> None:
         """Pass it on."""
@@ -164,7 +164,7 @@ def pose_to_command(drones: int, seconds: float) -> Lateness:
     async def main(clock: Clock) -> dict[int, dict[str, Any]]:
         agent = Agent(clock, default_swarm(drones), mission, tuple(range(drones)))
         for drone in agent.drones.values():
-            drone.pilot.link = StopwatchLink(drone.pilot, elapsed_ns)
+            drone.pilot.link = StopwatchLink(drone.pilot, agent.owner, elapsed_ns)
         return await agent.run()
 
     results = run_wall(main)

@@ -10,8 +10,9 @@ from crazychoir.bus.topics import Topic
 from crazychoir.bus.zenoh import ZenohLink
 from crazychoir.cli.chosen import chosen_swarm
 from crazychoir.errors import Refused
-from crazychoir.launch import Call, Score, attached, observer
+from crazychoir.launch import Score, attached, observer
 from crazychoir.runtime.clock import Clock, run_wall
+from crazychoir.runtime.mailbox import Call
 from crazychoir.swarm.config import SwarmConfig
 
 DISCOVERY = 4.0
@@ -46,7 +47,7 @@ class Window:
             raise Refused(f"swarm {self.config.name}", f"no agent found at {endpoints} ...; is it running?")
         return self.drones
 
-    def read(self, topic: Topic, i: int, function: Callable[[Any, float], None], rate: float = 0.0) -> Call:
+    def read(self, topic: Topic, i: int, function: Callable[[Any, float], None], rate: float = 0.0) -> Call[Any]:
         """Call the function with each value of drone i, and its age; at most `rate` times a second (0: all)."""
         box = Call(self.clock, function)
         self.link.bus.subscribe(topic, i, self.address, box, rate)

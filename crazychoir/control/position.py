@@ -75,7 +75,7 @@ def _wish(x: Vec, ref: Vec, gains: Vec, follow: float, c: int) -> float:
 
 @kernel(vector, vector, vector, vector, real, memory)
 def _flatness(x: Vec, ref: Vec, gains: Vec, platform: Vec, follow: float, out: Vec) -> bool:
-    """The law of FlatnessPositionCtrl (follow = 1), or without lead that of FlatnessAccelerationCtrl, into out (13,)."""
+    """The law of FlatnessPositionCtrl (follow = 1), or that of FlatnessAccelerationCtrl but for its lead."""
     if not (np.all(np.isfinite(x)) and np.all(np.isfinite(ref))):
         return False
     v = (ref[3], ref[4], ref[5]) if follow > 0.0 else (x[3], x[4], x[5])

@@ -234,7 +234,7 @@ class CFDistributedFeedback(CFGuidance):
         pilot, late_ns = self.member.pilot, self.member.clock.now_ns() - self._due_ns
         if late_ns < -pilot.period_ns // 2 or pilot.mode is TAKEOFF:
             return
-        self._due_ns += self._period_ns if late_ns < self._period_ns else (late_ns // self._period_ns + 1) * self._period_ns
+        self._due_ns += max(1, late_ns // self._period_ns + 1) * self._period_ns
         try:
             if pilot.mode not in LAW_MODES:
                 raise Interrupted(f"drone {self.id}: {pilot.mode.value}: {pilot.note}")

@@ -122,7 +122,6 @@ class Ticks:
         self.due_ns = clock.now_ns()
         self.missed = 0
         self._cancelled = False
-        self._alarm: Alarm | None = None
 
     def __aiter__(self) -> "Ticks":
         return self
@@ -150,20 +149,15 @@ class Ticks:
     def add_done_callback(self, wakeup: Callable[["Ticks"], object], *, context: Context | None = None) -> None:
         """The task is waiting: its wake-up is the alarm."""
         self._wakeup, self._context = wakeup, context
-        alarm = self._alarm
-        if alarm is None or alarm._cancelled or alarm._context is not context:
-            alarm = self._alarm = Alarm(wakeup, (self,), self.clock._loop, context)
-        else:  # the one that has rung
-            alarm._callback = wakeup
-        self.clock.push(self.due_ns, alarm, self.priority, self.drone)
+        self._alarm = Alarm(wakeup, (self,), self.clock._loop, context)
+        self.clock.push(self.due_ns, self._alarm, self.priority, self.drone)
 
     def cancel(self, msg: Any = None) -> bool:
         """The task is cancelled: wake it in the next pass."""
         if self._cancelled:
             return False
         self._cancelled = True
-        if self._alarm is not None:
-            self._alarm.cancel()
+        self._alarm.cancel()
         self.clock._loop.call_soon(self._wakeup, self, context=self._context)
         return True
 

@@ -136,10 +136,9 @@ class Guard:
     def check(self, now: float, state: State | None, pose_age: float, reference_age: float | None = None) -> Verdict:
         """The verdict at `now` (s); ages in s;  state None: nothing was ever seen;  reference_age None: none needed."""
         age = 0.0 if reference_age is None else reference_age
-        if not self._acting and pose_age <= self._quiet_pose and age <= self._quiet_reference:
-            if state is None or _outside(state.flat, self._box) <= self._quiet_fence:
-                return ALL_WELL
-        return self._judge(now, self._measured(state, pose_age, age))
+        outside = -math.inf if state is None else _outside(state.flat, self._box)
+        calm = pose_age <= self._quiet_pose and age <= self._quiet_reference and outside <= self._quiet_fence
+        return ALL_WELL if calm and not self._acting else self._judge(now, self._measured(state, pose_age, age))
 
     def _measured(self, state: State | None, pose_age: float, reference_age: float) -> dict[str, float]:
         """The measures of the table."""

@@ -77,6 +77,8 @@ class WorldOwner(Actor):
         self._look_every = max(1, round(1.0 / (world.dt * rate)))
         self._truth_every = max(1, round(1.0 / (world.dt * TRUTH.rate)))
         self._tick = 0
+        self.looked_ns = 0
+        """When the cameras last looked, by the bus's clock."""
 
     async def run(self) -> None:
         """One step a tick; late ticks of real time are made up for, up to a limit."""
@@ -95,6 +97,7 @@ class WorldOwner(Actor):
         if self.trace is not None:
             self.trace.update(world.states.tobytes())
         if self._tick % self._look_every == 0:
+            self.looked_ns = self.bus.clock.now_ns()
             for port, pose in zip(self._ports, self.cameras.sample(world.states, self._tick), strict=True):
                 if pose is not None:
                     port.publish(POSE, pose, pose.age)

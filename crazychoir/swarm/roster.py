@@ -226,8 +226,8 @@ class Barrier:
             theirs = bool(beat.epoch) and source < self.id
             if self.roster is not None and not theirs and self.coordinator() == self.id:
                 self._review(source, beat, self.roster)
-            agreed = bool(beat.epoch) and beat.checksum == self._checksum and not (beat.lost or self._lost or self._next)
-            if agreed and source in self.monitor.watched:
+            agreed = beat.epoch > 0 and beat.checksum == self._checksum and source in self.monitor.watched
+            if agreed and not (beat.lost or self._lost or self._next):
                 self._calm[source] = payload
 
     def _review(self, source: int, beat: Beat, roster: Roster) -> None:
