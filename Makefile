@@ -24,7 +24,12 @@ demo: $(VENV)/.installed  ## six drones in six processes plan and fly pickups an
 	$(BIN)/crazychoir run pickup_delivery --processes 6 --loss 0.2 --seed 1 --picture out/routes.png
 
 test: $(VENV)/.installed-test  ## all tests but the campaigns, with ruff, mypy and the import contract
-	$(BIN)/python -m pytest
+	@mkdir -p out
+	@echo "What runs in real time is shown here; what only computes runs beside it, and is shown afterwards."
+	@nice -n 19 $(BIN)/python -m pytest -m "not (slow or real_time)" -o cache_dir=.pytest_cache/computing \
+		>out/computing.txt 2>&1 & beside=$$!; trap 'kill $$beside; exit 130' INT TERM; \
+	$(BIN)/python -m pytest -v -m "real_time and not slow"; real_time=$$?; \
+	wait $$beside; computing=$$?; cat out/computing.txt; exit $$((real_time | computing))
 
 check: $(VENV)/.installed-test  ## ruff, mypy --strict and the import contract alone: seconds
 	$(BIN)/ruff check .

@@ -1,12 +1,36 @@
 """What all tests share."""
 
-from collections.abc import Callable
+import fcntl
+import os
+import tempfile
+from collections.abc import Callable, Generator
 from pathlib import Path
 
 import pytest
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 REFERENCE_DATA = REPOSITORY.parent / "shared" / "data"
+
+
+@pytest.hookimpl(tryfirst=True)  # before `-m` selects by marks
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Who starts agents as processes runs in real time: `make test` runs such tests beside those that only compute."""
+    for item in items:
+        if "compiled" in getattr(item, "fixturenames", ()):
+            item.add_marker("real_time")
+
+
+@pytest.hookimpl(wrapper=True, tryfirst=True)  # the time of waiting is not the test's: outside of its timeout
+def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object]:
+    """One test in real time at once on this machine, whoever runs tests beside us: they would load its processors."""
+    if item.get_closest_marker("real_time") is None:
+        return (yield)
+    turn = os.open(tempfile.gettempdir(), os.O_RDONLY)
+    try:
+        fcntl.flock(turn, fcntl.LOCK_EX)
+        return (yield)
+    finally:
+        os.close(turn)
 
 
 @pytest.fixture(scope="session")

@@ -94,6 +94,8 @@ class Team:
         self.path.write_text(config.dumps())
         self.agents: dict[int, Program] = {}
         self.observer: Program
+        self._statuses: list[dict[str, Any]] = []
+        self._read = 0
 
     async def look(self) -> None:
         self.observer = await Program.start(*self.place(self.config.ids[0]), *OBSERVER, self.path)
@@ -106,9 +108,13 @@ class Team:
 
     def statuses(self, drone: int | None = None) -> list[dict[str, Any]]:
         """What the observer has heard, oldest first."""
-        lines = [json.loads(line) for line in list(self.observer.said) if line.startswith("{")]
-        found = [line["status"] | {"t": line["t"], "drone": line["drone"]} for line in lines if "status" in line]
-        return [status for status in found if drone in (None, status["drone"])]
+        said = self.observer.said
+        for line in said[self._read :]:
+            heard = json.loads(line) if line.startswith("{") else {}
+            if "status" in heard:
+                self._statuses.append(heard["status"] | {"t": heard["t"], "drone": heard["drone"]})
+        self._read = len(said)
+        return [status for status in self._statuses if drone in (None, status["drone"])]
 
     def planning_round(self) -> int:
         """The highest round that was seen in planning; -1 as soon as somebody goes on."""

@@ -5,7 +5,10 @@ import os
 import subprocess
 import sys
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
+
+from crazychoir.swarm.config import SwarmConfig
 
 PROGRAMS = {
     "crazychoir": (sys.executable, "-m", "crazychoir.cli.crazychoir"),
@@ -41,6 +44,13 @@ def call(program: str, *words: object, seconds: float = 60.0, **environment: str
         command, capture_output=True, text=True, timeout=seconds, check=False, env={**os.environ, **environment}
     )
     return Said(done.returncode, done.stdout, done.stderr)
+
+
+def fly(config: SwarmConfig, folder: Path, *words: object, seconds: float = 110.0) -> dict[str, Any]:
+    """`crazychoir run` of a swarm file, in real time; its object."""
+    path = folder / "swarm.json"
+    path.write_text(config.dumps())
+    return run(path, *words, seconds=seconds)
 
 
 def run(*words: object, seconds: float = 60.0, **environment: str) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from rich.console import Console
 from crazychoir.cli import bench_exchange
 from crazychoir.cli.bench_exchange import Row
 
-pytestmark = pytest.mark.system
+pytestmark = [pytest.mark.system, pytest.mark.real_time]
 
 
 @pytest.mark.parametrize(

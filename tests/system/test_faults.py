@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+import re
 import signal
 import subprocess
 import time
@@ -175,6 +176,8 @@ async def hang_in_python(folder: Path) -> None:
     assert f"standing.py:{HANGING} step" in reason
     assert any("guidance failed: Hung" in said for said in ended["log"])
     assert "guidance failed" in text
+    kept = [float(seconds) for seconds in re.findall(r"keeps the event loop for ([0-9.]+) s", text)]
+    assert max(kept) < 2.0, "interrupted after a second"
 
 
 async def hang_in_c(folder: Path) -> None:

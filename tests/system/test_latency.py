@@ -9,7 +9,7 @@ from crazychoir.errors import CrazyChoirError
 from crazychoir.runtime.clock import WallClock
 from crazychoir.solving import solve_here
 
-pytestmark = [pytest.mark.system, pytest.mark.slow, pytest.mark.timeout(300)]
+pytestmark = [pytest.mark.system, pytest.mark.real_time, pytest.mark.slow, pytest.mark.timeout(300)]
 QUIET_MS = 1.0
 """p99 of a tick with nothing beside it, above which other programs are what would be measured."""
 ATTEMPTS = 8

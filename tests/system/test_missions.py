@@ -3,7 +3,8 @@
 from dataclasses import dataclass
 
 import pytest
-from system.commands import call, run
+from system.agents import BRISK
+from system.commands import call, fly, run
 
 from crazychoir.guidance.mission import load
 from crazychoir.launch import Score, fly_fast
@@ -61,16 +62,22 @@ def test_the_settling_time_is_the_last_time_that_anybody_is_far():
     assert score.formation()["settling_s"] is None
 
 
-@pytest.mark.timeout(240)
-def test_the_formation_in_real_time():
-    settled(run("bearing_formation", "--seed", 1, seconds=200.0))
+def scattered(seed):
+    """The formation with a quick take-off and landing; the law has 18 s."""
+    mission = load("bearing_formation")
+    return mission.scatter(mission.swarm(None).replace(seed=seed, flight=BRISK, mission_options={"duration": 18.0}))
+
+
+@pytest.mark.real_time
+def test_the_formation_in_real_time(tmp_path, compiled):
+    settled(fly(scattered(1), tmp_path))
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(240)
+@pytest.mark.real_time
 @pytest.mark.parametrize("seed", range(20))
-def test_the_formation_in_real_time_over_all_seeds(seed):
-    settled(run("bearing_formation", "--seed", seed, seconds=200.0))
+def test_the_formation_in_real_time_over_all_seeds(seed, tmp_path, compiled):
+    settled(fly(scattered(seed), tmp_path))
 
 
 def test_a_grid_without_diagonals_is_refused_with_the_reason(repository):

@@ -84,11 +84,13 @@ def test_a_bad_network_in_virtual_time(n):
     assert run_virtual(mission(graph, impairment, 100)) == in_a_loop(graph, 100)
 
 
+@pytest.mark.real_time
 def test_a_bad_network_in_real_time():
     graph = graphs.ring(6)
     assert run_wall(mission(graph, Impairment(3, LOSSY), 30)) == in_a_loop(graph, 30)
 
 
+@pytest.mark.real_time
 def test_a_good_network_in_real_time_needs_no_resends():
     graph, resent = graphs.ring(10), []
 

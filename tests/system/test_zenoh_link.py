@@ -25,21 +25,14 @@ from crazychoir.bus.local import Bus
 from crazychoir.bus.topics import HELLO, LOG, RESULT, ROUND, STATE, STATUS
 from crazychoir.bus.zenoh import ZenohLink
 from crazychoir.errors import ConfigError, Refused
+from crazychoir.launch import free_ports
 from crazychoir.swarm.communicator import Communicator
 from crazychoir.swarm.graph import Graph
 from crazychoir.types import State, Status
 
-pytestmark = pytest.mark.system
+pytestmark = [pytest.mark.system, pytest.mark.real_time]
 CHILD = Path(__file__).with_name("link_process.py")
 OBSERVER = 10_001
-
-
-def free_ports(count: int) -> list[int]:
-    sockets = [socket.create_server(("127.0.0.1", 0)) for _ in range(count)]
-    ports = [one.getsockname()[1] for one in sockets]
-    for one in sockets:
-        one.close()
-    return ports
 
 
 def endpoint(port: int) -> str:
@@ -93,7 +86,8 @@ class Ground:
     def __init__(self, clock: Any, stack: contextlib.AsyncExitStack) -> None:
         self.clock, self.stack = clock, stack
         self.swarm = f"test-{secrets.token_hex(4)}"
-        self.ports = free_ports(2)
+        base = free_ports([0, 1])
+        self.ports = [base, base + 1]
         self.tokens: list[tuple[list[int], bool, float]] = []
         self.refused: list[Refused] = []
 

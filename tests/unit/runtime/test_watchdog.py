@@ -13,6 +13,8 @@ from crazychoir.runtime import watchdog as watchdog_module
 from crazychoir.runtime.clock import SECOND, Clock, run_wall
 from crazychoir.runtime.watchdog import Guard, Stall, Watchdog
 
+pytestmark = pytest.mark.real_time
+
 
 @pytest.fixture
 def quick(monkeypatch):
