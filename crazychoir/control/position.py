@@ -96,10 +96,14 @@ def _flatness(x: Vec, ref: Vec, gains: Vec, platform: Vec, follow: float, out: V
 
 @kernel(vector, vector, vector, vector, memory, real, memory)
 def _led(x: Vec, ref: Vec, gains: Vec, platform: Vec, mem: Vec, h: float, desired: Vec) -> bool:
-    """`_flatness` without follow; then the roll and pitch feed-forward are `lead` times the low-passed rate of R_d.
+    """`_flatness` without follow; then the roll and pitch feed-forward are `lead` times the low-passed rate w_f of R_d.
 
-    mem: (12,) = columns of the last R_d, its rate;  h: s since then; after a gap, or from NaN on, it starts anew.
-    Turns of R_d are summed, not turns of the force: noise of both must not leave a drift of the attitude behind.
+        owed += turn of R_d - w_f h,   w_f = owed (1 - exp(-cutoff h)) / h
+
+    which is w_f' = cutoff (w(R_d) - w_f) for a steady h. Whatever h is, the feed-forward that was held sums up to the
+    turns of R_d: else noise and late ticks would leave a drift of the attitude behind.
+    mem: (13,) = columns of the last R_d, w_f since then (2), owed rad (2);  h: s since then; 0: nothing new was
+    measured, w_f goes on; after a gap, or from NaN on, it starts anew.
     """
     if not _flatness(x, ref, gains, platform, 0.0, desired):
         return False
@@ -107,12 +111,14 @@ def _led(x: Vec, ref: Vec, gains: Vec, platform: Vec, mem: Vec, h: float, desire
     z_d = (desired[7], desired[8], desired[9])
     a, b, c = (mem[0], mem[1], mem[2]), (mem[3], mem[4], mem[5]), (mem[6], mem[7], mem[8])
     turn = (0.5 * (dot(c, y_d) - dot(b, z_d)), 0.5 * (dot(a, z_d) - dot(c, x_d)))
-    lead, keep = gains[7], math.exp(-gains[8] * h)
     for n in range(2):
-        rate = keep * mem[9 + n] + (1.0 - keep) * turn[n] / h
-        mem[9 + n] = rate if 0.0 < h < LONGEST_GAP and math.isfinite(rate) else 0.0
-        desired[10 + n] = lead * mem[9 + n]
-    mem[0:9] = desired[1:10]
+        if h > 0.0:
+            owed = mem[11 + n] + turn[n] - mem[9 + n] * h
+            mem[11 + n] = owed if h < LONGEST_GAP and math.isfinite(owed) else 0.0
+            mem[9 + n] = mem[11 + n] * (1.0 - math.exp(-gains[8] * h)) / h
+        desired[10 + n] = gains[7] * mem[9 + n]
+    if h > 0.0:
+        mem[0:9] = desired[1:10]
     return True
 
 
@@ -149,12 +155,13 @@ class FlatnessAccelerationCtrl(FlatnessPositionCtrl):
 
     def __init__(self, gains: Gains = FORMATION, platform: Platform = PAPER) -> None:
         super().__init__(gains, platform)
-        self._memory, self._time = np.zeros(12), -math.inf
+        self._memory, self._time = np.zeros(13), -math.inf
 
     def desired(self, state: State, reference: Vec, now: float) -> Vec | None:
         """Thrust, attitude and rate feed-forward (13,); None if state or reference is not finite."""
-        h = now - self._time
+        measured = max(now - state.age, self._time)
+        h = measured - self._time
         if _led(state.flat, reference, self._gains, self._platform, self._memory, h, self._out):
-            self._time = now
+            self._time = measured
             return self._out
         return None

@@ -7,7 +7,7 @@ from crazychoir.bus.local import Bus
 from crazychoir.bus.topics import POSE, TRUTH
 from crazychoir.math3d import Mat, rotation
 from crazychoir.runtime.actor import Actor
-from crazychoir.runtime.clock import WORLD
+from crazychoir.runtime.clock import SECOND, WORLD
 from crazychoir.simulation.world import World
 from crazychoir.types import FPQR, Pose
 
@@ -83,14 +83,14 @@ class WorldOwner(Actor):
     async def run(self) -> None:
         """One step a tick; late ticks of real time are made up for, up to a limit."""
         missed = 0
-        async for _ in self.ticks:
+        async for due_ns in self.ticks:
             late, missed = self.ticks.missed - missed, self.ticks.missed
             for _ in range(min(late, MOST_CATCH_UP)):
                 self.world.step()
-            self.step()
+            self.step((self.bus.clock.now_ns() - due_ns) / SECOND)
 
-    def step(self) -> None:
-        """Advance, look, publish."""
+    def step(self, late: float = 0.0) -> None:
+        """Advance, look, publish. A tick `late` s shows the world as it was when it was due: so old are its poses."""
         world = self.world
         world.step()
         self._tick += 1
@@ -100,7 +100,8 @@ class WorldOwner(Actor):
             self.looked_ns = self.bus.clock.now_ns()
             for port, pose in zip(self._ports, self.cameras.sample(world.states, self._tick), strict=True):
                 if pose is not None:
-                    port.publish(POSE, pose, pose.age)
+                    seen = Pose(pose.flat, pose.age + late) if late else pose
+                    port.publish(POSE, seen, seen.age)
         if self._tick % self._truth_every == 0:
             for port in self._ports:
-                port.publish(TRUTH, world.state(port.address))
+                port.publish(TRUTH, world.state(port.address), late)

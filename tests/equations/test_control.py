@@ -101,6 +101,29 @@ def test_the_lead_is_its_part_of_the_rate_of_the_desired_attitude():
     np.testing.assert_allclose(out[10:12], [0.0, 0.5 * rate], atol=1e-4)
 
 
+def test_however_the_ticks_come_the_lead_that_was_held_is_its_part_of_the_turn():
+    law, draw = FlatnessAccelerationCtrl(replace(FORMATION, lead=0.5)), np.random.default_rng(1)
+    held = now = 0.0
+    tilts = [0.0, *0.02 * draw.standard_normal(300), *[0.1] * 100]
+    for tilt in tilts:
+        h = draw.choice([0.0002, 0.005, 0.01, 0.02, 0.035])
+        ref = np.zeros(14)
+        ref[6:9] = GRAVITY * np.array([np.tan(tilt), 0.0, 0.0])
+        rate = law.desired(state(), ref, now)[11]
+        held, now = held + rate * h, now + h
+    assert held == pytest.approx(0.5 * (tilts[-1] - tilts[0]), abs=0.002)
+
+
+def test_the_lead_goes_on_while_nothing_new_is_measured():
+    law, ref = FlatnessAccelerationCtrl(), np.zeros(14)
+    law.desired(state(), ref, 0.0)
+    ref[6] = 0.1
+    rate = law.desired(state(), ref, 0.01)[11]
+    assert rate > 0.0
+    predicted = State(state().flat, 0.005)
+    assert law.desired(predicted, ref, 0.015)[11] == rate
+
+
 def test_the_lead_starts_anew_after_a_gap():
     law = FlatnessAccelerationCtrl()
     ref = np.zeros(14)
