@@ -101,6 +101,16 @@ class Clock:
         return None
 
 
+class _Pass:
+    """Await it to let everybody else who is ready run first."""
+
+    def __await__(self) -> Generator[None, None, None]:
+        yield
+
+
+ONE_PASS = _Pass()
+
+
 def wake(waiter: "asyncio.Future[None]") -> None:
     """Resolve a waiter that nobody cancelled."""
     if not waiter.done():
@@ -179,9 +189,7 @@ class WallClock(Clock):
         self._pool = ThreadPoolExecutor(max_workers=spare, thread_name_prefix="compute")
         loop.add_reader(self._fd.fileno, self._fire)
 
-    def now_ns(self) -> int:
-        """CLOCK_MONOTONIC."""
-        return time.monotonic_ns()
+    now_ns = staticmethod(time.monotonic_ns)  # type: ignore[assignment]  # no frame of ours in between: it is asked a lot
 
     async def compute(self, function: Callable[..., T], *args: Any) -> T:
         """Run it in a thread: HiGHS and compiled kernels release the interpreter."""
@@ -200,15 +208,14 @@ class WallClock(Clock):
             self._fd.set(first)
 
     def _fire(self) -> None:
-        self._fd.clear()
         now = time.monotonic_ns()
-        self._armed_ns = 0
+        self._armed_ns = 1  # new alarms need not arm it: that comes at the end
         while self._heap and self._heap[0][0] <= now:
             alarm = heapq.heappop(self._heap)[-1]
             if not alarm.cancelled():
                 alarm._run()
-        if self._heap:
-            self._arm()
+        self._armed_ns = self._heap[0][0] if self._heap else 0
+        self._fd.set(self._armed_ns)
 
 
 class Timerfd:
@@ -224,17 +231,13 @@ class Timerfd:
         self.fileno = self._libc.timerfd_create(self._CLOCK_MONOTONIC, self._NONBLOCK | self._CLOEXEC)
         if self.fileno < 0:
             raise OSError(ctypes.get_errno(), "timerfd_create failed: real time needs Linux; use virtual time (--fast)")
+        self._spec = self._Spec()
+        self._arguments = (self.fileno, self._ABSTIME, ctypes.byref(self._spec), None)
 
     def set(self, when_ns: int) -> None:
-        """Fire at this instant of CLOCK_MONOTONIC, or at once if it has passed."""
-        seconds, nanoseconds = divmod(max(1, when_ns), SECOND)
-        spec = self._Spec(0, 0, seconds, nanoseconds)
-        self._libc.timerfd_settime(self.fileno, self._ABSTIME, ctypes.byref(spec), None)
-
-    def clear(self) -> None:
-        """Take the expiry, so that the descriptor is quiet again."""
-        with contextlib.suppress(BlockingIOError):
-            os.read(self.fileno, 8)
+        """Fire at this instant of CLOCK_MONOTONIC, at once if it has passed; 0: never. What it has told is forgotten."""
+        self._spec.value_s, self._spec.value_ns = divmod(when_ns, SECOND)
+        self._libc.timerfd_settime(*self._arguments)
 
     def close(self) -> None:
         """Close the descriptor."""

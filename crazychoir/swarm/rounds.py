@@ -33,8 +33,8 @@ MAX_EARLY_BYTES: Final = 8192
 MAX_ROUND: Final = 1 << 48
 PUSH: Final = 1 << 20
 """Attempts from here on are those that nobody asked for."""
-SWEEP: Final = 0.005
-"""s between two looks at those who wait."""
+SWEEP: Final = 5_000_000
+"""ns between two looks at those who wait; all drones of a process look at the same instants."""
 
 
 class Membership(Protocol):
@@ -318,7 +318,7 @@ class Rounds:
     def _schedule(self, now_ns: int) -> None:
         if self._alarm is not None:
             self._alarm.cancel()
-        self._due_ns = min(now_ns + int(SWEEP * SECOND), *(ch.deadline_ns for ch in self._waiting))
+        self._due_ns = min(now_ns - now_ns % SWEEP + SWEEP, *(ch.deadline_ns for ch in self._waiting))
         self._alarm = self._clock.call_at(self._due_ns, self._sweep, drone=self.id)
 
     def _sweep(self) -> None:
