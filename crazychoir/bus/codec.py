@@ -32,8 +32,8 @@ from crazychoir.bus.arrays import (
 )
 from crazychoir.errors import CodecError
 
-MAX_PAYLOAD: Final = 1 << 20
-"""Bytes of one payload, unless the caller says otherwise."""
+MAX_PAYLOAD: Final = 600_000
+"""Bytes of one payload; a message of them fits into a frame, so that what is encoded here can leave the process."""
 MAX_DEPTH: Final = 32
 """Containers within containers."""
 LAYOUTS: Final = {

@@ -4,6 +4,7 @@ import re
 from collections.abc import Iterable
 from typing import Any
 
+from crazychoir.bus import frames
 from crazychoir.errors import ConfigError
 
 MAX_MESSAGE = 8 << 20
@@ -12,8 +13,8 @@ LOCAL_LEASE = 10.0
 """s, where all processes are on one host: 4 keep-alives a lease and connection cost CPU."""
 BATCHES = 16
 """Of 64 kB, that wait for the network, a class; Zenoh's most. As no put waits, a frame must fit into them."""
-MAX_FRAME = 10 * 65_000
-"""Bytes of a frame that leaves the process: of 12 batches at once Zenoh drops some, also on an idle link."""
+MAX_FRAME = frames.MAX_FRAME
+"""Bytes of a frame that leaves the process, 10 batches: of 12 at once Zenoh drops some, also on an idle link."""
 
 _ENDPOINT = re.compile(
     r"(tcp|udp|tls|quic|ws)/(\[[0-9A-Fa-f:.%]+\]|[^/:\[\]\s]+):(?P<port>\d{1,5})([?#]\S*)?|unixsock-stream/\S+"
@@ -32,8 +33,8 @@ def settings(listen: list[str], connect: list[str], lease: float) -> dict[str, A
     """Zenoh's settings by path: explicit endpoints, no multicast, puts that never wait; raises ConfigError.
 
     lease: s without a sign of another host before its tokens go; a process that dies here closes its connections,
-    so that on one host only a longer one is needed. No gossip: all endpoints are given, and of 30 processes that also
-    tell each other of each other, each needs 1 s of CPU to start instead of 0.25 s.
+    so that on one host only a longer one is needed. Gossip: who is given the endpoints of only some processes learns
+    the others' from those, and has a link to each; without it, it would see no token but theirs.
     """
     check(listen, connect)
     if all(_LOOPBACK.match(endpoint) for endpoint in listen + connect):

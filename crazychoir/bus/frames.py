@@ -10,11 +10,12 @@ from typing import Annotated, Final
 import msgspec
 from msgspec import Meta
 
+from crazychoir.bus.codec import MAX_PAYLOAD
 from crazychoir.errors import CodecError
 
 VERSION: Final = 1
-MAX_FRAME: Final = 4 << 20
-"""Bytes of one frame, unless the caller says otherwise."""
+MAX_FRAME: Final = MAX_PAYLOAD + 50_000
+"""Bytes of one frame, unless the caller says otherwise: any payload of the codec with the largest header."""
 MAX_ENVELOPES: Final = 4096
 MAX_DESTINATIONS: Final = 1024
 MAX_AGE: Final = 1e9

@@ -6,6 +6,7 @@ processes, scheduling or the order of calls; only the queue of a bandwidth remem
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
+from math import inf
 from typing import Any, NamedTuple
 
 from crazychoir.bus.draws import BLOCK, ONE, bad_states, draw, key
@@ -38,11 +39,13 @@ AT_ONCE = Verdict((0.0,))
 class Impairment:
     """The simulated network of one process.
 
-    active: whether anything is set at all;  counters: by (source, destination), since the start.
+    active: whether anything is set at all;  counters: by (source, destination), since the start;  began: when the
+    mission began, by the clock of `now`: partitions count from there, and cut nobody before.
     """
 
     def __init__(self, seed: int, rules: Iterable[Rule] = (), partitions: Iterable[Partition] = ()) -> None:
         self.seed = seed
+        self.began = inf
         self.counters: dict[tuple[int, int], EdgeCounters] = {}
         self.replace(rules, partitions)
 
@@ -61,6 +64,14 @@ class Impairment:
         """
         self.replace(*changed(self.rules, self.partitions, changes))
 
+    def begin(self, now: float, age: float = 0.0) -> None:
+        """GO: the mission is `age` s old. Of several sayings the oldest counts: the others were longer on their way."""
+        self.began = min(self.began, now - age)
+
+    def age(self, now: float) -> float:
+        """s since GO; 0 before."""
+        return max(0.0, now - self.began)
+
     def affects(self, source: int, destination: int) -> bool:
         """Whether anything is set for this edge."""
         return self.active and self._edge(source, destination).affected
@@ -68,12 +79,12 @@ class Impairment:
     def verdict(
         self, source: int, destination: int, channel: int | str, number: int, attempt: int, size: int, now: float
     ) -> Verdict:
-        """What happens to a message of `size` bytes; now: s since the mission's start."""
+        """What happens to a message of `size` bytes; now: s by the sender's clock."""
         edge = self._edges.get((source, destination)) or self._edge(source, destination)
         lane = edge.lanes.get(channel) or edge.lane(channel)
         counters = edge.counters
         counters.sent += 1
-        wait = edge.wait(size, now) if edge.stateful else 0.0
+        wait = edge.wait(size, now, now - self.began) if edge.stateful else 0.0
         threshold = edge.loss_bad if edge.bursty and lane.bad(number + attempt) else edge.loss
         if wait < 0.0 or draw(lane.key, number, attempt) < threshold:
             counters.lost += 1
@@ -146,9 +157,9 @@ class _Edge:
         lane = self.lanes[channel] = _Lane(self.key_of(channel), self.link)
         return lane
 
-    def wait(self, size: int, now: float) -> float:
+    def wait(self, size: int, now: float, age: float) -> float:
         """Time in s until the last byte has left; -1 if a partition or a full queue stops the message."""
-        if any(since <= now < until for since, until in self.cuts):
+        if any(since <= age < until for since, until in self.cuts):
             return -1.0
         if self.link.bandwidth <= 0.0:
             return 0.0

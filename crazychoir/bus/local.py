@@ -127,7 +127,6 @@ class Bus:
         self.stopped = False
         self.tap: Callable[[int, int, int, int, bytes], None] | None = None
         self._readers: dict[int, dict[int, Readers]] = {}
-        self._started_ns = clock.now_ns()
         self._opened: tuple[bytes | None, Any] = (None, None)
 
     def port(self, address: int, incarnation: int = 1) -> "Port":
@@ -144,10 +143,6 @@ class Bus:
     def close(self, address: int) -> None:
         """Close a port: what is for it is lost from now on, as if its drone had crashed."""
         self.ports.pop(address, None)
-
-    def elapsed(self) -> float:
-        """Seconds since this bus began: the time of scheduled partitions."""
-        return (self.clock.now_ns() - self._started_ns) / SECOND
 
     def open(self, topic: int, payload: bytes) -> Any:
         """The value of a payload of this topic; raises CodecError. Decoded once for all who share the frozen value."""
@@ -210,6 +205,9 @@ class Port:
     _latched: dict[int, tuple[Any, int]] = field(default_factory=dict)
     _numbers: dict[int, int] = field(default_factory=dict)
 
+    def __post_init__(self) -> None:
+        self._now_ns = self.bus.clock.now_ns
+
     def send(
         self,
         topic: Topic,
@@ -222,9 +220,12 @@ class Port:
         age: float = 0.0,
     ) -> None:
         """Send to each address of `to`, here or elsewhere; between drones through the simulated network."""
-        bus = self.bus
+        bus, ports, sent = self.bus, self.bus.ports, 0
         impaired = topic.impaired and bus.impairment.active
-        ports, sent, far = bus.ports, 0, []
+        if bus.forwarder is not None:  # what leaves this process goes first: the others work meanwhile
+            far = [j for j in to if j not in ports and not (impaired and j < OBSERVER)]
+            if far:
+                self._forward(topic, far, payload, number, channel, flags, age)
         for j in to:
             if j < OBSERVER:
                 sent += 1
@@ -232,14 +233,12 @@ class Port:
                     self._send_impaired(topic, j, payload, number, channel, flags, attempt, age)
                     continue
             port = ports.get(j)
-            if port is None:
-                far.append(j)
-            else:
+            if port is not None:
                 port.deliver(topic.number, self.address, payload, number, channel, flags, age)
+            elif bus.forwarder is None:
+                bus.unroutable += 1
         self.counters.sent += sent
         self.counters.bytes += sent * len(payload)
-        if far:
-            self._forward(topic, far, payload, number, channel, flags, age)
 
     def publish(self, topic: Topic, value: Any, age: float = 0.0) -> None:
         """Give a value to all its readers; costs nothing where nobody reads."""
@@ -266,7 +265,7 @@ class Port:
         self.counters.received += 1
         if bus.tap is not None:
             bus.tap(self.address, topic, source, number, payload)
-        self.heard_ns[source] = bus.clock.now_ns()
+        self.heard_ns[source] = self._now_ns()
         handler = self.handlers.get(topic)
         if handler is not None:
             handler(source, payload, number, channel, flags, age)
@@ -327,7 +326,7 @@ class Port:
     ) -> None:
         bus = self.bus
         lane = channel or topic.name
-        verdict = bus.impairment.verdict(self.address, j, lane, number, attempt, len(payload), bus.elapsed())
+        verdict = bus.impairment.verdict(self.address, j, lane, number, attempt, len(payload), bus.clock.now())
         if not verdict.deliveries:
             self.counters.lost += 1
         for delay in verdict.deliveries:

@@ -97,7 +97,7 @@ class Rule:
 class Partition:
     """Nothing passes between the drones in a and those in b (empty: everybody else), from since to until.
 
-    since, until: s since the mission's start. Raises ConfigError.
+    since, until: s since GO. Raises ConfigError.
     """
 
     since: float

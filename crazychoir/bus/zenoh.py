@@ -206,8 +206,11 @@ class ZenohLink(Actor):
         """Put a message into the frame of each process that holds one of `to`; sent at the end of this loop pass."""
         directory = self.directory
         groups: dict[Peer | None, list[int]] = {}
-        for j in to:
-            groups.setdefault(directory.get(j), []).append(j)
+        if len(to) == 1:
+            groups[directory.get(to[0])] = to
+        else:
+            for j in to:
+                groups.setdefault(directory.get(j), []).append(j)
         for peer, there in groups.items():
             if peer is None:
                 self.bus.unroutable += len(there)

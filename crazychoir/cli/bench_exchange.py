@@ -98,7 +98,8 @@ def table(result: dict[str, Any]) -> Table:
         figures = ["-" if figure is None else f"{figure:,.1f}" for figure in (rounds, cpu)]
         made.add_row(row["graph"], str(row["agents"]), row["name"], str(row["processes"]), *figures)
     notes = dict.fromkeys(f"{row['name']}: {row['note']}" for row in result["rows"] if "note" in row)
-    made.caption = Text("\n".join(notes)) if notes else None  # not markup: a note may hold brackets
+    notes["Of several processes, each is bound to a core of its own where there are enough."] = None
+    made.caption = Text("\n".join(notes))  # not markup: a note may hold brackets
     return made
 
 
@@ -152,14 +153,18 @@ def _measure(row: Row, seconds: float) -> None:
 
 
 def _commands(row: Row, common: dict[str, Any]) -> list[list[str]]:
-    """One command a process, each with a contiguous part of the agents."""
+    """One command a process, each with a contiguous part of the agents, and a core of its own if there are enough."""
     endpoints = [f"tcp/127.0.0.1:{port}" for port in _free_ports(row.processes)]
     domain = 1 + secrets.randbelow(100)  # ports of higher ones may be anybody's
+    cores = sorted(os.sched_getaffinity(0))
     commands = []
     for p in range(row.processes):
         mine = [i for i in range(row.agents) if i * row.processes // row.agents == p]
         others = [endpoint for q, endpoint in enumerate(endpoints) if q != p]
-        own = {"mine": mine, "process": f"{p}-{common['swarm']}", "listen": [endpoints[p]], "connect": others}
+        own: dict[str, Any] = {"mine": mine, "process": f"{p}-{common['swarm']}"}
+        own |= {"listen": [endpoints[p]], "connect": others}
+        if 1 < row.processes <= len(cores):
+            own["core"] = cores[p]
         commands.append(_python(row, {**common, **own, "domain": domain}))
     return commands
 

@@ -15,11 +15,16 @@ PATIENCE = 60.0
 
 
 def specification() -> dict[str, Any]:
-    """The argument: neighbors, warm, seconds, and what the program needs; from here on `PATIENCE` counts."""
+    """The argument: neighbors, warm, seconds, and what the program needs; from here on `PATIENCE` counts.
+
+    core: which this process is bound to, with all threads that it will have.
+    """
     giving_up = threading.Timer(PATIENCE, os._exit, (1,))
     giving_up.daemon = True
     giving_up.start()
     found: dict[str, Any] = json.loads(sys.argv[1])
+    if "core" in found:
+        os.sched_setaffinity(0, {found["core"]})
     found["neighbors"] = {int(i): tuple(js) for i, js in found["neighbors"].items()}
     return found
 

@@ -71,6 +71,7 @@ class ColumnRecovery:
         self._bound, self._best_prices = -np.inf, prices.mean_price
         self._least: dict[int, float] = {}
         self._exact = True
+        self._infeasible = False
 
     def run(self) -> Exchange[Assignment]:
         """Steps 1 to 4."""
@@ -130,13 +131,20 @@ class ColumnRecovery:
                 break
             gap = min(2.0 * gap, own_gap)
         if best is None:
-            status = "infeasible: no plan serves every task" if exhausted and self._exact else "no plan found"
-            raise SolverError(f"robot {self._i}: set partitioning of {len(self._pool)} columns", status)
+            where = f"robot {self._i}: set partitioning of {len(self._pool)} columns"
+            raise SolverError(where, self._failure(exhausted))
         return Assignment(best.routes, min(proven, best.cost) if self._exact else None)
+
+    def _failure(self, exhausted: bool) -> str:
+        if not self._exact:
+            return "no plan found: route tables were cut at most_labels. Narrow capability or route_length_limit"
+        proven = exhausted and self._infeasible
+        return "infeasible: no plan serves every task" if proven else "no plan found within the passes and nodes"
 
     def _widen(self, gap: float) -> Exchange[bool]:
         """Flood all columns within the gap, a part at a time; returns whether no robot has any beyond."""
-        pi, table, most = self._best_prices, self._member.table, self._member.settings.most_shared
+        pi, table, settings = self._best_prices, self._member.table, self._member.settings
+        most = max(1, min(settings.most_shared, settings.most_relayed // self._member.place.robots))
         near = table.cheapest(pi, len(table), below=table.least(pi) + gap)
         fresh = [c for c in near if c.tasks and not self._pool.has(self._i, c)]
         while True:
@@ -166,7 +174,8 @@ class ColumnRecovery:
         if len(useful) > settings.small and self._i >= settings.searchers:
             return None
         found = partition(useful, len(self._member.local.tasks), self._i, settings.nodes)
-        if found is None:
+        self._infeasible = found.bound == np.inf
+        if found.cost == np.inf:
             return None
         routes = [[robot, list(tasks)] for robot, tasks in sorted(found.routes.items())]
         return [found.cost, self._i, routes, found.bound, sha256(routes)]

@@ -49,7 +49,7 @@ class ColumnProgram:
         self._table, self._penalty, self._where = table, penalty, f"robot {robot}: local problem"
         self._rows = np.unique(table.task)
         self._row_of = {int(j): r for r, j in enumerate(self._rows)}
-        self._columns: list[Column] = [Column(0.0, ())]
+        self._columns: dict[Column, None] = {Column(0.0, ()): None}
         self._highs = quiet_highs()
         self._build()
 
@@ -81,17 +81,21 @@ class ColumnProgram:
         self._add(0.0, [len(self._rows)])
 
     def _generate(self) -> highspy.HighsSolution:
-        """Alternate solving and pricing until no column has a negative reduced cost."""
+        """Alternate solving and pricing until no further column has a negative reduced cost.
+
+        One that is there already, and still seems to have one, is within the tolerance of HiGHS.
+        """
         while True:
             solution = self._run()
             dual = np.array(solution.row_dual)
             prices = np.zeros_like(self._penalty)
             prices[self._rows] = dual[:-1]
-            new = self._table.cheapest(prices, BATCH, below=float(dual[-1]) - TOLERANCE)
+            cheap = self._table.cheapest(prices, BATCH, below=float(dual[-1]) - TOLERANCE)
+            new = [column for column in cheap if column not in self._columns]
             if not new:
                 return solution
             for column in new:
-                self._columns.append(column)
+                self._columns[column] = None
                 self._add(column.length, [*(self._row_of[j] for j in column.tasks), len(self._rows)])
 
     def _run(self) -> highspy.HighsSolution:

@@ -45,8 +45,8 @@ def solve_compact(instance: Instance, nodes: int = 1_000_000) -> Plan:
              sum_k x_i^sk = 1,  sum_j x_i^jt = 1         start s and end t at home; s -> t is staying there
              sum_j x_i^jk = sum_j x_i^kj                 flow, every stop k
              sum_k x_i^jk = sum_k x_i^(j+M)k             the same robot delivers
-             B_i^k >= B_i^j + d_i^jk - L (1 - x_i^jk)    distance flown, which also excludes subtours
-             B_i^j <= B_i^(j+M)                          pickup before delivery
+             B_i^k >= B_i^j + 1 - 2M (1 - x_i^jk)        place in the order: no subtours, not even of length 0
+             B_i^j + 1 <= B_i^(j+M)                      pickup before delivery
              Q_i^k >= Q_i^j + q_k - C' (1 - x_i^jk)      load on board, 0 <= Q <= C_i
              sum d_i^jk x_i^jk <= route_length_limit
 
@@ -95,17 +95,15 @@ def _add_flow(model: _Model, arcs: dict[tuple[int, int], int], stops: list[int],
 
 
 def _add_schedule(model: _Model, local: LocalProblem, arcs: dict[tuple[int, int], int], stops: list[int]) -> None:
-    m, d, q = len(local.tasks), local.distance, local.tasks.load
-    horizon = min(local.limit, float(sum(d[v].max() for v in stops)))
-    flown = {v: model.variable(0.0, float(d[2 * m, v]) if v < m else 0.0, horizon) for v in stops}
+    m, q, last = len(local.tasks), local.tasks.load, len(stops) - 1
+    place = {v: model.variable(0.0, 0 if v < m else 1, last if v >= m else last - 1) for v in stops}
     load = {v: model.variable(0.0, float(q[v]) if v < m else 0.0, local.capacity + SLACK) for v in stops}
     for v in stops:
         if v < m:
-            model.require({flown[v]: 1.0, flown[v + m]: -1.0}, "<=", -float(d[v, v + m]))
+            model.require({place[v]: 1.0, place[v + m]: -1.0}, "<=", -1.0)
     for (v, w), x in arcs.items():
-        if v in flown and w in flown:
-            reach = horizon + float(d[v, w])
-            model.require({flown[w]: 1.0, flown[v]: -1.0, x: -reach}, ">=", float(d[v, w]) - reach)
+        if v in place and w in place:
+            model.require({place[w]: 1.0, place[v]: -1.0, x: -(last + 1.0)}, ">=", -float(last))
             change = float(q[w]) if w < m else -float(q[w - m])
             spare = local.capacity + max(change, 0.0)
             model.require({load[w]: 1.0, load[v]: -1.0, x: -spare}, ">=", change - spare)

@@ -21,6 +21,8 @@ ANNOTATIONS = (
     "lp_set_cover_bound", "max_tasks_in_any_feasible_route", "enumerated_up_to",
 )  # fmt: skip
 """Keys that describe an instance without being part of it: accepted and ignored."""
+FARTHEST, MOST = 1e5, 1e6
+"""m of a coordinate; units of load: beyond them the rounding of a sum exceeds the slack of limits."""
 LIKE = {"pickup": "load", "delivery": "load", "home": "home", "capacity": "home", "load": "load"}
 """The key whose length a list must have."""
 
@@ -77,22 +79,22 @@ class Fields:
                     f"{key}[{r}]", row, f"a list of {wanted} numbers, as home[0]", "All points share one dimension."
                 )
             for c, value in enumerate(row):
-                self._number(f"{key}[{r}][{c}]", value)
+                self._number(f"{key}[{r}][{c}]", value, least=-FARTHEST, most=FARTHEST)
         return np.array(rows, dtype=float)
 
     def amounts(self, key: str) -> Vec:
-        """(n,), none negative."""
+        """(n,), 0 to MOST."""
         values = self._list(key)
         for r, value in enumerate(values):
-            self._number(f"{key}[{r}]", value, least=0.0)
+            self._number(f"{key}[{r}]", value, most=MOST)
         return np.array(values, dtype=float)
 
     def limit(self, key: str) -> float:
-        """A positive length, or infinity where the key is absent or null."""
+        """A length, not negative, or infinity where the key is absent or null."""
         value = self._raw.get(key)
         if value is None:
             return math.inf
-        self._number(key, value, least=0.0)
+        self._number(key, value)
         return float(value)
 
     def mask(self, key: str) -> npt.NDArray[np.bool_]:
@@ -122,13 +124,13 @@ class Fields:
             )
         return values
 
-    def _number(self, where: str, value: object, least: float = -math.inf) -> None:
+    def _number(self, where: str, value: object, least: float = 0.0, most: float = sys.float_info.max) -> None:
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise self._error(where, value, "a number", "Write a number.")
-        value = float(value) if abs(value) <= sys.float_info.max else math.inf
-        if not math.isfinite(value) or value < least:
-            allowed = "a finite number" + ("" if math.isinf(least) else f" >= {least:g}")
-            raise self._error(where, value, allowed, "Mend the value.")
+        if not least <= value <= most:
+            found = value if isinstance(value, float) or abs(value) <= sys.float_info.max else math.inf
+            allowed = f"a number from {least:g}" + (f" to {most:g}" if most < sys.float_info.max else " on, finite")
+            raise self._error(where, found, allowed, "Mend the value.")
 
     def _check_counts(self) -> None:
         for key, of in COUNTS.items():

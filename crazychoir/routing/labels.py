@@ -18,6 +18,8 @@ Problem = tuple[Mat, Vec, float, float]
 ONE = np.uint64(1)
 SPREAD = (np.uint64(0x9E3779B97F4A7C15), np.uint64(0xC2B2AE3D27D4EB4F), np.uint64(0x165667B19E3779F9))
 SHIFT = np.uint64(29)
+MOST_TASKS = 128
+"""Bits of the two words of a set."""
 
 
 @njit(nogil=True, cache=True)
@@ -88,7 +90,8 @@ def _after(keys: Words, row: int, stop: int, m: int) -> tuple[int, int, int, int
 def grow_labels(problem: Problem, most: int) -> tuple[Words, Ints, Vec, Ints, bool]:
     """All undominated labels, in breadth-first order: keys (n, 4), last (n,), length (n,), parent (n,), complete.
 
-    problem: distance (2m + 1, 2m + 1) m of pickups, deliveries, home; load (m,); capacity; limit m.  most: labels.
+    problem: distance (2m + 1, 2m + 1) m of pickups, deliveries, home; load (m,), m <= MOST_TASKS; capacity; limit m.
+    most: labels.
     Label 0 is home with nothing done; its `last` is 2m. Every step adds a stop, so a label is final when its turn
     comes. Beyond `most` labels no new one is made and `complete` is False.
     """

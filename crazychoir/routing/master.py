@@ -24,7 +24,10 @@ class Relaxation:
 
 @dataclass(frozen=True)
 class Partition:
-    """Cost in m, the tasks of each robot that flies, and the bound in m that the search proved over these columns."""
+    """Cost in m, the tasks of each robot that flies, and the bound in m that the search proved over these columns.
+
+    Where no choice was found the cost is inf; the bound is too if there is none.
+    """
 
     cost: float
     routes: dict[int, tuple[int, ...]]
@@ -74,8 +77,8 @@ class Pool:
         return Relaxation(highs.getObjectiveValue(), np.maximum(dual, 0.0))
 
 
-def partition(columns: list[tuple[int, Column]], tasks: int, seed: int, nodes: int) -> Partition | None:
-    """The cheapest choice of columns that serves each task exactly once, or None if none was found.
+def partition(columns: list[tuple[int, Column]], tasks: int, seed: int, nodes: int) -> Partition:
+    """The cheapest choice of columns that serves each task exactly once.
 
         min  sum length_c x_c   s.t.  sum_{c serves j} x_c = 1,  sum_{c of i} x_c <= 1,  x binary
 
@@ -89,7 +92,8 @@ def partition(columns: list[tuple[int, Column]], tasks: int, seed: int, nodes: i
     highs.run()
     info = highs.getInfo()
     if info.primal_solution_status != int(highspy.SolutionStatus.kSolutionStatusFeasible):
-        return None
+        none = not columns or highs.getModelStatus() == highspy.HighsModelStatus.kInfeasible
+        return Partition(np.inf, {}, np.inf if none else -np.inf)
     chosen = [c for c, x in zip(columns, highs.getSolution().col_value, strict=True) if x > 0.5]
     cost = sum(column.length for _, column in chosen)
     return Partition(cost, {robot: column.tasks for robot, column in chosen}, min(cost, info.mip_dual_bound))

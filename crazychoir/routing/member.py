@@ -18,9 +18,9 @@ class Settings:
     price_rounds: at most;  still: change of y that ends them;  step, exponent: of the step size;
     penalty: of unserved demand, in diagonals of the arena;  tolerance: relative, of bounds;  passes: of column
     generation and of the integer stage, at most;  batch: columns that a robot offers a pass;  first_gap: relative, of
-    the integer stage;  most_shared: columns in one message of a robot there;  small: columns of a search that every
-    robot does, a larger one is done by `searchers`;  nodes: of branch and bound;  attempts: at claiming tasks;
-    most_labels: of a robot's route table.
+    the integer stage;  most_shared: columns of one robot in one message there;  most_relayed: of all robots together,
+    which must fit into a payload;  small: columns of a search that every robot does, a larger one is done by
+    `searchers`;  nodes: of branch and bound;  attempts: at claiming tasks;  most_labels: of a robot's route table.
     """
 
     price_rounds: int = 60
@@ -33,6 +33,7 @@ class Settings:
     batch: int = 20
     first_gap: float = 0.02
     most_shared: int = 500
+    most_relayed: int = 10_000
     small: int = 1_000
     searchers: int = 2
     nodes: int = 20_000
@@ -84,16 +85,24 @@ class Member:
 
     @cached_property
     def penalty(self) -> Vec:
-        """(M,) m: what leaving a task unserved costs, above any price of a task."""
+        """(M,) m: what leaving a task unserved costs, more than a tour for it alone from any corner of the arena.
+
+        A task at a still higher price stays unserved in the relaxations: the bound is weaker then, never wrong.
+        """
         tasks = self.local.tasks
         points = np.vstack([tasks.pickup, tasks.delivery, self.local.home])
         return np.full(len(tasks), self.settings.penalty * float(np.linalg.norm(np.ptp(points, axis=0))))
 
     @cached_property
     def scale(self) -> float:
-        """m: there and back for the mean task, which every robot knows; it makes step sizes dimensionless."""
+        """m: makes step sizes dimensionless, from what every robot knows: there and back for the mean task.
+
+        Where goods hardly move it is a part of the diagonal of where they are; 1 m if all are in one place.
+        """
         tasks = self.local.tasks
-        return max(2.0 * float(np.linalg.norm(tasks.pickup - tasks.delivery, axis=1).mean()), 1e-9)
+        moved = 2.0 * float(np.linalg.norm(tasks.pickup - tasks.delivery, axis=1).mean())
+        spread = float(np.linalg.norm(np.ptp(np.vstack([tasks.pickup, tasks.delivery]), axis=0)))
+        return max(moved, spread / 4.0) or 1.0
 
     def fingerprint(self, method: str) -> str:
         """Hash of all that the team must have in common."""

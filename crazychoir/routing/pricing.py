@@ -5,9 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from crazychoir.errors import SolverError
+from crazychoir.errors import InstanceError, SolverError
 from crazychoir.routing.instance import SLACK, LocalProblem
-from crazychoir.routing.labels import Ints, Problem, Words, grow_labels, reduced_costs
+from crazychoir.routing.labels import MOST_TASKS, Ints, Problem, Words, grow_labels, reduced_costs
 from crazychoir.types import Vec
 
 MOST_LABELS = 4_000_000
@@ -30,6 +30,7 @@ class RouteTable:
     capacity and by the shortest way home. `complete` is False if there were more than `most` labels: then
     columns of many tasks are missing, and no bound follows from a price.
     Columns are in the order (length, tasks); the idle column, no task and length 0, is the first.
+    Raises InstanceError if the robot could serve more than MOST_TASKS tasks.
     """
 
     def __init__(self, local: LocalProblem, most: int = MOST_LABELS) -> None:
@@ -107,7 +108,10 @@ def _stops(label: int, last: Ints, parent: Ints, chosen: Ints, m: int) -> list[i
 
 
 def _restricted(local: LocalProblem, chosen: Ints) -> Problem:
-    """Distances, loads, capacity and limit for the tasks `chosen` alone."""
+    """Distances, loads, capacity and limit for the tasks `chosen` alone; InstanceError if no set can hold them."""
+    if len(chosen) > MOST_TASKS:
+        where, do = f"robot {local.robot}: tasks that it could serve", "Narrow capability or route_length_limit."
+        raise InstanceError(where, len(chosen), f"at most {MOST_TASKS}", do)
     m = len(local.tasks)
     nodes = np.concatenate([chosen, m + chosen, [2 * m]])
     distance = np.ascontiguousarray(local.distance[np.ix_(nodes, nodes)])

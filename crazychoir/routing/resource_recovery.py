@@ -63,21 +63,21 @@ class ResourceRecovery:
     def _claim(self, attempt: int) -> Exchange[Ints]:
         """Owner of each task, -1 for none."""
         owner = np.full(len(self._urgency), -1)
-        wanted = self._prices.y > POSITIVE
+        wanted, last = self._prices.y > POSITIVE, False
         while (owner < 0).any():
             bids = {j: [self._amount(j, attempt), self._i] for j in self._choice(owner, wanted)}
             won = yield from highest_bids(bids, self._member.place.diameter)
             for j, (_, robot) in won.items():
                 owner[j] = robot
-            if not won and wanted.all():
+            if not won and last:
                 break
-            wanted = np.ones_like(wanted)
+            wanted, last = np.ones_like(wanted), True  # at every robot alike, whatever its own shares were
         return owner
 
     def _choice(self, owner: Ints, wanted: npt.NDArray[np.bool_]) -> list[int]:
         """The open tasks that this robot serves best together with those that it keeps."""
         mine, free = owner == self._i, owner < 0
-        large = float(self._member.penalty.sum()) + self._member.table.length.max()
+        large = 1.0 + float(self._member.penalty.sum()) + self._member.table.length.max()  # also where all points meet
         share = np.clip(self._prices.y, 0.0, 1.0)
         urgency = (len(owner) + 1.0) ** np.minimum(self._urgency, 3.0)
         worth = np.where(free & wanted, large * (1.0 + share) * urgency, -np.inf)

@@ -101,16 +101,6 @@ class Clock:
         return None
 
 
-class _Pass:
-    """Await it to let everybody else who is ready run first."""
-
-    def __await__(self) -> Generator[None, None, None]:
-        yield
-
-
-ONE_PASS = _Pass()
-
-
 def wake(waiter: "asyncio.Future[None]") -> None:
     """Resolve a waiter that nobody cancelled."""
     if not waiter.done():
@@ -189,7 +179,7 @@ class WallClock(Clock):
         self._pool = ThreadPoolExecutor(max_workers=spare, thread_name_prefix="compute")
         loop.add_reader(self._fd.fileno, self._fire)
 
-    now_ns = staticmethod(time.monotonic_ns)  # type: ignore[assignment]  # no frame of ours in between: it is asked a lot
+    now_ns = staticmethod(time.monotonic_ns)  # without a frame of ours: it is asked a lot
 
     async def compute(self, function: Callable[..., T], *args: Any) -> T:
         """Run it in a thread: HiGHS and compiled kernels release the interpreter."""
@@ -235,7 +225,7 @@ class Timerfd:
         self._arguments = (self.fileno, self._ABSTIME, ctypes.byref(self._spec), None)
 
     def set(self, when_ns: int) -> None:
-        """Fire at this instant of CLOCK_MONOTONIC, at once if it has passed; 0: never. What it has told is forgotten."""
+        """Fire at this instant of CLOCK_MONOTONIC, at once if it has passed; 0: never. It is quiet until then."""
         self._spec.value_s, self._spec.value_ns = divmod(when_ns, SECOND)
         self._libc.timerfd_settime(*self._arguments)
 

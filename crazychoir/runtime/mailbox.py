@@ -7,6 +7,7 @@ of time stamps: a message arrives with its age, and grows older by the receiver'
 import asyncio
 from collections import deque
 from collections.abc import Callable
+from math import inf
 from typing import Any, Generic, TypeVar
 
 from crazychoir.runtime.clock import SECOND, Clock, wake
@@ -48,6 +49,7 @@ class Latest(Mailbox[T]):
     def __init__(self, clock: Clock, name: str = "", max_age: float | None = None) -> None:
         super().__init__(clock, name)
         self.max_age = max_age
+        self._now_ns = clock.now_ns
         self.version = 0
         self._seen = 0
         self._value: T | None = None
@@ -60,7 +62,7 @@ class Latest(Mailbox[T]):
             self.dropped += 1
         self.version += 1
         self._value = value
-        self._born_ns = self.clock.now_ns() - (round(age * SECOND) if age else 0)
+        self._born_ns = self._now_ns() - (round(age * SECOND) if age else 0)
         if self._waiter is not None:
             self._wake()
 
@@ -87,7 +89,7 @@ class Latest(Mailbox[T]):
 
     def fresh_with_age(self) -> tuple[T | None, float]:
         """`fresh()`, and the age of what is there."""
-        age = self.age()
+        age = (self._now_ns() - self._born_ns) / SECOND if self.version else inf
         if self.max_age is not None and age > self.max_age:
             self.stale += self.version > 0
             return None, age
@@ -96,7 +98,7 @@ class Latest(Mailbox[T]):
 
     def age(self) -> float:
         """Seconds since the content was born; infinite before the first message."""
-        return (self.clock.now_ns() - self._born_ns) / SECOND if self.version else float("inf")
+        return (self._now_ns() - self._born_ns) / SECOND if self.version else inf
 
     def clear(self) -> None:
         """Back to before the first message."""

@@ -95,9 +95,18 @@ class Channel:
         while self.oldest < self.sending and not (late := self.behind(self.oldest, gone, pacing_only)):
             if pacing_only and self.sending - self.oldest < HISTORY:
                 break
-            self.sent.pop(self.oldest, None)
+            readers = self.sent.pop(self.oldest, NOT_SENT)[1]
             self.oldest += 1
+            if not pacing_only:
+                self._trim_on(readers, gone)
         return late
+
+    def _trim_on(self, readers: tuple[int, ...], gone: dict[int, None]) -> None:
+        """The rounds that follow with the same readers, together."""
+        done = min((self.progress.get(j, 0) for j in readers if j not in gone), default=self.sending)
+        while self.oldest < done and self.sent.get(self.oldest, NOT_SENT)[1] is readers:
+            del self.sent[self.oldest]
+            self.oldest += 1
 
     def forget(self, peers: Iterable[int]) -> None:
         """These are gone, or begin anew."""

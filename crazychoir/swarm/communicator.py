@@ -7,7 +7,7 @@ from typing import Any, Final, Literal
 from crazychoir.bus.codec import decode, encode
 from crazychoir.bus.topics import ROUND
 from crazychoir.errors import CodecError, PeerLost, RoundTimeout
-from crazychoir.runtime.clock import ONE_PASS, SECOND, wake
+from crazychoir.runtime.clock import SECOND, wake
 from crazychoir.swarm.channel import HISTORY, MAX_RTO, MIN_RTO, Channel
 from crazychoir.swarm.round import Round
 from crazychoir.swarm.rounds import AHEAD, CREDIT, CREDIT_EVERY, DATA, FIN, FIN_TOO, PUSH, REPEAT, Rounds
@@ -189,7 +189,7 @@ class Communicator(Rounds):
         box = ch.inbox.get(k)
         if box is None:
             box = ch.inbox[k] = {}
-        missing = [j for j in wanted if j not in box]
+        missing = wanted if not box else [j for j in wanted if j not in box]
         if missing:
             waiter = self._expect(ch, missing, deadline or self.deadline)
             try:
@@ -201,19 +201,21 @@ class Communicator(Rounds):
                 self._expected(ch)
         elif not wanted:
             await self._clock.sleep(0.0, drone=self.id)
-        elif self.port.bus.forwarder is not None:
-            await ONE_PASS  # what is for other processes leaves before the next round: they work while we do
         del ch.inbox[k]
         ch.receiving = k + 1
         if not k % CREDIT_EVERY:
             self._grant(ch, k, wanted)
         if policy == "hold":
             box = {j: ch.latest[j][1] for j in wanted if j in ch.latest} | box
+        heard = {}
         try:
-            return {j: decode(box[j]) for j in wanted if j in box}
+            for j in wanted:
+                if j in box:
+                    heard[j] = decode(box[j])
         except CodecError:
             self.port.counters.malformed += 1
             raise
+        return heard
 
     def _grant(self, ch: Channel, k: int, wanted: tuple[int, ...]) -> None:
         """Tell those who do not hear us how far we are."""

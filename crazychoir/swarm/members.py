@@ -1,10 +1,11 @@
 """What the members of a team tell each other about themselves, and what they agree on."""
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 from zlib import crc32
 
 import msgspec
+from msgspec import Meta
 
 from crazychoir.bus.codec import encode
 from crazychoir.swarm.graph import Graph
@@ -35,14 +36,21 @@ class Roster(msgspec.Struct, frozen=True):
         """The communication graph of the members."""
         return Graph.from_edges(self.ids, self.edges, self.directed)
 
-    def wire(self) -> bytes:
-        """As a message."""
-        return encode(msgspec.to_builtins(self))
-
     @property
     def checksum(self) -> int:
         """Equal for equal rosters."""
-        return crc32(self.wire())
+        return crc32(encode(msgspec.to_builtins(self)))
+
+
+class Go(msgspec.Struct, frozen=True):
+    """A roster as it is told.  age: s since GO, of the mission: who joins it later counts from there too."""
+
+    roster: Roster
+    age: Annotated[float, Meta(ge=0.0, le=1e9)] = 0.0
+
+    def wire(self) -> bytes:
+        """As a message."""
+        return encode(msgspec.to_builtins(self))
 
 
 @dataclass(frozen=True)

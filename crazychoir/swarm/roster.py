@@ -7,7 +7,6 @@ stay to hold their rounds (HOLD), each answers with the first round that it has 
 counts from a round that nobody has reached. A newer epoch wins.
 """
 
-import asyncio
 from collections.abc import Callable
 from typing import Any, Final, Literal
 
@@ -21,13 +20,14 @@ from crazychoir.bus.topics import HEARTBEAT, ROSTER
 from crazychoir.errors import CodecError, Refused
 from crazychoir.runtime.clock import SECOND
 from crazychoir.swarm.graph import Graph
-from crazychoir.swarm.members import Beat, Roster
+from crazychoir.swarm.members import Beat, Go, Roster
+from crazychoir.swarm.strangers import Strangers
 
-__all__ = ["Barrier", "Beat", "Roster", "formed"]
+__all__ = ["Barrier", "Beat", "Roster"]
 
 POLL: Final = 0.02
-SETTLE: Final = 2.0
-"""s after the first stranger until it is judged who is the minority, if not everybody has been heard before."""
+REMEMBERED: Final = 1000
+"""Changes of presence."""
 
 
 class Barrier:
@@ -35,7 +35,7 @@ class Barrier:
 
     start: "all", or how many suffice at the deadline;  hold: holds the rounds until the next epoch and returns the
     first round that is held (set by `Communicator.follow`; else the one after `highest_round`);  listeners: called
-    with each new roster;  history: (s, id, presence) of changes.
+    with each new roster;  history: (s, id, presence) of the newest changes.
     """
 
     def __init__(
@@ -62,10 +62,9 @@ class Barrier:
         self.history: list[tuple[float, int, str]] = []
         self._others = tuple(j for j in graph.ids if j != self.id)
         self._lost: dict[int, None] = {}
-        self._foreign: dict[int, str] = {}
+        self._strangers = Strangers(port.bus.clock, self.id, len(graph.ids), mission_hash)
         self._checksum = 0
         self._calm: dict[int, bytes] = {}
-        self._judge_ns = 0
         self._settled_ns = 0
         self._next: dict[int, int] = {}
         self._held: dict[int, int] = {}
@@ -102,8 +101,8 @@ class Barrier:
         clock = self.port.bus.clock
         ends = clock.now() + self.start_deadline
         while self.roster is None:
-            if self._foreign and self._of_minority():
-                raise Refused(f"drone {self.id}", self._foreign_text())
+            if self._strangers.are_more(self.beats):
+                raise Refused(f"drone {self.id}", self._strangers.text())
             if self.coordinator() == self.id:
                 self._coordinate(clock.now() >= ends)
             if clock.now() > ends + 1.0 and self.roster is None:
@@ -145,25 +144,26 @@ class Barrier:
         self._adopt(roster)
 
     def _tell(self, j: int, roster: Roster) -> None:
-        self.reliable.send(ROSTER, j, roster.wire())
+        bus = self.port.bus
+        self.reliable.send(ROSTER, j, Go(roster, bus.impairment.age(bus.clock.now())).wire())
 
     def _told(self, source: int, payload: bytes) -> None:
         """A roster, [epoch] to hold for, or [epoch, first round that is held, members of the sender's roster...]."""
         try:
-            told = decode(payload)
-            roster = msgspec.convert(told, Roster | list[int])
+            told = msgspec.convert(decode(payload), Go | list[int])
         except (CodecError, msgspec.ValidationError):
             self.port.counters.malformed += 1
             return
         epoch = self.roster.epoch if self.roster is not None else 0
-        if isinstance(roster, Roster):
+        if isinstance(told, Go):
+            roster = told.roster
             ours = roster.mission_hash == self.mission_hash and roster.members.get(self.id) == self.port.incarnation
             if ours and roster.epoch > epoch:
-                self._adopt(roster)
-        elif len(roster) == 1 and roster[0] > epoch:
-            self._asked(source, roster[0])
-        elif len(roster) >= 2 and roster[0] == self._target and self._next:
-            self._holds(source, roster[1], dict(zip(roster[2::2], roster[3::2], strict=False)))
+                self._adopt(roster, told.age)
+        elif len(told) == 1 and told[0] > epoch:
+            self._asked(source, told[0])
+        elif len(told) >= 2 and told[0] == self._target and self._next:
+            self._holds(source, told[1], dict(zip(told[2::2], told[3::2], strict=False)))
 
     def _asked(self, source: int, target: int) -> None:
         """Somebody asks to hold: who has a lower id than we coordinates, who has a higher one will hear of us."""
@@ -176,7 +176,8 @@ class Barrier:
             ROSTER, source, encode([target, self.hold(), *(n for pair in members.items() for n in pair)])
         )
 
-    def _adopt(self, roster: Roster) -> None:
+    def _adopt(self, roster: Roster, age: float = 0.0) -> None:
+        self.port.bus.impairment.begin(self.port.bus.clock.now(), age)
         before = self.roster.members if self.roster is not None else {}
         for j in self._others:
             if j not in roster.members:
@@ -215,11 +216,7 @@ class Barrier:
         except (CodecError, TypeError, ValueError):
             self.port.counters.malformed += 1
             return
-        if beat.mission_hash != self.mission_hash:
-            self._judge_ns = self._judge_ns or self.port.bus.clock.now_ns() + int(SETTLE * SECOND)
-            self._foreign[source] = beat.mission_hash
-        elif source in self._others:
-            self._foreign.pop(source, None)
+        if not self._strangers.heard(source, beat.mission_hash) and source in self._others:
             self.beats[source] = beat
             if source not in self.monitor.watched and self.port.bus.clock.now_ns() > self._settled_ns:
                 self.monitor.watched += (source,)  # who watches us shall hear us
@@ -253,6 +250,7 @@ class Barrier:
 
     def _changed(self, j: int, state: Presence) -> None:
         self.history.append((self.port.bus.clock.now(), j, state.value))
+        del self.history[:-REMEMBERED]
         roster = self.roster
         if state is Presence.LOST:
             self._lost[j] = None
@@ -311,35 +309,11 @@ class Barrier:
     def _present(self, j: int) -> bool:
         return j in self.beats and self.monitor.state(j) in (Presence.ALIVE, Presence.SUSPECT) and j not in self._lost
 
-    # Saying what is wrong -------------------------------------------------------------------------------------
-
-    def _of_minority(self) -> bool:
-        """Whether more drones have another mission; among equals, those with the lowest id are right."""
-        known = len(self.beats) + len(self._foreign)
-        if known < len(self._others) and self.port.bus.clock.now_ns() < self._judge_ns:
-            return False
-        ours = (1 + len(self.beats), -min([self.id, *self.beats]))
-        theirs = [[j for j, other in self._foreign.items() if other == text] for text in self._foreign.values()]
-        return any((len(same), -min(same)) > ours for same in theirs)
-
-    def _foreign_text(self) -> str:
-        others = ", ".join(f"drone {j} ({text})" for j, text in sorted(self._foreign.items()))
-        return (
-            f"its swarm file or mission ({self.mission_hash}) is not that of {others}. "
-            "Copy one swarm file and one mission to every host."
-        )
-
     def _absent_text(self) -> str:
         """Who is absent, who does not hear whom, whose mission is another one; what to do."""
         here = [j for j in self.graph.ids if j == self.id or self._present(j)]
-        absent = [j for j in self._others if j not in here and j not in self._foreign]
+        absent = [j for j in self._others if j not in here and j not in self._strangers.missions]
         said = [f"drone(s) {', '.join(map(str, absent))} absent after {self.start_deadline:g} s."] if absent else []
         said += [f"drone {i} does not hear drone {j}." for i, j in self._deaf(here)]
-        said += [self._foreign_text()] if self._foreign else []
+        said += [self._strangers.text()] if self._strangers.missions else []
         return " ".join([*said, "Start their agents, look at the network, or set start = n in the swarm file."])
-
-
-async def formed(barriers: list[Barrier]) -> Roster:
-    """Wait until all barriers of this process have GO; returns the roster."""
-    rosters = await asyncio.gather(*(barrier.go() for barrier in barriers))
-    return rosters[0]

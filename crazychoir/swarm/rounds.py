@@ -8,6 +8,7 @@ further ahead than its history. So the answer of a round algorithm does not depe
 
 import asyncio
 from collections import deque
+from collections.abc import Sequence
 from typing import Final, Protocol
 
 from crazychoir.bus.local import Port
@@ -68,6 +69,7 @@ class Rounds:
         self._flags = 0
         self._known = self._epochs.known
         self._clock = port.bus.clock
+        self._now_ns = self._clock.now_ns
         self._channels: dict[str, Channel] = {}
         self._early: deque[tuple[int, bytes, int, str, int, int]] = deque(maxlen=MAX_EARLY)
         self._waiting: dict[Channel, None] = {}
@@ -221,7 +223,7 @@ class Rounds:
             return
         latest = ch.latest.get(source)
         if latest is None or number >= latest[0]:
-            ch.latest[source] = (number, payload, self.port.heard_ns[source] - int(age * SECOND))
+            ch.latest[source] = (number, payload, self.port.heard_ns[source] - (int(age * SECOND) if age else 0))
             if kind != AHEAD:
                 ch.progress[source] = number
         if kind == REPEAT and number < ch.sending:
@@ -289,7 +291,7 @@ class Rounds:
 
     # Looking after those who wait -----------------------------------------------------------------------------
 
-    def _expect(self, ch: Channel, missing: list[int], seconds: float) -> "asyncio.Future[None]":
+    def _expect(self, ch: Channel, missing: Sequence[int], seconds: float) -> "asyncio.Future[None]":
         """Wait for the messages of these; `_expected` ends it."""
         if ch.waiter is not None:
             where = f"drone {self.id}: channel {ch.name!r}"
@@ -299,7 +301,7 @@ class Rounds:
         ch.missing = dict.fromkeys(j for j in missing if j not in gone) if gone else dict.fromkeys(missing)
         if not ch.missing:
             waiter.set_result(None)
-        now_ns = ch.since_ns = self._clock.now_ns()
+        now_ns = ch.since_ns = self._now_ns()
         ch.attempt = ch.resend_ns = 0
         ch.deadline_ns = now_ns + int(SECOND * seconds)
         self._waiting[ch] = None

@@ -103,7 +103,10 @@ class Edge(Link, frozen=True, kw_only=True):
 
 
 class Partition(Table, frozen=True, kw_only=True):
-    """One [[network.partitions]]: groups don't hear each other from `at` to `until` s; the unnamed are one more."""
+    """One [[network.partitions]]: groups don't hear each other from `at` to `until`; the unnamed are one more.
+
+    at, until: s since GO.
+    """
 
     at: Seconds
     groups: Groups

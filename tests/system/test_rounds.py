@@ -13,7 +13,7 @@ from crazychoir.runtime.clock import Clock, run_virtual, run_wall
 from crazychoir.swarm import graph as graphs
 from crazychoir.swarm.communicator import Communicator, run_rounds
 from crazychoir.swarm.graph import Graph, metropolis
-from crazychoir.swarm.roster import Barrier, formed
+from crazychoir.swarm.roster import Barrier
 
 pytestmark = pytest.mark.system
 LOSSY = [Rule({"loss": 0.5, "delay": 0.001, "jitter": 0.004, "duplicate": 0.2, "reorder": 0.2, "reorder_delay": 0.01})]
@@ -58,7 +58,7 @@ def mission(graph: Graph, impairment: Impairment, rounds: int) -> Any:
             return algorithm.x.tobytes()
 
         try:
-            roster, *answers = await asyncio.gather(formed(barriers), *map(agent, barriers))
+            roster, *answers = await asyncio.gather(barriers[0].go(), *map(agent, barriers))
             assert roster.graph == graph
         finally:
             for task in watching:

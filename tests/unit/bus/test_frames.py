@@ -3,9 +3,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from crazychoir.bus.codec import MAX_PAYLOAD, decode, encode
 from crazychoir.bus.frames import (
     MAX_DESTINATIONS,
     MAX_ENVELOPES,
+    MAX_FRAME,
+    MAX_NAME,
     VERSION,
     Envelope,
     Frame,
@@ -175,6 +178,23 @@ def test_frames_are_split_below_the_limit_and_nothing_is_lost(sizes, addressees,
     assert all(len(data) <= 1200 for data in frames)
     assert contents(frames) == sent
     assert len(frames) <= 1 + sum(sizes) // 100 + len(sizes) // 2
+
+
+def test_the_largest_payload_fits_a_frame_and_one_byte_more_is_refused_by_the_sender():
+    """msgpack adds one byte of kind and five of its own to bytes of this size."""
+    largest = encode(bytes(MAX_PAYLOAD - 6))
+    assert len(largest) == MAX_PAYLOAD
+    with pytest.raises(CodecError, match=r"value: 600001 bytes when encoded; allowed: 600000. Send less, or in parts."):
+        encode(bytes(MAX_PAYLOAD - 5))
+    buffer = FrameBuffer("\N{SNOWMAN}" * MAX_NAME, 2**64 - 1, 255)
+    to, name = (2**32 - 1,) * MAX_DESTINATIONS, "\N{SNOWMAN}" * MAX_NAME
+    buffer.add(Envelope(2**16 - 1, 2**32 - 1, to, 2**64 - 1, 2**32 - 1, 1e9, name, largest))
+    (frame,) = buffer.take()
+    assert len(frame) <= MAX_FRAME
+    (arrived,) = decode_frame(frame).envelopes
+    assert decode(arrived.payload) == bytes(MAX_PAYLOAD - 6)
+    with pytest.raises(CodecError, match="payload: 600001 bytes; allowed: 600000"):
+        decode(largest + b"x")
 
 
 def test_a_frame_has_no_more_envelopes_than_a_receiver_takes():

@@ -190,6 +190,7 @@ def test_bandwidth_queues_messages_and_drops_what_waits_too_long():
 
 def test_partitions_cut_both_ways_while_they_last():
     impairment = Impairment(1)
+    impairment.begin(0.0)
     impairment.update({"partitions": [{"since": 5, "until": 9, "a": [0, 1], "b": [2]}]})
     for i, j in ((0, 2), (2, 0), (1, 2)):
         assert [one(impairment, source=i, destination=j, now=now).deliveries for now in (4.9, 5.0, 8.9, 9.0)] == [
@@ -200,8 +201,29 @@ def test_partitions_cut_both_ways_while_they_last():
         assert one(impairment, source=i, destination=j, now=6.0) is AT_ONCE
 
 
+def test_partitions_count_from_the_oldest_go_and_cut_nobody_before():
+    impairment = Impairment(1, partitions=[Partition(5.0, 9.0, (1,))])
+    cut = [time for time in range(200) if not one(impairment, now=float(time)).deliveries]
+    assert (cut, impairment.age(100.0)) == ([], 0.0)
+    for now, age, first in [(100.0, 0.0, 105), (101.5, 2.0, 105), (103.0, 0.0, 105), (104.0, 6.0, 103)]:
+        impairment.begin(now, age)
+        cut = [time for time in range(200) if not one(impairment, now=float(time)).deliveries]
+        assert cut == list(range(first, first + 4))
+    assert impairment.age(104.0) == 6.0
+
+
+def test_the_queue_of_a_bandwidth_knows_no_go():
+    impairment = Impairment(1, [Rule({"bandwidth": 1000.0, "queue": 10.0})])
+    waits = []
+    for now in (50.0, 50.0, 50.0):
+        waits += one(impairment, size=100, now=now).deliveries
+        impairment.begin(now)
+    assert waits == pytest.approx([0.1, 0.2, 0.3])
+
+
 def test_a_partition_with_one_side_is_against_everybody_else():
     impairment = Impairment(1, partitions=[Partition(0.0, 1.0, (0, 1))])
+    impairment.begin(0.0)
     assert one(impairment, source=0, destination=9) is LOST
     assert one(impairment, source=9, destination=1) is LOST
     assert one(impairment, source=0, destination=1) is AT_ONCE

@@ -18,6 +18,7 @@ LOSS = Impairment(1, [Rule({"loss": 1.0})])
 
 def ports(clock, *addresses, impairment=None):
     bus = Bus(clock, impairment)
+    bus.impairment.begin(clock.now())
     return bus, *(bus.port(address) for address in addresses)
 
 
@@ -193,7 +194,7 @@ async def test_verdicts_are_those_of_number_channel_and_attempt(clock):
 
 
 @virtual
-async def test_partitions_are_in_the_time_of_the_bus(clock):
+async def test_partitions_count_from_go(clock):
     await clock.sleep(100.0)
     _, one, two = ports(clock, 1, 2, impairment=Impairment(1, [], [Partition(1.0, 2.0, (1,))]))
     seen = handling(two, ROUND)

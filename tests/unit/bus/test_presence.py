@@ -19,6 +19,7 @@ class Team:
     def __init__(self, clock, n=2, impairment=None, lost_after=5.0):
         self.clock = clock
         self.bus = Bus(clock, impairment)
+        self.bus.impairment.begin(clock.now())
         ids = range(1, n + 1)
         self.monitors = {
             i: PresenceMonitor(self.bus.port(i), tuple(j for j in ids if j != i), lambda: None, lost_after) for i in ids

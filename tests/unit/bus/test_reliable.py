@@ -14,6 +14,7 @@ BAD = Rule({"loss": 0.5, "duplicate": 0.3, "reorder": 0.3, "reorder_delay": 0.08
 def pair(clock, impairment=None):
     """The reliable classes of ports 1 and 2, and what has arrived at 2 from 1."""
     bus = Bus(clock, impairment)
+    bus.impairment.begin(clock.now())
     one, two = Reliable(bus.port(1, 0xA1)), Reliable(bus.port(2, 0xB1))
     one.listen(ROSTER, lambda source, payload: None)
     return bus, one, two, listening(two)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from crazychoir.routing.generate import random_instance
-from crazychoir.routing.master import Pool, partition
+from crazychoir.routing.master import Partition, Pool, partition
 from crazychoir.routing.pricing import Column, RouteTable
 
 
@@ -41,10 +41,11 @@ def test_the_relaxation_is_below_and_its_prices_are_dual_feasible(columns):
     assert relaxed.prices.sum() + sum(least) == pytest.approx(relaxed.value)
 
 
-def test_no_cover_is_none_and_relaxes_at_the_penalty():
+def test_no_cover_is_proven_and_relaxes_at_the_penalty():
     lonely = [(0, Column(3.0, (0,)))]
-    assert partition(lonely, 2, seed=0, nodes=10) is None
-    assert partition([], 2, seed=0, nodes=10) is None
+    none = Partition(np.inf, {}, np.inf)
+    assert partition(lonely, 2, seed=0, nodes=10) == none
+    assert partition([], 2, seed=0, nodes=10) == none
     pool = Pool(2)
     pool.add(0, [Column(3.0, (0,))])
     assert pool.relax(np.array([50.0, 50.0])).value == pytest.approx(53.0)

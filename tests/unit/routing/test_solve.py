@@ -7,15 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from crazychoir.bus.codec import decode, encode
+from crazychoir.bus.codec import MAX_PAYLOAD, decode, encode
 from crazychoir.errors import ConfigError, SolverError
 from crazychoir.routing.checker import check
+from crazychoir.routing.column_recovery import _packed
 from crazychoir.routing.generate import random_instance
 from crazychoir.routing.instance import Instance
 from crazychoir.routing.master import partition
 from crazychoir.routing.member import Settings
 from crazychoir.routing.pickup_delivery import METHODS, PickupDelivery
-from crazychoir.routing.pricing import RouteTable
+from crazychoir.routing.pricing import Column, RouteTable
 from crazychoir.routing.solve import diameter, joined, solve_in_loop, team
 from crazychoir.swarm.round import Round
 
@@ -196,6 +197,17 @@ def test_columns_shared_a_few_at_a_time_still_prove_the_optimum(small, graph):
     instance, optimum = small("limited")
     solution = solve_in_loop(instance, graph("ring", 4), settings=Settings(most_shared=1, price_rounds=3, batch=1))
     assert solution.cost == pytest.approx(optimum)
+
+
+def test_what_is_relayed_for_all_robots_together_fits_into_a_payload(small, graph):
+    robots, columns = 50, [Column(1.0, tuple(range(20)))] * (Settings().most_relayed // 50)
+    assert len(encode([[i, [_packed(columns), False, False]] for i in range(robots)])) < MAX_PAYLOAD
+    instance, optimum = small("limited")
+    whole = Settings(price_rounds=3, first_gap=10.0)
+    plain = solve_in_loop(instance, graph("star", 4), settings=whole)
+    parted = solve_in_loop(instance, graph("star", 4), settings=replace(whole, most_relayed=4))
+    assert parted.cost == plain.cost == pytest.approx(optimum)
+    assert parted.rounds > plain.rounds, "one column of each robot in a message"
 
 
 def test_neighbours_with_other_tasks_or_options_are_noticed(small):

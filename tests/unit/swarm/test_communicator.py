@@ -33,6 +33,7 @@ def swarm(
 
     async def main(clock: Clock) -> dict[int, Any]:
         bus = Bus(clock, Impairment(seed, rules or [], partitions or []))
+        bus.impairment.begin(clock.now())
         team = [Communicator(bus.port(i), graph, deadline=deadline) for i in graph.ids]
         found = await asyncio.gather(*(agent(c) for c in team if c.id not in gone))
         return dict(zip([i for i in graph.ids if i not in gone], found, strict=True))

@@ -19,7 +19,8 @@ from crazychoir.runtime.clock import Clock, run_virtual
 from crazychoir.swarm import graph as graphs
 from crazychoir.swarm.communicator import Communicator
 from crazychoir.swarm.graph import Graph, GraphSequence
-from crazychoir.swarm.roster import Barrier, Beat, Roster, formed
+from crazychoir.swarm.members import Beat, Go, Roster
+from crazychoir.swarm.roster import REMEMBERED, Barrier
 
 
 @dataclass
@@ -63,6 +64,12 @@ class Team:
 
     def rosters(self) -> dict[int, Roster | None]:
         return {i: member.barrier.roster for i, member in self.members.items()}
+
+
+async def formed(barriers: list[Barrier]) -> Roster:
+    """All have GO."""
+    rosters = await asyncio.gather(*(barrier.go() for barrier in barriers))
+    return rosters[0]
 
 
 def team(
@@ -291,12 +298,12 @@ def test_a_roster_for_an_earlier_life_is_not_taken():
     async def story(t: Team) -> Roster | None:
         barrier = t.start(1, incarnation=2)
         old = Roster(1, {0: 1, 1: 1}, [[0, 1]], False, 0, 0, "abc", "1")
-        t.bus.ports[1].deliver(ROSTER.number, 0, old.wire(), 0, "1", 0, 0.0)
+        t.bus.ports[1].deliver(ROSTER.number, 0, Go(old).wire(), 0, "1", 0, 0.0)
         t.bus.ports[1].deliver(
-            ROSTER.number, 0, replace(old, members={0: 1, 1: 2}, mission_hash="x").wire(), 1, "1", 0, 0.0
+            ROSTER.number, 0, Go(replace(old, members={0: 1, 1: 2}, mission_hash="x")).wire(), 1, "1", 0, 0.0
         )
         assert barrier.roster is None
-        t.bus.ports[1].deliver(ROSTER.number, 0, replace(old, members={0: 1, 1: 2}).wire(), 2, "1", 0, 0.0)
+        t.bus.ports[1].deliver(ROSTER.number, 0, Go(replace(old, members={0: 1, 1: 2})).wire(), 2, "1", 0, 0.0)
         return barrier.roster
 
     assert team(graphs.path(2), story) == Roster(1, {0: 1, 1: 2}, [[0, 1]], False, 0, 0, "abc", "1")
@@ -349,6 +356,76 @@ def test_a_short_partition_changes_nothing():
         return await settled(t, 1)
 
     assert team(graphs.ring(4), story, None, [Partition(2.0, 6.0, (0, 1))]).epoch == 1
+
+
+def test_partitions_count_from_go_however_long_it_took():
+    """They cut nobody while the last is waited for; then from second 2 to 4 after GO."""
+
+    async def story(t: Team) -> tuple[float, list[float]]:
+        barriers = [t.start(0), t.start(1)]
+        t.clock.call_at(7 * 10**9, lambda: t.run(2, t.start(2).go()))
+        await formed(barriers)
+        went, silent, port = t.clock.now(), [], t.bus.ports[0]
+        while t.clock.now() < went + 8.0:
+            await t.clock.sleep(0.05)
+            if t.clock.now_ns() - port.heard_ns[1] > 0.3 * 10**9:
+                silent.append(t.clock.now() - went)
+        return went, silent
+
+    went, silent = team(graphs.path(3), story, None, [Partition(2.0, 4.0, (1,))])
+    assert went > 7.0
+    assert 2.0 <= silent[0] <= 2.4
+    assert 3.9 <= silent[-1] <= 4.3
+
+
+@pytest.mark.parametrize("again", [0, 2])
+def test_who_comes_again_in_a_process_of_its_own_is_told_the_age_of_the_mission(again):
+    """Two buses, as of two processes; that of the one who comes again has heard of no GO."""
+
+    async def main(clock: Clock) -> list[float]:
+        ids, graph = (0, 1, 2), graphs.path(3)
+        buses = {i: Bus(clock) for i in ids}
+
+        class Wire:
+            def forward(self, topic, source, to, payload, number, channel, flags, age):
+                for j in to:
+                    if j in buses[j].ports:
+                        buses[j].ports[j].deliver(topic.number, source, payload, number, channel, flags, age)
+
+            def interested(self) -> None: ...
+
+        def start(i: int, incarnation: int) -> Barrier:
+            buses[i].forwarder = Wire()
+            barrier = Barrier(buses[i].port(i, incarnation), graph, mission_hash="abc", version="1")
+            lives[i] = asyncio.ensure_future(barrier.monitor.run())
+            return barrier
+
+        lives: dict[int, asyncio.Task[None]] = {}
+        await formed([start(i, 1) for i in ids])
+        await clock.sleep(10.0)
+        lives[again].cancel()
+        buses[again] = Bus(clock)
+        assert buses[again].impairment.age(clock.now()) == 0.0
+        await start(again, 2).go()
+        ages = [bus.impairment.age(clock.now()) for bus in buses.values()]
+        for life in lives.values():
+            life.cancel()
+        return ages
+
+    ages = run_virtual(main)
+    assert ages[again] > 10.0
+    assert max(ages) - min(ages) < 0.05
+
+
+def test_only_the_newest_changes_of_presence_are_kept():
+    async def story(t: Team) -> list[tuple[float, int, str]]:
+        barrier = t.start(0)
+        for n in range(REMEMBERED + 5):
+            barrier._changed(n, Presence.SUSPECT)
+        return barrier.history
+
+    kept = team(graphs.path(2), story)
+    assert [j for _, j, _ in kept] == list(range(5, REMEMBERED + 5))
 
 
 # One barrier alone, and what it is told ------------------------------------------------------------------------------
