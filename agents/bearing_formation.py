@@ -4,6 +4,7 @@ crazychoir run bearing_formation --fast
 """
 
 from collections.abc import Iterable, Mapping
+from typing import Any
 
 import numpy as np
 
@@ -16,10 +17,13 @@ from crazychoir.swarm.tables import Drone
 from crazychoir.types import Acceleration, Heard, Point, State, Vec
 
 Shape = Mapping[int, Point]
+Results = dict[int, dict[str, Any]]
 
 SQUARE = {0: (0.0, 0.0, 1.0), 1: (1.0, 0.0, 1.0), 2: (1.0, 1.0, 1.0), 3: (0.0, 1.0, 1.0)}
 EDGES = [[0, 1], [0, 3], [1, 2], [1, 3], [2, 3]]
 LEADERS = (0, 1)
+TOLERANCE = 0.01
+"""m from its place at the end of the law: a drone that is farther away has not formed up."""
 
 
 class BearingFormation(CFDistributedFeedback):
@@ -111,6 +115,21 @@ def check(config: SwarmConfig, force: bool = False) -> list[str]:
     corners = {i: p for i, p in shape(config).items() if i in graph.ids}
     report = check_formation(corners, neighbors, leaders, options.get("kp", KP), options.get("kv", KV), force=force)
     return list(report.warnings)
+
+
+def report(config: SwarmConfig, results: Results) -> dict[str, Any]:
+    """Every drone is in its place at the end of the law, by its own estimate; who is not, or did not hear, is named."""
+    goals, reasons = goal(config), {}
+    for i, result in results.items():
+        far = float(np.linalg.norm(goals[i] - result["place"])) if "place" in result else 0.0
+        if far > TOLERANCE:
+            reasons[i] = f"{far:.3f} m from its place at the end of the law, allowed {TOLERANCE} m{_deaf(result)}"
+    return {"success": not reasons, "reasons": reasons}
+
+
+def _deaf(result: dict[str, Any]) -> str:
+    unheard = ", ".join(f"drone {j} for {seconds:.2f} s" for j, seconds in result["unheard_s"].items())
+    return f"; did not hear {unheard}" if unheard else ""
 
 
 def _clear_place(draw: np.random.Generator, i: int, homes: dict[int, Vec]) -> Vec:

@@ -134,6 +134,7 @@ class GuidanceActor(Actor):
             await asyncio.wait([self._life])
             drone.result = self._outcome(self._life)
         except asyncio.CancelledError:
+            drone.result = {"success": False, "reason": "the mission was cancelled"}
             drone.pilot.land("the mission was cancelled")
             raise
         finally:
@@ -182,9 +183,12 @@ class GuidanceActor(Actor):
         member.announce = lambda: drone.port.publish(STATUS, drone.status())
         drone.guidance.bind(member)
         try:
-            return await drone.guidance.mission() or {}
+            result: object = await drone.guidance.mission()
         except SystemExit as end:
             raise RuntimeError(f"the mission called sys.exit({end.code!r})") from end
+        if result is not None and not isinstance(result, dict):
+            raise TypeError(f"mission() returned a {type(result).__name__}; allowed: a dictionary, or nothing")
+        return result or {}
 
     async def _down(self) -> None:
         """Wait until it is on the ground; a mission that was aborted has a pilot that lands already."""
@@ -264,7 +268,7 @@ class Agent:
         self.world = self._world()
         self.owner = self._owner()
         self._graph = config.graph()
-        self._start_deadline = start_deadline or config.start_deadline
+        self._start_deadline = config.start_deadline if start_deadline is None else start_deadline
         self._digest = mission_hash(config, mission)
         self.drones: dict[int, Drone] = {i: self._drone(i) for i in ids}
         self.supervisor = Supervisor(clock, f"process {process}")
@@ -289,7 +293,6 @@ class Agent:
         )  # fmt: skip
         communicator = Communicator(port, self._graph)
         communicator.follow(barrier)
-        barrier.highest_round = lambda: communicator.rounds
         fence = Fence.box(config.fence.min, config.fence.max)
         low = (fence.low[0], fence.low[1], min(fence.low[2], config.flight.ground - 0.2))
         pilot = Pilot(port, self._link(i), config.flight, Fence(low, fence.high), config.mocap.rate)
@@ -370,6 +373,7 @@ class Agent:
         drone.port.publish(LOG, text)
         if actor.name == "guidance":
             drone.result = {"success": False, "reason": text}
+            drone.port.publish(RESULT, drone.result)
             drone.pilot.guidance_failed(f"{type(error).__name__}: {error}")
         elif actor.name == "pilot" and not again:
             drone.pilot.cut(text)

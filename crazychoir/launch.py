@@ -176,9 +176,10 @@ def summary(
     absent = [i for i in here if i not in results]
     separation = score.min_separation
     of_mission = mission.report(config, results) if here == config.ids and has(mission, "report") else {}
+    reached = bool(of_mission.pop("success", True))
     return {
         "mission": config.mission,
-        "success": not reasons and not absent and bool(of_mission.pop("success", True)),
+        "success": reached and not reasons and not absent,
         "drones": len(config.ids),
         "here": list(here),
         "simulated_s": simulated,
@@ -188,7 +189,7 @@ def summary(
         "messages": score.messages(),
         "rounds": max((status.round for status in score.statuses.values()), default=0),
         "digest": None,
-        "reasons": reasons,
+        "reasons": of_mission.pop("reasons", {}) | reasons,
         "absent": absent,
         "flown_m": {i: round(length, 4) for i, length in score.flown.items()},
         "log": list(score.log),

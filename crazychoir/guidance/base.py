@@ -4,7 +4,8 @@ import asyncio
 from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from types import MethodType
+from typing import Any, Concatenate, Generic, ParamSpec, TypeVar, overload
 
 import numpy as np
 
@@ -14,12 +15,14 @@ from crazychoir.runtime.clock import SECOND, Clock, wake
 from crazychoir.runtime.mailbox import Call, Latest
 from crazychoir.runtime.watchdog import Watchdog
 from crazychoir.safety.pilot import Mode, Pilot
-from crazychoir.swarm.communicator import Communicator, Policy, run_rounds
+from crazychoir.swarm.communicator import Communicator, run_rounds
 from crazychoir.swarm.config import SwarmConfig
 from crazychoir.swarm.graph import Graph
 from crazychoir.swarm.round import Round
 from crazychoir.types import Heard, Point, Reference, State
 
+P = ParamSpec("P")
+R = TypeVar("R")
 SETTLE = 0.05
 LAW_MODES = (Mode.HOVER, Mode.FOLLOW)
 TAKEOFF = Mode.TAKEOFF
@@ -43,6 +46,20 @@ class Member:
     report: Callable[[], dict[str, Any]] = dict
     """Says how the mission goes: task, round, cost, for the status."""
     announce: Callable[[], None] = lambda: None  # publishes the status now, not at its next tick
+
+
+class Verb(Generic[P, R]):
+    """A method of the communicator as a method of CFGuidance: the same arguments, defaults and documentation."""
+
+    def __init__(self, verb: Callable[Concatenate[Communicator, P], R]) -> None:
+        self.verb = verb
+
+    @overload
+    def __get__(self, guidance: None, owner: type) -> Callable[Concatenate[Communicator, P], R]: ...
+    @overload
+    def __get__(self, guidance: "CFGuidance", owner: type) -> Callable[P, R]: ...
+    def __get__(self, guidance: "CFGuidance | None", owner: type) -> Callable[..., R]:
+        return self.verb if guidance is None else MethodType(self.verb, guidance.member.communicator)
 
 
 class CFGuidance:
@@ -79,35 +96,10 @@ class CFGuidance:
 
     # Talking --------------------------------------------------------------------------------------------------
 
-    async def send(self, data: Any, neighbors: tuple[int, ...] | None = None, channel: str = "main") -> None:
-        """See Communicator.send."""
-        await self.member.communicator.send(data, neighbors, channel=channel)
-
-    async def receive(
-        self, neighbors: tuple[int, ...] | None = None, channel: str = "main", deadline: float | None = None
-    ) -> dict[int, Any]:
-        """See Communicator.receive."""
-        return await self.member.communicator.receive(neighbors, channel=channel, deadline=deadline)
-
-    async def asynchronous_receive(
-        self, neighbors: tuple[int, ...] | None = None, channel: str = "main", max_age: float = float("inf")
-    ) -> dict[int, Any]:
-        """See Communicator.asynchronous_receive."""
-        return await self.member.communicator.asynchronous_receive(neighbors, channel=channel, max_age=max_age)
-
-    async def neighbors_exchange(
-        self,
-        data: Any,
-        in_neighbors: tuple[int, ...] | None = None,
-        out_neighbors: tuple[int, ...] | None = None,
-        channel: str = "main",
-        deadline: float | None = None,
-        policy: Policy = "raise",
-    ) -> dict[int, Any]:
-        """See Communicator.neighbors_exchange."""
-        return await self.member.communicator.neighbors_exchange(
-            data, in_neighbors, out_neighbors, channel=channel, deadline=deadline, policy=policy
-        )
+    send = Verb(Communicator.send)
+    receive = Verb(Communicator.receive)
+    asynchronous_receive = Verb(Communicator.asynchronous_receive)
+    neighbors_exchange = Verb(Communicator.neighbors_exchange)
 
     async def optimize(self, algorithm: Round, channel: str = "optimize", deadline: float | None = None) -> None:
         """Run a distributed algorithm to its end, together with the neighbours."""
@@ -191,23 +183,30 @@ class CFDistributedFeedback(CFGuidance):
         for j in self.graph.in_neighbors(self.id):
             box = self._boxes[j] = Latest(member.clock, f"drone {self.id} state of {j}", STATE.max_age)
             bus.subscribe(STATE, j, self.id, box)
+        self._unheard = dict.fromkeys(self._boxes, 0)
         self._law: asyncio.Future[None] | None = None
         self._period_ns = self._due_ns = 0
         bus.subscribe(STATE, self.id, self.id, Call(member.clock, self._moved, f"drone {self.id} state"))
 
     async def mission(self) -> dict[str, Any]:
-        """Take off, wait for the others, run the law, land."""
+        """Take off, wait for the others, run the law, land.
+
+        Returns law_s: s that the law ran;  place: (3,) m, where it has ended;  unheard_s: {j: s of the law in which
+        nothing fresh was heard of neighbour j}.
+        """
         await self.take_off(self.height())
         await self.rendezvous()
         self.member.report = lambda: {"task": LAW}
         self.member.announce()
         started = self.member.clock.now()
         await self.run_law()
+        law_s, place = self.member.clock.now() - started, self.state.p.tolist()
         self.member.pilot.hover()
         self.member.report = lambda: {"task": "landing"}
         self.member.announce()
         await self.land()
-        return {"law_s": self.member.clock.now() - started}
+        unheard = {j: steps / self.rate for j, steps in self._unheard.items() if steps}
+        return {"law_s": law_s, "place": place, "unheard_s": unheard}
 
     def height(self) -> float | None:
         """m, of the take-off; None for that of the swarm file."""
@@ -237,18 +236,29 @@ class CFDistributedFeedback(CFGuidance):
         self._due_ns += max(1, late_ns // self._period_ns + 1) * self._period_ns
         try:
             if pilot.mode not in LAW_MODES:
-                raise Interrupted(f"drone {self.id}: {pilot.mode.value}: {pilot.note}")
-            watchdog = self.member.watchdog
-            if watchdog is None:
-                reference = self.step(me, self.hear())
-            else:
-                with watchdog.guard(f"drone {self.id} guidance"):
-                    reference = self.step(me, self.hear())
+                raise Interrupted(f"drone {self.id}: {pilot.mode.value}: {pilot.note}{self._deaf()}")
+            reference = self._stepped(me)
+            if reference is not None:
+                pilot.follow(reference)
         except (Exception, SystemExit) as error:  # noqa: BLE001 - whoever awaits the law gets it
             law.set_exception(error)
-            return
-        if reference is not None:
-            pilot.follow(reference)
+
+    def _stepped(self, me: State) -> Reference | None:
+        """What `step` wants, under the eyes of the watchdog."""
+        heard, watchdog = self.hear(), self.member.watchdog
+        if len(heard) < len(self._boxes):
+            for j in self._boxes:
+                self._unheard[j] += j not in heard
+        if watchdog is None:
+            return self.step(me, heard)
+        with watchdog.guard(f"drone {self.id} guidance"):
+            return self.step(me, heard)
+
+    def _deaf(self) -> str:
+        """Whom it does not hear: the usual reason of a law that says nothing."""
+        heard = self.hear()
+        silent = ", ".join(str(j) for j in self._boxes if j not in heard)
+        return f"; hears nothing of drone(s) {silent}" if silent else ""
 
     def hear(self) -> Heard:
         """The neighbours' states that are not stale."""

@@ -35,7 +35,7 @@ class Mission(Protocol):
         ...
 
     def report(self, config: SwarmConfig, results: dict[int, dict[str, Any]]) -> dict[str, Any]:
-        """What all drones' results say together; `success` among it."""
+        """What all drones' results say together; among it `success`, and `reasons` by drone if it failed."""
         ...
 
     def picture(self, config: SwarmConfig, results: dict[int, dict[str, Any]], path: str) -> None:

@@ -1,5 +1,6 @@
 """PDVRPGuidance: the team solves one pickup-and-delivery problem together, then each drone flies its route."""
 
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -84,6 +85,7 @@ class PDVRPGuidance(CFGuidance):
             await self.sleep(self.service_time)
             self.served.append({"task": stop.task, "kind": stop.kind})
         await self.go_to(self.above_home())
+        self.member.report = lambda: {"task": f"landing: {len(self.served)} stops", "cost": solution.cost}
         await self.land()
 
     def place(self, task: int, kind: str) -> Vec:
@@ -106,17 +108,19 @@ class PDVRPGuidance(CFGuidance):
         stops = [self.place(stop.task, stop.kind) for stop in route.stops]
         points = [home, self.above_home(), *stops, self.above_home()]
         pauses = [0.0, *[self.service_time] * len(stops), 0.0]
-        legs = [self._leg(a, b, pause) for a, b, pause in zip(points, points[1:], pauses, strict=False)]
+        plans = [self._flight(a, b) for a, b in pairwise(points)]
+        ends = np.cumsum([plan.duration + pause for plan, pause in zip(plans, pauses, strict=True)])
+        times = np.arange(0.0, ends[-1], STEP)
+        starts = np.concatenate([[0.0], ends[:-1]])
+        leg = np.searchsorted(ends, times, "right")
+        way = [plans[n].sample(t - starts[n]).p for n, t in zip(leg, times, strict=True)]
         seconds = PEAK_SPEED * flight.takeoff_height / flight.landing_speed
         down = np.linspace(self.above_home(), home, round(seconds / STEP) + 1)
-        return np.vstack([*legs, down])
+        return np.vstack([way, down])
 
-    def _leg(self, a: Vec, b: Vec, pause: float) -> Mat:
-        flight = self.member.config.flight
-        start = FullState.at(a)
-        duration = duration_for(start, b, 0.0, flight.speed_limit, flight.acceleration_limit)
-        plan = PointToPoint(start, b, 0.0, duration)
-        return np.array([plan.sample(n * STEP).p for n in range(round((duration + pause) / STEP) + 1)])
+    def _flight(self, a: Vec, b: Vec) -> PointToPoint:
+        flight, start = self.member.config.flight, FullState.at(a)
+        return PointToPoint(start, b, 0.0, duration_for(start, b, 0.0, flight.speed_limit, flight.acceleration_limit))
 
     def outcome(self, solution: Solution, route: Route) -> dict[str, Any]:
         """This drone's part of the report."""

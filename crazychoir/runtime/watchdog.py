@@ -25,26 +25,31 @@ GIVE_UP = 10.000
 """s: the process ends itself: its drones' own safety, and the other drones, must not wait for it."""
 FROZEN = 0.500
 """s between two looks of the watchdog: then the whole process stood still (SIGSTOP), and the loop is not to blame."""
+QUIET = 10.000
+"""s in which it is said once that nobody keeps the loop and it is late all the same, while that is below HAND_OVER."""
 EXIT_CODE = 70
 BEAT = 0.020
 
 
 @dataclass(frozen=True)
 class Stall:
-    """One report: how late the loop is, which actor has it, and where its code stands."""
+    """One report: how late the loop is, which actor has it (empty: none), and where its code stands."""
 
     seconds: float
     actor: str
     place: str
 
     def __str__(self) -> str:
-        return f"{self.actor} keeps the event loop for {self.seconds:.2f} s, in {self.place}"
+        if self.actor:
+            return f"{self.actor} keeps the event loop for {self.seconds:.2f} s, in {self.place}"
+        return f"the event loop was not served for {self.seconds:.2f} s (machine busy?), at {self.place}"
 
 
 class Watchdog:
     """Start it inside the running loop, in real time only; `on_stall` is called from its own thread.
 
-    A stall is reported when it reaches LATE, HAND_OVER and INTERRUPT, and then whenever it has doubled.
+    A stall is reported when it reaches LATE, HAND_OVER and INTERRUPT, and then whenever it has doubled; a short one
+    that no task and no guarded code has made, once in QUIET s.
     stalls: how many there were;  worst: s, the longest.
     """
 
@@ -58,6 +63,7 @@ class Watchdog:
         self._guard = Guard(clock)
         self._ending = threading.Event()
         self._report_at = LATE
+        self._unserved_ns = clock.now_ns() - round(QUIET * SECOND)
         self._thread = threading.Thread(target=self._watch, name="watchdog", daemon=True)
 
     def start(self) -> None:
@@ -113,16 +119,26 @@ class Watchdog:
         self.stalls += self._report_at == LATE
         self._report_at = next((limit for limit in (HAND_OVER, INTERRUPT) if limit > late), 2.0 * late)
         task = asyncio.current_task(self._loop)
+        actor = self._guard.actor if self._guard.since_ns else task.get_name() if task else ""
+        if not actor and not self._worth_saying(late):
+            return
         frame = sys._current_frames().get(self._loop_thread)
         stack = traceback.extract_stack(frame)[-1] if frame else None
         place = f"{stack.filename}:{stack.lineno} {stack.name}" if stack else "unknown code"
-        running = task.get_name() if task else "the event loop"
-        stall = Stall(late, self._guard.actor if self._guard.since_ns else running, place)
+        stall = Stall(late, actor, place)
         log.warning("%s", stall)
         try:
             self.on_stall(stall)
         except Exception:
             log.exception("watchdog: error in what hears of the stall")
+
+    def _worth_saying(self, late: float) -> bool:
+        """Whether a stall is said that nobody has made: a long one is, a short one once in a while."""
+        now_ns = self.clock.now_ns()
+        if late < HAND_OVER and now_ns - self._unserved_ns < QUIET * SECOND:
+            return False
+        self._unserved_ns = now_ns
+        return True
 
 
 class Guard:

@@ -29,7 +29,7 @@ class Rule:
 
     measure: "pose" (s since the last pose), "reference" (s since the last one), "fence" (m outside the fence)
     or "broken" (1 if the state is not finite);  limit: exceeded, the rule acts;  clear: it acts until the measure has
-    been at or below this for `settle` seconds;  latched: until `reset`.
+    been at or below this for `settle` seconds;  latched: it acts for good.
     """
 
     measure: str
@@ -116,7 +116,8 @@ def _outside(x: Vec, box: Vec) -> float:
 class Guard:
     """Judges one drone every tick: each rule of the table that acts has a say, the worst action wins.
 
-    A rule starts to act when its measure exceeds its limit and stops after `settle` seconds at or below `clear`.
+    A rule starts to act when its measure exceeds its limit and stops after `settle` seconds at or below `clear`;
+    a latched one never stops: an operator looks at the drone and starts its agent again.
     """
 
     def __init__(self, fence: Fence = ROOM, table: tuple[Rule, ...] = TABLE) -> None:
@@ -125,13 +126,15 @@ class Guard:
                 raise ConfigError("Guard: table", rule, f"a measure of {', '.join(TEXT)}; clear at or below limit")
         self.fence, self.table = fence, table
         self._acting: dict[Rule, float] = {}  # a rule that acts, and since when its measure has been calm
+        self._latched: dict[Rule, str] = {}  # a latched one, and why it began to act
         least = {m: min((r.limit for r in table if r.measure == m), default=math.inf) for m in TEXT}
         self._quiet_pose, self._quiet_reference, self._quiet_fence = least["pose"], least["reference"], least["fence"]
         self._box = np.array([*fence.low, *fence.high])
 
-    def reset(self) -> None:
-        """Forget everything that acts, the latched rules too: an operator's decision."""
-        self._acting.clear()
+    @property
+    def latched(self) -> str:
+        """Why this drone must not fly again: the reason of the first latched rule that acted; empty if none has."""
+        return next(iter(self._latched.values()), "")
 
     def check(self, now: float, state: State | None, pose_age: float, reference_age: float | None = None) -> Verdict:
         """The verdict at `now` (s); ages in s;  state None: nothing was ever seen;  reference_age None: none needed."""
@@ -155,13 +158,14 @@ class Guard:
             value = values[rule.measure]
             if not value <= rule.limit:  # a NaN is beyond every limit
                 self._acting[rule] = math.inf
+                if rule.latched:
+                    self._latched.setdefault(rule, _reason(rule, value))
             elif rule in self._acting:
                 self._calm(rule, value, now)
         worst = max(self._acting, key=lambda rule: rule.action, default=None)
         if worst is None:
             return ALL_WELL
-        text = TEXT[worst.measure].format(value=values[worst.measure], limit=worst.limit, doing=DOING[worst.action])
-        return Verdict(worst.action, text)
+        return Verdict(worst.action, self._latched.get(worst) or _reason(worst, values[worst.measure]))
 
     def _calm(self, rule: Rule, value: float, now: float) -> None:
         """Stop a rule that has been calm for long enough."""
@@ -171,6 +175,12 @@ class Guard:
         self._acting[rule] = since
         if now - since >= rule.settle:
             del self._acting[rule]
+
+
+def _reason(rule: Rule, value: float) -> str:
+    """What was found, the limit, what is done."""
+    text = TEXT[rule.measure].format(value=value, limit=rule.limit, doing=DOING[rule.action])
+    return f"{text}, for good" if rule.latched else text
 
 
 class Throttle:

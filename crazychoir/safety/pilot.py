@@ -16,7 +16,7 @@ from crazychoir.bus.local import Port
 from crazychoir.bus.topics import COMMAND, POSE, REFERENCE, STATE
 from crazychoir.control.attitude import GeometryAttitudeCtrl
 from crazychoir.control.controller import HierarchicalController
-from crazychoir.control.gains import FORMATION
+from crazychoir.control.gains import FORMATION, STANDARD
 from crazychoir.control.handlers import AccelerationTraj, FPQRSender, FullStateTraj
 from crazychoir.control.position import FlatnessAccelerationCtrl, FlatnessPositionCtrl
 from crazychoir.filters.velocity import VelocityFilter
@@ -26,6 +26,7 @@ from crazychoir.runtime.actor import ON_FAILURE, Actor
 from crazychoir.runtime.clock import SECOND
 from crazychoir.runtime.mailbox import Call, Latest
 from crazychoir.safety.guard import Action, Fence, Guard, Throttle, Verdict
+from crazychoir.safety.limits import ReferenceLimits
 from crazychoir.swarm.tables import Flight
 from crazychoir.types import FPQR, Acceleration, FullState, Goto, Point, Pose, Reference, State
 
@@ -77,7 +78,9 @@ def flyable(reference: object) -> bool:
             a = np.asarray(reference.a)
             return a.shape == (3,) and math.isfinite(sum(a.tolist()) + reference.yaw)
         case FullState():
-            return reference.flat.shape == (14,) and math.isfinite(sum(reference.flat.tolist()))
+            flat = reference.flat
+            fits = flat.shape == (14,) and flat.dtype == np.float64 and flat.flags.c_contiguous
+            return fits and math.isfinite(sum(flat.tolist()))
         case Goto():
             return np.shape(reference.p) == (3,) and math.isfinite(
                 float(np.sum(reference.p)) + reference.yaw + reference.duration
@@ -94,6 +97,7 @@ class Pilot(Actor):
 
     def __init__(self, port: Port, link: Link, limits: Flight, fence: Fence, rate: float = 100.0) -> None:
         self.port, self.link, self.limits, self.fence = port, link, limits, fence
+        self.reference_limits = ReferenceLimits(limits, STANDARD)
         self.clock = port.bus.clock
         self.drone = port.address
         self.mode = Mode.GROUND
@@ -101,7 +105,7 @@ class Pilot(Actor):
         self.note = ""
         self.held = False
         self.controller = HierarchicalController(
-            FlatnessPositionCtrl(), GeometryAttitudeCtrl(), FPQRSender(), FullStateTraj()
+            FlatnessPositionCtrl(STANDARD), GeometryAttitudeCtrl(STANDARD), FPQRSender(), FullStateTraj()
         )
         self.follower = HierarchicalController(
             FlatnessAccelerationCtrl(FORMATION), GeometryAttitudeCtrl(FORMATION), FPQRSender(), AccelerationTraj()
@@ -116,6 +120,7 @@ class Pilot(Actor):
         self._last: FullState | None = None
         self._braking = Action.NOMINAL
         self._ticked_ns = 0
+        self._cut_for = ""
         self._said = Throttle(1.0)
         self._idle = FPQR(np.zeros(4))
         self._run: asyncio.Future[None] | None = None
@@ -176,15 +181,19 @@ class Pilot(Actor):
     def take_off(self, height: float | None = None) -> float:
         """Rise to `height` m above the ground; returns the time it will take. Only from the ground.
 
-        After an emergency stop it stays there.
+        It stays there while an emergency stop is in force; and for good, that is until its agent is started again, when
+        its motors were cut or a latched rule of the safety table has acted.
         """
         if self.port.bus.stopped:
             self._say("stop", "emergency stop in force: no take-off until `crazychoir stop --clear`")
             return 0.0
+        if self._cut_for or self.guard.latched:
+            self._say("again", f"{self._cut_for or self.guard.latched}: no take-off until its agent is started again")
+            return 0.0
         if self.mode is not Mode.GROUND or self.state is None:
             return 0.0
         goal = self.state.p.copy()
-        goal[2] = self.limits.ground + (height or self.limits.takeoff_height)
+        goal[2] = self.limits.ground + (self.limits.takeoff_height if height is None else height)
         start = FullState.at(self.state.p, yaw=yaw_of(self.state.q))
         self.mode = Mode.TAKEOFF
         return self._fly_to(start, goal, start.yaw, 0.0)
@@ -201,7 +210,8 @@ class Pilot(Actor):
     def follow(self, reference: Reference) -> None:
         """Fly this reference from the next tick on; it must be renewed before it is stale.
 
-        One that is not a reference, has another shape or is not finite counts as none. A held drone follows nothing.
+        One that is not a reference, has another shape or is not finite counts as none; one that asks for more than
+        [flight] allows is cut to that, see ReferenceLimits. A held drone follows nothing.
         """
         if not flyable(reference):
             self._say("reference", f"{type(reference).__name__} is no finite reference of its shape: not flown")
@@ -210,6 +220,8 @@ class Pilot(Actor):
             if isinstance(reference, Goto):
                 self.go_to(reference.p, reference.yaw, reference.duration)
                 return
+            if isinstance(reference, Acceleration):
+                reference = self.reference_limits.acceleration(reference)
             self.references.put(reference)
             self.mode = FOLLOW
 
@@ -233,8 +245,9 @@ class Pilot(Actor):
         return self._fly_to(start, goal, start.yaw, 35.0 / 16.0 * drop / self.limits.landing_speed)
 
     def cut(self, reason: str) -> None:
-        """Stop the motors."""
+        """Stop the motors, for good."""
         self.mode = Mode.CUT
+        self._cut_for = self._cut_for or reason
         self.link.cut()
         self._say("cut", reason)
 
@@ -283,8 +296,8 @@ class Pilot(Actor):
                 self._last, self._plan = None, None
                 return self.follower.command(state, reference, now)
             if isinstance(reference, FullState):
-                self._last, self._plan = reference, None
-                return self.controller.command(state, reference, now)
+                self._last, self._plan = self.reference_limits.full_state(reference, state), None
+                return self.controller.command(state, self._last, now)
         if self._plan is None:
             self._brake()
         assert self._plan is not None  # noqa: S101 - _brake has set it

@@ -56,12 +56,11 @@ class EulerRatesLink(SimulatedLink):
     def send(self, command: FPQR) -> None:
         """Turn body rates p, q, r into Euler-angle rates at the drone's present attitude."""
         thrust, p, q, r = command.flat.tolist()
-        _, by, bz = rotation(self.world.state(self.drone).q).T
-        bx_z = -rotation(self.world.state(self.drone).q)[2, 0]
-        phi, sin_theta = math.atan2(by[2], bz[2]), min(1.0, max(-1.0, bx_z))
-        cos_theta = max(math.sqrt(1.0 - sin_theta**2), 1e-6)
+        # The last row of R = (-sin theta, sin phi cos theta, cos phi cos theta).
+        x, y, z = rotation(self.world.state(self.drone).q)[2].tolist()
+        phi, cos_theta = math.atan2(y, z), max(math.hypot(y, z), 1e-6)
         turn = q * math.sin(phi) + r * math.cos(phi)
-        rates = [p + turn * sin_theta / cos_theta, q * math.cos(phi) - r * math.sin(phi), turn / cos_theta]
+        rates = [p - turn * x / cos_theta, q * math.cos(phi) - r * math.sin(phi), turn / cos_theta]
         self.world.command(self.drone, [thrust, *rates])
 
 

@@ -91,7 +91,8 @@ def test_a_grid_whose_leaders_are_neighbours_starts_only_when_forced(repository)
     path = repository / "tests/data/grid30_adjacent_leaders.toml"
     call("crazychoir", "run", path, "--fast", "--json").refuses("0.0018", "952 s", "force")
     forced = call("crazychoir", "run", path, "--fast", "--json", "--force", seconds=150.0)
-    assert forced.code == 0, forced.err
+    assert (forced.code, forced.json["success"]) == (1, False), forced.err
+    assert len(forced.json["reasons"]) == 28, "all but the leaders are out of their places"
     assert "0.0018" in forced.err
     assert forced.json["drones"] == 30
     assert forced.json["settling_s"] is None, "2 s of the law are not enough"

@@ -206,6 +206,16 @@ def test_a_mission_reports_on_all_or_not_at_all():
     assert "cost" not in part
 
 
+def test_a_report_that_is_content_does_not_hide_a_drone_that_failed_and_may_name_others():
+    def report(config, results):
+        return {"success": True, "reasons": {0: "too far", 2: "of the mission"}}
+
+    results = {0: {"success": True}, 1: {"success": True}, 2: {"success": False, "reason": "lost"}}
+    result = result_of(results, mission=SimpleNamespace(report=report))
+    assert result["success"] is False
+    assert result["reasons"] == {0: "too far", 2: "lost"}
+
+
 # Names, ports, files --------------------------------------------------------------------------------------------
 
 

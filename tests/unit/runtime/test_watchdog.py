@@ -92,6 +92,54 @@ def test_a_stall_reads_well():
     )
 
 
+def test_a_stall_of_nobody_says_that_the_machine_may_be_busy():
+    assert str(Stall(0.124, "", "clock.py:7 _fire")) == (
+        "the event loop was not served for 0.12 s (machine busy?), at clock.py:7 _fire"
+    )
+
+
+def unserved(*seconds):
+    """What is reported while the loop is kept, so often and so long, by no task: an alarm of the clock does it."""
+
+    async def main(clock):
+        dog = Watchdog(clock, stalls.append)
+        dog.start()
+        for each in seconds:
+            await clock.sleep(0.1)
+            clock.call_at(clock.now_ns(), keep_the_loop, each)
+        await clock.sleep(0.1)
+        dog.stop()
+        return dog.stalls
+
+    stalls = []
+    assert run_wall(main) == len(seconds), "each is counted"
+    return stalls
+
+
+def test_a_loop_that_nobody_keeps_is_said_to_be_late_once_in_a_while(monkeypatch):
+    stalls = unserved(0.2, 0.2, 0.2)
+    assert [stall.actor for stall in stalls] == [""]
+    assert "keep_the_loop" in stalls[0].place
+    monkeypatch.setattr(watchdog_module, "QUIET", 0.0)
+    assert len(unserved(0.2, 0.2, 0.2)) == 3
+
+
+def test_a_loop_that_nobody_serves_for_long_is_reported_whenever_it_happens():
+    stalls = unserved(0.2, 0.5, 0.5)
+    assert [stall.seconds >= watchdog_module.HAND_OVER for stall in stalls] == [False, True, True]
+
+
+def test_whoever_keeps_the_loop_is_named_as_often_as_it_does():
+    async def work(dog):
+        for _ in range(3):
+            keep_the_loop(0.2)
+            await dog.clock.sleep(0.06)
+
+    stalls = []
+    watched(work, stalls.append)
+    assert [stall.actor for stall in stalls] == ["drone 3 guidance"] * 3
+
+
 def test_a_listener_that_fails_does_not_end_the_watch(quick, caplog):
     async def work(dog):
         keep_the_loop(0.2)

@@ -70,12 +70,24 @@ def test_a_relapse_starts_the_wait_anew():
     assert guard.check(1.3, HERE, 0.0, 0.0).action == Action.NOMINAL
 
 
-def test_a_latched_rule_acts_until_it_is_reset():
+def test_a_latched_rule_acts_for_good_and_says_why_it_began():
     guard = Guard()
-    guard.check(0.0, State.at((4.0, 0.0, 1.0)), 0.0, 0.0)
-    assert guard.check(99.0, HERE, 0.0, 0.0).action == Action.CUT
-    guard.reset()
-    assert guard.check(99.1, HERE, 0.0, 0.0).action == Action.NOMINAL
+    assert guard.latched == ""
+    guard.check(0.0, State.at((3.3, 0.0, 1.0)), 0.0, 0.0)
+    guard.check(0.1, State.at((4.0, 0.0, 1.0)), 0.0, 0.0)
+    verdict = guard.check(99.0, HERE, 0.0, 0.0)
+    assert verdict.action == Action.CUT
+    assert verdict.reason == "1.00 m outside the fence, limit 0.50 m: motors cut, for good"
+    assert guard.latched == "0.30 m outside the fence, limit 0.25 m: landing, for good"
+
+
+def test_a_rule_that_is_not_latched_is_forgotten():
+    guard = Guard()
+    guard.check(0.0, State.at((3.1, 0.0, 1.0)), 0.6, 0.0)
+    for k in range(3):
+        guard.check(1.0 + k, HERE, 0.0, 0.0)
+    assert guard.check(9.0, HERE, 0.0, 0.0) is ALL_WELL
+    assert guard.latched == ""
 
 
 def test_the_table_is_data():

@@ -154,22 +154,26 @@ async def test_a_long_gap_lands_it_and_a_longer_one_cuts_the_motors(clock):
     await drone.fly(2.0)
     assert drone.p[2] == pytest.approx(0.0, abs=1e-6)
     assert drone.pilot.take_off() == 0.0
+    assert drone.pilot.note.endswith("motors cut, for good: no take-off until its agent is started again")
 
 
 @virtual
-async def test_whoever_leaves_the_fence_is_stopped(clock):
+async def test_whoever_leaves_the_fence_brakes_then_lands_then_falls(clock):
     drone = Flown(clock, fence=((-0.5, -0.5, -0.2), (0.5, 0.5, 2.0)))
     await drone.hovering()
-    modes = []
+    first, notes = {}, []
 
     def push():
         if drone.pilot.mode in (Mode.HOVER, Mode.FOLLOW):
             drone.pilot.follow(Acceleration([2.0, 0.0, 0.0]))
-        modes.append(drone.pilot.mode)
+        first.setdefault(drone.pilot.mode, drone.p[0])
+        notes.append(drone.pilot.note)
 
     await drone.fly(4.0, each=push)
-    assert "fence" in drone.pilot.note
-    assert modes[-1] in (Mode.LAND, Mode.CUT, Mode.GROUND) or abs(drone.p[0]) <= 0.55
+    assert list(first) == [Mode.FOLLOW, Mode.LAND, Mode.CUT], "too fast to be stopped by anything less"
+    assert first[Mode.LAND] == pytest.approx(0.75, abs=0.03)
+    assert first[Mode.CUT] == pytest.approx(1.0, abs=0.03)
+    assert next(note for note in notes if note) == "0.00 m outside the fence, limit 0.00 m: braking"
 
 
 @virtual
@@ -273,3 +277,103 @@ async def test_a_drone_at_rest_after_its_descent_has_landed_whatever_height_the_
     drone.pilot.limits = Flight(ground=-0.3)
     await drone.fly(drone.pilot.land() + 4.0)
     assert drone.pilot.mode is Mode.GROUND
+
+
+# Limits of references -----------------------------------------------------------------------------------------------
+
+
+def fastest(drone, since):
+    """Largest speed m/s and acceleration m/s2 on the way, from the truth."""
+    v = np.diff(drone.track[since:], axis=0) / TICK
+    a = np.diff(v, axis=0) / TICK
+    return np.linalg.norm(v, axis=1).max(), np.linalg.norm(a, axis=1).max()
+
+
+@virtual
+async def test_a_reference_far_away_that_comes_back_after_braking_is_flown_to_within_the_limits(clock):
+    drone = Flown(clock)
+    await drone.hovering()
+    await drone.fly(1.0, each=lambda: drone.pilot.follow(FullState.at([0.0, 0.0, 1.0])))
+    await drone.fly(1.5)
+    assert "braking" in drone.pilot.note
+    since = len(drone.track)
+    await drone.fly(6.0, each=lambda: drone.pilot.follow(FullState.at([2.5, 1.5, 1.0])))
+    speed, acceleration = fastest(drone, since)
+    assert drone.p == pytest.approx([2.5, 1.5, 1.0], abs=0.02)
+    assert 0.8 * Flight().speed_limit < speed < 1.05 * Flight().speed_limit
+    assert acceleration < 1.2 * Flight().acceleration_limit
+
+
+@virtual
+async def test_a_full_state_that_runs_away_is_followed_within_the_limits(clock):
+    drone = Flown(clock)
+    await drone.hovering()
+    since, t0 = len(drone.track), clock.now()
+
+    def away():
+        t = clock.now() - t0
+        drone.pilot.follow(FullState.at([2.0 * t**2, 0.0, 1.0], [4.0 * t, 0.0, 0.0], [4.0, 0.0, 0.0]))
+
+    await drone.fly(1.3, each=away)
+    speed, acceleration = fastest(drone, since)
+    assert 1.5 * Flight().speed_limit < speed < 2.05 * Flight().speed_limit
+    assert Flight().acceleration_limit < acceleration < 2.1 * Flight().acceleration_limit
+
+
+@virtual
+async def test_an_acceleration_beyond_the_limit_is_cut_to_it(clock):
+    drone = Flown(clock)
+    await drone.hovering()
+    since = len(drone.track)
+    await drone.fly(1.5, each=lambda: drone.pilot.follow(Acceleration([5.0, 5.0, 0.0])))
+    _, acceleration = fastest(drone, since)
+    assert acceleration == pytest.approx(Flight().acceleration_limit, rel=0.15)
+    assert drone.p[0] == pytest.approx(drone.p[1], abs=0.01), "its direction stays"
+
+
+# For good -----------------------------------------------------------------------------------------------------------
+
+
+@virtual
+async def test_who_had_to_land_for_the_fence_does_not_rise_again(clock):
+    drone = Flown(clock, fence=((-0.5, -0.5, -0.2), (0.5, 0.5, 2.0)))
+    await drone.hovering()
+    drone.pilot.limits = Flight(landing_speed=1.0)
+
+    def push():
+        if drone.pilot.mode is not Mode.LAND:
+            drone.pilot.follow(Acceleration([0.7, 0.0, 0.0]))
+
+    await drone.fly(2.0, each=push)
+    await drone.fly(4.0)
+    assert drone.pilot.mode is Mode.GROUND, drone.pilot.note
+    assert drone.pilot.take_off() == 0.0
+    assert "m outside the fence, limit 0.25 m: landing, for good: no take-off until" in drone.pilot.note
+    await drone.fly(1.0)
+    assert drone.p[2] == pytest.approx(0.0, abs=1e-6)
+
+
+@virtual
+async def test_an_emergency_stop_that_is_cleared_does_not_start_motors_that_it_cut(clock):
+    flying, waiting = Flown(clock), Flown(clock)
+    await waiting.fly(0.1)
+    await flying.hovering()
+    for drone in (flying, waiting):
+        drone.bus.stopped = True
+    flying.pilot.cut("emergency stop")
+    assert waiting.pilot.take_off() == 0.0
+    assert "stop --clear" in waiting.pilot.note
+    for drone in (flying, waiting):
+        drone.bus.stopped = False
+    assert flying.pilot.take_off() == 0.0
+    assert flying.pilot.note == "emergency stop: no take-off until its agent is started again"
+    assert waiting.pilot.take_off() > 0.0, "its agent was started after the stop, its motors were never cut"
+
+
+@virtual
+async def test_a_height_of_zero_is_a_height(clock):
+    drone = Flown(clock)
+    await drone.fly(0.05)
+    assert drone.pilot.take_off(0.0) < drone.pilot.limits.takeoff_height
+    await drone.fly(3.0)
+    assert drone.p[2] < 0.02

@@ -1,14 +1,77 @@
-"""The owner of a simulated world: what it shows, and how old that is."""
+"""The owner of a simulated world: when it looks, what it shows and how old that is, how it makes up for lost time."""
+
+import asyncio
 
 import numpy as np
 import pytest
+from virtual_time import virtual
 
 from crazychoir.bus.local import Bus
 from crazychoir.bus.topics import POSE, TRUTH
 from crazychoir.mocap.simulated import SimulatedMocap
 from crazychoir.runtime.clock import run_virtual
+from crazychoir.runtime.mailbox import Call
 from crazychoir.simulation.integrator import CFIntegrator
-from crazychoir.simulation.owner import WorldOwner
+from crazychoir.simulation.owner import MOST_CATCH_UP, WorldOwner
+
+
+class Owned:
+    """Two drones in the air in a world of 100 Hz, and what the ports of both say."""
+
+    def __init__(self, clock, rate=100.0, **cameras):
+        self.clock, self.bus = clock, Bus(clock)
+        self.poses, self.truths = {0: [], 1: []}, {0: [], 1: []}
+        for i in (0, 1):
+            self.bus.port(i)
+            self.bus.subscribe(POSE, i, i, Call(clock, lambda pose, age, i=i: self.poses[i].append((pose, age))))
+            self.bus.subscribe(TRUTH, i, i, Call(clock, lambda state, age, i=i: self.truths[i].append(state)))
+        self.world = CFIntegrator((0, 1), np.array([[0.0, 0.0, 2.0], [1.0, 0.0, 2.0]]))
+        mocap = SimulatedMocap((0, 1), 1, **cameras)
+        self.owner = WorldOwner(self.bus, self.world, mocap, rate)
+
+    async def run(self, seconds):
+        running = asyncio.create_task(self.owner.run())
+        await self.clock.sleep(seconds + 0.005)
+        running.cancel()
+
+
+@virtual
+async def test_poses_come_at_the_rate_of_the_cameras_and_truth_at_its_own(clock):
+    owned = Owned(clock, rate=50.0)
+    await owned.run(1.0)
+    assert owned.world.time == pytest.approx(1.0)
+    assert [len(owned.poses[i]) for i in (0, 1)] == [50, 50]
+    assert [len(owned.truths[i]) for i in (0, 1)] == [TRUTH.rate, TRUTH.rate]
+    assert owned.owner.looked_ns == pytest.approx(1e9)
+
+
+@virtual
+async def test_a_pose_is_of_its_drone_and_says_its_age(clock):
+    owned = Owned(clock, noise_p=0.0, noise_angle=0.0, latency_steps=2)
+    await owned.run(0.5)
+    pose, age = owned.poses[1][-1]
+    assert pose.p == pytest.approx([1.0, 0.0, 2.0])
+    assert age == pose.age == pytest.approx(0.02)
+
+
+@virtual
+async def test_a_drone_that_is_not_seen_hears_nothing(clock):
+    owned = Owned(clock, dropout=0.5)
+    await owned.run(2.0)
+    assert 60 < len(owned.poses[0]) < 140
+    assert len(owned.truths[0]) == 2.0 * TRUTH.rate
+
+
+@virtual
+async def test_a_world_that_was_late_makes_up_for_it_up_to_a_limit(clock):
+    owned = Owned(clock)
+    owned.owner.ticks.due_ns -= 10 * owned.owner.ticks.period_ns
+    await owned.run(0.0)
+    assert owned.world.tick == 10
+    assert len(owned.poses[0]) == 1, "what nobody could see then is not seen now"
+    owned.owner.ticks.due_ns -= 1000 * owned.owner.ticks.period_ns
+    await owned.run(0.01)
+    assert owned.world.tick <= 10 + 1 + MOST_CATCH_UP + 2
 
 
 def test_a_tick_that_comes_late_shows_the_world_as_it_was_when_it_was_due():

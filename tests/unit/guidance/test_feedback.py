@@ -1,0 +1,222 @@
+"""CFDistributedFeedback: when `step` runs, what it gets, and what becomes of its errors; in virtual time."""
+
+import asyncio
+
+import numpy as np
+import pytest
+from virtual_time import virtual
+
+from crazychoir.bus.local import Bus
+from crazychoir.bus.topics import STATE
+from crazychoir.errors import Hung
+from crazychoir.guidance.base import CFDistributedFeedback, Interrupted, Member
+from crazychoir.runtime.clock import run_virtual
+from crazychoir.safety.guard import Fence
+from crazychoir.safety.pilot import Mode, Pilot
+from crazychoir.simulation.integrator import CFIntegrator
+from crazychoir.simulation.owner import SimulatedLink
+from crazychoir.swarm import graph as graphs
+from crazychoir.swarm.communicator import Communicator
+from crazychoir.swarm.config import default_swarm
+from crazychoir.types import Acceleration, Pose, State
+
+TICK = 0.01
+
+
+class Told(CFDistributedFeedback):
+    """A law that does what the test says at each step: raise it, or return it."""
+
+    def __init__(self, says=lambda me, heard: Acceleration(-2.0 * me.v), rate=100.0, duration=3.0):
+        self.says, self.rate, self.duration = says, rate, duration
+        self.heard, self.times = [], []
+
+    def step(self, me, heard):
+        self.heard.append(dict(heard))
+        self.times.append(self.member.clock.now())
+        return self.says(me, heard)
+
+
+class Drone:
+    """Drone 0 of three in a row, of which it hears drone 1, that hovers in a simulated world."""
+
+    def __init__(self, clock, law):
+        self.clock, self.law = clock, law
+        bus = Bus(clock)
+        ports = [bus.port(i) for i in range(3)]
+        self.neighbor = ports[1]
+        self.world = CFIntegrator((0,), np.array([[0.0, 0.0, 1.0]]))
+        fence = Fence.box((-3.0, -3.0, -0.2), (3.0, 3.0, 2.5))
+        config = default_swarm(3)
+        self.pilot = Pilot(ports[0], SimulatedLink(self.world, 0), config.flight, fence)
+        self.pilot.mode = Mode.HOVER
+        law.bind(Member(0, config, clock, Communicator(ports[0], graphs.path(3)), self.pilot))
+
+    def tick(self, neighbor=True):
+        """A period goes by in the world; then the neighbour is heard, and the cameras are."""
+        self.world.step()
+        if neighbor:
+            self.neighbor.publish(STATE, State.at((1.0, 0.0, 1.0)))
+        self.pilot.tick(Pose(self.world.state(0).flat[[0, 1, 2, 6, 7, 8, 9]]))
+
+    async def fly(self, seconds, neighbor=True):
+        for _ in range(round(seconds / TICK)):
+            await self.clock.sleep(TICK)
+            self.tick(neighbor)
+
+
+async def end_of(law):
+    """What ends the law; a task may not end with SystemExit."""
+    try:
+        return await law.run_law()
+    except (ValueError, Hung, Interrupted, SystemExit) as error:
+        return error
+
+
+async def flown(clock, law, seconds=None, neighbor=True):
+    """The drone after the law's duration, or some seconds; and the law's end, a task that returns its error."""
+    drone = Drone(clock, law)
+    await drone.fly(0.1)
+    ending = asyncio.create_task(end_of(law))
+    await drone.fly(law.duration + 0.1 if seconds is None else seconds, neighbor)
+    return drone, ending
+
+
+# When it steps ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("rate", [100.0, 50.0, 40.0, 33.0, 7.0])
+def test_it_steps_at_its_rate_on_average_whatever_that_of_the_poses(rate):
+    async def main(clock):
+        law = Told(rate=rate)
+        _, ending = await flown(clock, law)
+        assert await ending is None
+        return law.times
+
+    times = run_virtual(main)
+    assert len(times) == pytest.approx(3.0 * rate, abs=1.5)
+    gaps = np.diff(times)[1:]
+    assert max(gaps) <= 1.0 / rate + TICK + 1e-9
+    assert min(gaps) >= 1.0 / rate - TICK - 1e-9
+
+
+@virtual
+async def test_late_states_do_not_make_it_catch_up(clock):
+    law = Told(rate=50.0)
+    drone, ending = await flown(clock, law, seconds=1.0)
+    before = len(law.times)
+    await clock.sleep(0.5)
+    await drone.fly(0.5)
+    assert len(law.times) - before == pytest.approx(25, abs=1)
+    assert min(np.diff(law.times)) >= 0.5 / law.rate - 1e-9
+    ending.cancel()
+
+
+@virtual
+async def test_what_it_wants_is_flown_in_the_same_tick(clock):
+    law = Told(lambda me, heard: Acceleration(np.array([1.0, 0.0, 0.0])))
+    drone, ending = await flown(clock, law, seconds=0.0)
+    await drone.fly(2 * TICK)
+    assert drone.pilot.mode is Mode.FOLLOW
+    assert drone.pilot.references.age() == 0.0
+    ending.cancel()
+
+
+@virtual
+async def test_it_does_not_step_before_the_law_nor_after_it(clock):
+    law = Told(duration=1.0)
+    drone = Drone(clock, law)
+    await drone.fly(0.5)
+    assert law.times == []
+    began = clock.now()
+    ending = asyncio.create_task(law.run_law())
+    await drone.fly(2.0)
+    await ending
+    assert law.times[0] == pytest.approx(began + TICK)
+    assert law.times[-1] == pytest.approx(began + 1.0, abs=TICK)
+
+
+# What it hears ------------------------------------------------------------------------------------------------------
+
+
+@virtual
+async def test_it_hears_its_neighbours_with_their_ages_and_no_stale_ones(clock):
+    law = Told()
+    drone, ending = await flown(clock, law, seconds=1.0)
+    assert list(law.heard[-1]) == [1]
+    assert law.heard[-1][1].p == pytest.approx([1.0, 0.0, 1.0])
+    await drone.fly(1.0, neighbor=False)
+    ages = [heard[1].age for heard in law.heard if 1 in heard]
+    assert max(ages) == pytest.approx(STATE.max_age, abs=TICK)
+    assert law.heard[-1] == {}
+    assert law._unheard[1] / law.rate == pytest.approx(1.0 - STATE.max_age, abs=0.02)
+    ending.cancel()
+
+
+# Its errors ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("error", [ValueError("no idea"), SystemExit(3), Hung("a second")], ids=repr)
+def test_an_error_of_step_ends_the_law_and_the_pilot_flies_on(error):
+    def raising(me, heard):
+        if len(law.times) > 50:
+            raise error
+        return Acceleration(-2.0 * me.v)
+
+    law = Told(raising)
+
+    async def main(clock):
+        drone, ending = await flown(clock, law, seconds=2.0)
+        assert await ending is error
+        assert len(law.times) == 51, "called no more"
+        assert drone.pilot.state.age == 0.0
+        assert drone.world.state(0).p == pytest.approx([0.0, 0.0, 1.0], abs=0.05)
+
+    run_virtual(main)
+
+
+@pytest.mark.parametrize("wanted", [Acceleration("abc"), Acceleration(["a", "b", "c"])], ids=repr)
+def test_what_nobody_can_fly_does_not_end_the_tick(wanted):
+    async def main(clock):
+        drone, ending = await flown(clock, Told(lambda me, heard: wanted), seconds=1.0)
+        assert drone.pilot.mode is Mode.HOVER
+        assert drone.world.state(0).p == pytest.approx([0.0, 0.0, 1.0], abs=0.05)
+        ending.cancel()
+
+    run_virtual(main)
+
+
+@virtual
+async def test_none_leaves_the_reference_to_grow_stale_and_the_pilot_brakes(clock):
+    law = Told(lambda me, heard: Acceleration(np.array([0.5, 0.0, 0.0])) if len(law.times) <= 100 else None)
+    drone, ending = await flown(clock, law, seconds=1.2)
+    moving = np.linalg.norm(drone.world.state(0).v)
+    await drone.fly(2.0)
+    assert moving > 0.1
+    assert drone.pilot.note.startswith("reference")
+    assert "braking" in drone.pilot.note
+    assert np.linalg.norm(drone.world.state(0).v) < 0.05
+    assert len(law.times) >= 300, "it is asked on: it may hear somebody again"
+    ending.cancel()
+
+
+@virtual
+async def test_a_law_that_says_nothing_for_long_ends_and_names_whom_it_does_not_hear(clock):
+    law = Told(lambda me, heard: Acceleration(-2.0 * me.v) if heard else None, duration=20.0)
+    drone, ending = await flown(clock, law, seconds=1.0)
+    await drone.fly(6.0, neighbor=False)
+    error = await ending
+    assert isinstance(error, Interrupted)
+    assert str(error).startswith("drone 0: landing: reference 5")
+    assert str(error).endswith("; hears nothing of drone(s) 1")
+    assert drone.pilot.mode is Mode.LAND
+
+
+@virtual
+async def test_a_pilot_that_lands_ends_the_law(clock):
+    law = Told()
+    drone, ending = await flown(clock, law, seconds=1.0)
+    drone.pilot.land("landing on command")
+    await drone.fly(0.1)
+    error = await ending
+    assert isinstance(error, Interrupted)
+    assert str(error) == "drone 0: landing: landing on command"

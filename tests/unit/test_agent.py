@@ -1,0 +1,364 @@
+"""Agents in virtual time: results, what all hosts must have in common, and an agent that comes back."""
+
+import asyncio
+from types import SimpleNamespace
+
+import pytest
+
+from crazychoir.agent import Agent, Trace, mission_hash
+from crazychoir.bus.local import OBSERVER
+from crazychoir.bus.topics import LOG, RESULT
+from crazychoir.errors import Refused
+from crazychoir.guidance.base import CFDistributedFeedback, CFGuidance
+from crazychoir.guidance.mission import load
+from crazychoir.runtime.clock import SECOND, run_virtual
+from crazychoir.runtime.mailbox import Call
+from crazychoir.safety.pilot import Mode
+from crazychoir.swarm.config import default_swarm
+from crazychoir.types import Acceleration
+
+BRISK = {"takeoff_height": 0.3, "speed_limit": 2.0, "acceleration_limit": 4.0, "landing_speed": 0.6}
+
+
+class Does(CFGuidance):
+    """A mission that is one coroutine function of the test."""
+
+    def __init__(self, does):
+        self.does = does
+
+    async def mission(self):
+        return await self.does(self)
+
+
+def mission_of(does):
+    return SimpleNamespace(guidance=lambda i, config: Does(does))
+
+
+def swarm(n, **changes):
+    return default_swarm(n).replace(flight=BRISK, **changes)
+
+
+async def observe(agent, topic, drone=0):
+    """All values of a topic, as an observer hears them from now on."""
+    heard = []
+    if OBSERVER not in agent.bus.ports:
+        agent.bus.port(OBSERVER)
+    agent.bus.subscribe(topic, drone, OBSERVER, Call(agent.clock, lambda value, age: heard.append(value)))
+    return heard
+
+
+# Results ------------------------------------------------------------------------------------------------------------
+
+
+async def returns(guidance):
+    await guidance.take_off()
+    return {"answer": 42}
+
+
+async def returns_nothing(guidance):
+    await guidance.take_off()
+
+
+async def returns_a_list(guidance):
+    await guidance.take_off()
+    return [1, 2]
+
+
+async def raises(guidance):
+    await guidance.take_off()
+    raise ValueError("no idea")
+
+
+async def exits(guidance):
+    await guidance.take_off()
+    raise SystemExit(3)
+
+
+async def is_refused(guidance):
+    await guidance.take_off()
+    raise Refused("drone 9", "not today")
+
+
+@pytest.mark.parametrize(
+    ("does", "result"),
+    [
+        (returns, {"success": True, "answer": 42}),
+        (returns_nothing, {"success": True}),
+        (returns_a_list, "TypeError: mission() returned a list; allowed: a dictionary, or nothing"),
+        (raises, "drone 0: guidance failed: ValueError: no idea ("),
+        (exits, "RuntimeError: the mission called sys.exit(3)"),
+        (is_refused, {"success": False, "reason": "drone 9: refused: not today"}),
+    ],
+)
+def test_however_a_mission_ends_its_drone_lands_and_says_the_result(does, result):
+    async def main(clock):
+        agent = Agent(clock, swarm(1), mission_of(does), (0,))
+        told = await observe(agent, RESULT)
+        results = await agent.run()
+        assert agent.drones[0].pilot.mode is Mode.GROUND
+        assert agent.world.state(0).p[2] == pytest.approx(0.0, abs=1e-6)
+        assert told == [results[0]]
+        return results[0]
+
+    found = run_virtual(main)
+    if isinstance(result, dict):
+        assert found == result
+    else:
+        assert not found["success"]
+        assert result in found["reason"]
+        assert "test_agent.py" in found["reason"] or "agent.py" in found["reason"]
+
+
+def test_an_observer_that_comes_when_the_mission_is_over_still_gets_the_result_once():
+    async def main(clock):
+        agent = Agent(clock, swarm(1), mission_of(returns), (0,))
+        running = asyncio.create_task(agent.run())
+        while agent.drones[0].pilot.airborne or not agent.drones[0].result:
+            await clock.sleep(0.1)
+        told = await observe(agent, RESULT)
+        assert told == [{"success": True, "answer": 42}]
+        await running
+        return told
+
+    assert len(run_virtual(main)) == 1
+
+
+def test_an_operators_landing_is_the_result():
+    async def main(clock):
+        async def stays(guidance):
+            await guidance.take_off()
+            await guidance.sleep(60.0)
+
+        agent = Agent(clock, swarm(1), mission_of(stays), (0,))
+        running = asyncio.create_task(agent.run())
+        await clock.sleep(3.0)
+        agent.land_all("enough")
+        assert (await running)[0] == {"success": False, "reason": "enough"}
+        assert clock.now() < 10.0
+
+    run_virtual(main)
+
+
+@pytest.mark.parametrize(
+    ("pause", "why"),
+    [
+        (5.0, "emergency stop in force: no take-off until `crazychoir stop --clear`"),
+        (15.0, "emergency stop: no take-off until its agent is started again"),
+    ],
+    ids=["before it is cleared", "after it is cleared"],
+)
+def test_an_emergency_stop_cuts_for_good_and_its_clearing_only_ends_the_agent(pause, why):
+    async def main(clock):
+        async def tries_again(guidance):
+            await guidance.take_off()
+            await guidance.sleep(pause)
+            await guidance.take_off()
+
+        agent = Agent(clock, swarm(1), mission_of(tries_again), (0,))
+        running = asyncio.create_task(agent.run())
+        await clock.sleep(3.0)
+        agent.bus.stopped = True
+        agent._stop(agent.drones[0], True)
+        await clock.sleep(10.0)
+        assert not running.done(), "it stays to tell those who start"
+        agent.bus.stopped = False
+        result = (await running)[0]
+        assert not result["success"]
+        assert result["reason"] == f"drone 0: stopped: {why}"
+        assert agent.drones[0].pilot.mode is Mode.CUT
+
+    run_virtual(main)
+
+
+# A law --------------------------------------------------------------------------------------------------------------
+
+
+class Stay(CFDistributedFeedback):
+    """A law that brakes; nothing of it while it hears nobody."""
+
+    duration = 4.0
+
+    def step(self, me, heard):
+        return Acceleration(-2.0 * me.v) if heard else None
+
+
+def test_the_result_of_a_law_says_how_long_it_ran_where_it_ended_and_whom_it_did_not_hear():
+    cut = {"partitions": [{"at": 3.0, "groups": [[1]], "until": 5.0}]}
+
+    async def main(clock):
+        agent = Agent(clock, swarm(2, network=cut), SimpleNamespace(guidance=lambda i, config: Stay()), (0, 1))
+        return await agent.run()
+
+    for i, result in run_virtual(main).items():
+        assert result["success"], result
+        assert result["law_s"] == pytest.approx(Stay.duration), "without its landing"
+        assert result["place"] == pytest.approx([*default_swarm(2).drone(i).home[:2], 0.3], abs=0.05)
+        assert list(result["unheard_s"]) == [1 - i]
+        assert 1.0 < result["unheard_s"][1 - i] < 2.0
+
+
+def test_a_formation_that_is_not_reached_is_no_success_and_names_who_is_off_and_who_was_deaf():
+    mission = load("bearing_formation")
+    config = mission.swarm(None)
+    goal = mission.goal(config)
+    at = {i: {"success": True, "law_s": 20.0, "place": p.tolist(), "unheard_s": {}} for i, p in goal.items()}
+    assert mission.report(config, at) == {"success": True, "reasons": {}}
+    near = {**at, 3: {**at[3], "place": (goal[3] + [0.0, 0.009, 0.0]).tolist(), "unheard_s": {1: 2.0}}}
+    assert mission.report(config, near)["success"], "it was deaf for a while, and got there"
+    off = {**at, 2: {**at[2], "place": (goal[2] + [0.0, 0.3, 0.0]).tolist(), "unheard_s": {1: 2.5, 3: 0.25}}}
+    assert mission.report(config, off) == {
+        "success": False,
+        "reasons": {
+            2: "0.300 m from its place at the end of the law, allowed 0.01 m; "
+            "did not hear drone 1 for 2.50 s, drone 3 for 0.25 s"
+        },
+    }
+    assert mission.report(config, {2: {"success": False, "reason": "landed"}})["success"], "that is said elsewhere"
+
+
+# What all hosts must have in common ---------------------------------------------------------------------------------
+
+
+def test_a_mission_is_what_its_text_and_its_swarm_say_wherever_the_file_lies(tmp_path):
+    text = "def guidance(i, config):\n    return None\n"
+    for folder, body in (("a", text), ("b", text), ("c", text + "# changed\n")):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "mine.py").write_text(body)
+
+    def hashed(folder, **changes):
+        path = str(tmp_path / folder / "mine.py")
+        return mission_hash(default_swarm(3).replace(mission=path, **changes), load(path))
+
+    assert hashed("a") == hashed("b")
+    assert hashed("a") != hashed("c")
+    assert hashed("a") != hashed("a", seed=7)
+    assert hashed("a") == hashed("a", base_port=8000), "that is a host's own matter"
+    assert len(hashed("a")) == 16
+
+
+def test_a_file_that_the_options_name_counts_by_what_is_in_it(tmp_path):
+    def hashed(name, content):
+        path = tmp_path / name
+        path.write_text(content)
+        config = default_swarm(3).replace(mission_options={"instance": str(path)})
+        return mission_hash(config, mission_of(returns))
+
+    assert hashed("one.json", "{}") == hashed("two.json", "{}")
+    assert hashed("one.json", "{}") != hashed("two.json", "[]")
+
+
+def test_the_digest_of_a_run_is_of_all_messages_between_drones_and_all_states():
+    def digest(*parts):
+        trace = Trace()
+        for part in parts:
+            trace.message(*part) if isinstance(part, tuple) else trace.update(part)
+        return trace.digest()
+
+    one, two = (1, 16, 0, 5, b"x"), (2, 16, 0, 5, b"x")
+    whole = digest(one, two, b"state")
+    assert whole == digest(one, two, b"state")
+    another = (2, 16, 0, 5, b"y")
+    others = [(two, one, b"state"), (one, b"state"), (one, two, b"other"), (one, two), (one, another, b"state")]
+    assert len({whole, *(digest(*other) for other in others)}) == 1 + len(others)
+    assert whole == digest(one, (OBSERVER, 6, 0, 1, b"z"), two, b"state"), "who looks on changes nothing"
+
+
+# An agent that comes back -------------------------------------------------------------------------------------------
+
+
+class Wire:
+    """The network between the buses of several agents in one virtual time; what is unplugged hears nothing."""
+
+    def __init__(self, clock, delay=0.002):
+        self.clock, self.delay_ns, self.buses = clock, round(delay * SECOND), []
+
+    def plug(self, bus):
+        self.buses.append(bus)
+        bus.forwarder = Plug(self, bus)
+        bus.forwarder.interested()
+        for other in self.buses:
+            bus.add_remote_interests(other.interests if other is not bus else [])
+
+    def unplug(self, bus):
+        self.buses.remove(bus)
+
+    def carry(self, bus, j, topic, *message):
+        there = [other for other in self.buses if other is not bus and j in other.ports]
+        if bus in self.buses and there:
+            self.clock.call_at(self.clock.now_ns() + self.delay_ns, there[0].ports[j].deliver, topic.number, *message)
+
+
+class Plug:
+    """One bus's way to the others."""
+
+    def __init__(self, wire, bus):
+        self.wire, self.bus = wire, bus
+
+    def forward(self, topic, source, to, payload, number, channel, flags, age):
+        for j in to:
+            self.wire.carry(self.bus, j, topic, source, payload, number, channel, flags, age)
+
+    def interested(self):
+        for other in self.wire.buses:
+            if other is not self.bus:
+                other.add_remote_interests(self.bus.interests)
+
+
+class Counts(CFGuidance):
+    """Rounds on a joinable channel until a time; rounds: {k: who was heard}."""
+
+    def __init__(self, until):
+        self.until, self.rounds = until, {}
+
+    async def mission(self):
+        communicator = self.member.communicator
+        channel = communicator.open("count", joinable=True)
+        while self.member.clock.now() < self.until:
+            k = channel.receiving
+            heard = await self.neighbors_exchange([self.id, k], channel="count")
+            assert all(message == [j, k] for j, message in heard.items()), (k, heard)
+            self.rounds[k] = tuple(heard)
+            await self.sleep(0.01)
+        return {"rounds": len(self.rounds)}
+
+
+@pytest.mark.parametrize("away", [6.0], ids=["after it was lost"])
+def test_a_restarted_agent_is_a_new_incarnation_and_the_joinable_channel_goes_on(away):
+    config, until = swarm(4, lost_after=2.0), 4.0 + away + 8.0
+
+    async def main(clock):
+        wire, born = Wire(clock), {}
+
+        def agent(ids, incarnation=1):
+            mission = SimpleNamespace(guidance=lambda i, config: born.setdefault((i, incarnation), Counts(until)))
+            made = Agent(clock, config, mission, ids, incarnation=incarnation, process=f"{ids[0]}-{incarnation}")
+            wire.plug(made.bus)
+            return made, asyncio.create_task(made.run())
+
+        (three, running), (_, victim) = agent((0, 1, 2)), agent((3,))
+        logs = [await observe(three, LOG, i) for i in (0, 1, 2)]
+        await clock.sleep(4.0)
+        wire.unplug(wire.buses[1])
+        victim.cancel()
+        await clock.sleep(away)
+        again, returned = agent((3,), incarnation=2)
+        await clock.sleep(until - clock.now() - 1.0)
+        rosters = [d.barrier.roster for a in (three, again) for d in a.drones.values()]
+        results = await running | await returned
+        assert logs == [[], [], []]
+        return results, rosters, born
+
+    results, rosters, born = run_virtual(main)
+    assert all(result["success"] for result in results.values()), results
+    assert all(roster == rosters[0] for roster in rosters)
+    assert rosters[0].members == {0: 1, 1: 1, 2: 1, 3: 2}
+    first = rosters[0].first_round
+    assert min(born[3, 2].rounds) == first > max(born[3, 1].rounds)
+    last = max(born[3, 2].rounds)
+    assert last > first + 100
+    neighbors = config.graph().in_neighbors
+    for i, counts in ((0, born[0, 1]), (1, born[1, 1]), (2, born[2, 1]), (3, born[3, 2])):
+        assert all(set(counts.rounds[k]) == set(neighbors(i)) for k in range(first, last - 2)), i
+        assert list(counts.rounds) == sorted(counts.rounds), "no round twice"
+        if i != 3:
+            assert len(counts.rounds) == max(counts.rounds) + 1, "nor left out"
