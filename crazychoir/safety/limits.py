@@ -53,13 +53,16 @@ class ReferenceLimits:
 
     def __init__(self, flight: Flight, gains: Gains) -> None:
         self.v_max, self.a_max = flight.speed_limit, flight.acceleration_limit
+        self._a_max_squared = self.a_max**2
         self._gains = gains.position
 
     def acceleration(self, reference: Acceleration) -> Acceleration:
         """At most a_max, in the same direction."""
         wanted = np.asarray(reference.a)
-        a = saturate(wanted, self.a_max)
-        return reference if a is wanted else Acceleration(a, reference.yaw)
+        x, y, z = wanted.tolist()
+        if x * x + y * y + z * z <= self._a_max_squared:
+            return reference
+        return Acceleration(saturate(wanted, self.a_max), reference.yaw)
 
     def full_state(self, reference: FullState, state: State) -> FullState:
         """A reference that pulls the drone in `state` no harder than the limits allow."""

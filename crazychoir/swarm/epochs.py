@@ -15,14 +15,17 @@ class Epochs:
     """The compositions of one team, as one member knows them.
 
     epoch: number of the present one;  members: incarnation by id, empty before the first roster;  gone: who has left;
-    known: whose messages count;  since: first round of this member's joinable channels;  held: the first round that
-    may not be sent until the next epoch.
+    known: whose messages count;  born: newest incarnation and its first round, by id;  gaps: whether anybody is,
+    or was, `silent`;  since: first round of its joinable channels;  held: the first round that may not be sent until
+    the next epoch.
     """
 
     def __init__(self, graph: AnyGraph) -> None:
         self.epoch = 0
         self.members: dict[int, int] = {}
         self.gone: dict[int, None] = {}
+        self.born: dict[int, tuple[int, float]] = {}
+        self.gaps = False
         self.since = 0
         self.held: float = inf
         self.replace(graph)
@@ -52,12 +55,26 @@ class Epochs:
             self.held = max(rounds, default=0)
         return int(self.held)
 
+    def renew(self, members: dict[int, int], first_round: int) -> None:
+        """Members of an epoch: who was started again since it was last known begins with the epoch's first round."""
+        for j, incarnation in members.items():
+            if j not in self.born:
+                self.born[j] = incarnation, -inf
+            elif self.born[j][0] != incarnation:
+                self.born[j] = incarnation, first_round
+                self.gaps = True
+
+    def silent(self, j: int, k: float) -> bool:
+        """Whether nothing of j will come in round k: it has left, or was started again and begins later."""
+        return j in self.gone or (j in self.born and k < self.born[j][1])
+
     def begin(
         self, epoch: int, gone: Iterable[int], joined: Iterable[int], graph: Graph | None, first_round: int
     ) -> None:
         """A new epoch; its graph counts from `first_round` on."""
         self.epoch, self.held = epoch, inf
         self.gone.update(dict.fromkeys(gone))
+        self.gaps = self.gaps or bool(self.gone)
         for j in joined:
             self.gone.pop(j, None)
         if graph is not None:

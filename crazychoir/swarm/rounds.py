@@ -9,6 +9,7 @@ further ahead than its history. So the answer of a round algorithm does not depe
 import asyncio
 from collections import deque
 from collections.abc import Sequence
+from math import inf
 from typing import Final, Protocol
 
 from crazychoir.bus.local import Port
@@ -136,6 +137,7 @@ class Rounds:
         if self.id not in before:
             self._epochs.since = roster.first_round
         joined = tuple(j for j, incarnation in roster.members.items() if before.get(j) != incarnation)
+        self._epochs.renew(roster.members, roster.first_round)
         absent = tuple(j for j in self._epochs.ids if j not in roster.members)
         self.leave(absent, roster.epoch, joined, graph=roster.graph, first_round=roster.first_round)
 
@@ -160,8 +162,8 @@ class Rounds:
     def _go_on(self, ch: Channel, gone: tuple[int, ...], joined: tuple[int, ...]) -> None:
         ch.until, ch.limit = 0, ch.oldest
         ch.forget((*gone, *joined))
-        for j in gone:
-            ch.missing.pop(j, None)
+        for j in [j for j in ch.missing if self._epochs.silent(j, ch.receiving)]:
+            del ch.missing[j]
         if not ch.missing:
             wake_if(ch.waiter)
         wake_if(ch.gate)
@@ -297,8 +299,11 @@ class Rounds:
             where = f"drone {self.id}: channel {ch.name!r}"
             raise ConfigError(where, "two who wait on it", "one", "Give each algorithm a channel of its own.")
         waiter = ch.waiter = asyncio.get_running_loop().create_future()
-        gone = self._epochs.gone
-        ch.missing = dict.fromkeys(j for j in missing if j not in gone) if gone else dict.fromkeys(missing)
+        epochs = self._epochs
+        if epochs.gaps:
+            k = ch.receiving if ch.joinable else inf
+            missing = [j for j in missing if not epochs.silent(j, k)]
+        ch.missing = dict.fromkeys(missing)
         if not ch.missing:
             waiter.set_result(None)
         now_ns = ch.since_ns = self._now_ns()

@@ -322,7 +322,7 @@ class Counts(CFGuidance):
         return {"rounds": len(self.rounds)}
 
 
-@pytest.mark.parametrize("away", [6.0], ids=["after it was lost"])
+@pytest.mark.parametrize("away", [0.3, 6.0], ids=["before it is lost", "after it was lost"])
 def test_a_restarted_agent_is_a_new_incarnation_and_the_joinable_channel_goes_on(away):
     config, until = swarm(4, lost_after=2.0), 4.0 + away + 8.0
 
