@@ -171,7 +171,7 @@ def summary(
     here: the drones that were started here, None for all: they decide on the success. What is measured from outside
     is of the whole swarm. The mission's own report needs the results of all drones, and is left out without them.
     """
-    here = here or config.ids
+    here = config.ids if here is None else here
     reasons = {i: r.get("reason", "no result") for i, r in sorted(results.items()) if not r.get("success")}
     absent = [i for i in here if i not in results]
     separation = score.min_separation

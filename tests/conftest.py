@@ -7,7 +7,11 @@ from collections.abc import Callable, Generator
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
 
+# The same examples in each run, however slow the machine is: what fails, fails again.
+settings.register_profile("repeatable", derandomize=True, deadline=None)
+settings.load_profile("repeatable")
 REPOSITORY = Path(__file__).resolve().parents[1]
 REFERENCE_DATA = REPOSITORY.parent / "shared" / "data"
 

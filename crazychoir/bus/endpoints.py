@@ -12,9 +12,10 @@ MAX_MESSAGE = 8 << 20
 LOCAL_LEASE = 10.0
 """s, where all processes are on one host: 4 keep-alives a lease and connection cost CPU."""
 BATCHES = 16
-"""Of 64 kB, that wait for the network, a class; Zenoh's most. As no put waits, a frame must fit into them."""
-MAX_FRAME = frames.MAX_FRAME
-"""Bytes of a frame that leaves the process, 10 batches: of 12 at once Zenoh drops some, also on an idle link."""
+"""Of 64 kB, that wait for the network, a class; Zenoh's most. As no put waits, a frame must fit into them.
+
+frames.MAX_FRAME is 10 of them: of 12 at once Zenoh drops some, also on an idle link.
+"""
 
 _ENDPOINT = re.compile(
     r"(tcp|udp|tls|quic|ws)/(\[[0-9A-Fa-f:.%]+\]|[^/:\[\]\s]+):(?P<port>\d{1,5})([?#]\S*)?|unixsock-stream/\S+"

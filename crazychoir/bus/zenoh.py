@@ -256,7 +256,7 @@ class ZenohLink(Actor):
             reliability=zenoh.Reliability.RELIABLE,
         )
         name, number, conflate = self.bus.process, self.table.incarnation, klass is Class.CONTROL
-        buffer = FrameBuffer(name, number, klass, conflate, endpoints.MAX_FRAME)
+        buffer = FrameBuffer(name, number, klass, conflate)
         lane = peer.lanes[klass] = Lane(buffer, publisher)
         return lane
 

@@ -182,7 +182,7 @@ class CFDistributedFeedback(CFGuidance):
         self._boxes: dict[int, Latest[State]] = {}
         for j in self.graph.in_neighbors(self.id):
             box = self._boxes[j] = Latest(member.clock, f"drone {self.id} state of {j}", STATE.max_age)
-            bus.subscribe(STATE, j, self.id, box)
+            bus.subscribe(STATE, j, self.id, box, self.rate if self.rate < STATE.rate else 0.0)
         self._unheard = dict.fromkeys(self._boxes, 0)
         self._law: asyncio.Future[None] | None = None
         self._period_ns = self._due_ns = 0

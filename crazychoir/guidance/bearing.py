@@ -24,7 +24,7 @@ from crazychoir.types import Point
 Shape = Mapping[int, Point]
 Neighbors = Mapping[int, Collection[int]]
 # The paper's example, four drones, edges 01 03 12 13 23, leaders 0 and 1, behind FORMATION: 1 cm in 13 s.
-KP, KV = 1.75, 4.6
+KP, KV = 1.6, 4.6
 SLOWEST = 0.02  # 1/s, a formation slower than this needs minutes and is flown only if that is wanted
 FLEXIBLE = 1e-9  # of the largest eigenvalue: below this an eigenvalue is taken for zero
 LEVEL = 1e-6  # a mode with a smaller horizontal part moves in height only

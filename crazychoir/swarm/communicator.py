@@ -49,7 +49,7 @@ class Communicator(Rounds):
         k = ch.sending
         if k == ch.receiving:
             if k >= ch.limit or ch.changed is not None:
-                await self._admit(ch, deadline or self.deadline, policy == "raise")
+                await self._admit(ch, self.deadline if deadline is None else deadline, policy == "raise")
                 k = ch.sending
             if k >= ch.until:
                 self._look(ch, k)
@@ -73,7 +73,7 @@ class Communicator(Rounds):
         """
         ch = self._channels.get(channel) or self.open(channel)
         if ch.sending >= ch.limit or ch.changed is not None:
-            await self._admit(ch, deadline or self.deadline, patient=False)
+            await self._admit(ch, self.deadline if deadline is None else deadline, patient=False)
         k = ch.sending
         readers = self._epochs.at(ch.joinable, k).out_neighbors(self.id) if neighbors is None else neighbors
         self._send_round(ch, data, readers, DATA if ch.receiving >= k else AHEAD)
@@ -191,7 +191,7 @@ class Communicator(Rounds):
             box = ch.inbox[k] = {}
         missing = wanted if not box else [j for j in wanted if j not in box]
         if missing:
-            waiter = self._expect(ch, missing, deadline or self.deadline)
+            waiter = self._expect(ch, missing, self.deadline if deadline is None else deadline)
             try:
                 await waiter
             except (RoundTimeout, PeerLost):

@@ -34,7 +34,7 @@ class Barrier:
     """One drone's part in forming and keeping the team; also tells the communicator who is lost.
 
     start: "all", or how many suffice at the deadline;  hold: holds the rounds until the next epoch and returns the
-    first round that is held (set by `Communicator.follow`; else the one after `highest_round`);  listeners: called
+    first round that is held (set by `Communicator.follow`; 0 where nobody exchanges);  listeners: called
     with each new roster;  history: (s, id, presence) of the newest changes.
     """
 
@@ -56,8 +56,7 @@ class Barrier:
         self.id = port.address
         self.roster: Roster | None = None
         self.beats: dict[int, Beat] = {}
-        self.highest_round: Callable[[], int] = lambda: -1
-        self.hold: Callable[[], int] = lambda: self.highest_round() + 1
+        self.hold: Callable[[], int] = lambda: 0
         self.listeners: list[Callable[[Roster], None]] = []
         self.history: list[tuple[float, int, str]] = []
         self._others = tuple(j for j in graph.ids if j != self.id)

@@ -7,6 +7,7 @@ from scipy.signal import tf2ss
 from crazychoir.control import margin
 from crazychoir.control.gains import SHIPPED, STANDARD
 from crazychoir.control.margin import HOLD, REQUIRED, Inner, command_loop, delay_margin, guidance_loop
+from crazychoir.filters.velocity import VelocityFilter
 
 
 def closed_loop_with_delay(loop, delay, until=60.0):
@@ -65,6 +66,10 @@ def test_every_shipped_row_keeps_40_ms_in_height_and_heading(name):
 def test_the_attitude_gain_is_what_the_margin_depends_on(kr, enough):
     left = delay_margin(command_loop(STANDARD.kp[0], STANDARD.kv[0], Inner(kr))) - HOLD
     assert (left >= REQUIRED) == enough
+
+
+def test_the_margins_are_those_behind_the_filter_that_flies():
+    assert VelocityFilter().cutoff == Inner(8.0).cutoff == margin.vertical_loop.__defaults__[1]
 
 
 def test_less_lag_leaves_more_margin():

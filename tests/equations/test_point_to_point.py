@@ -53,10 +53,10 @@ def test_the_duration_from_rest_keeps_the_limits_and_wastes_nothing(p, goal, v_m
 
 
 @given(states, triple)
-def test_the_duration_under_way_keeps_the_limits_where_that_is_possible(start, goal):
-    goal = np.array(goal)
-    duration = duration_for(start, goal, 0.0, v_max=4.0, a_max=20.0, yaw_rate_max=6.0)
-    speed, acceleration, turning = PointToPoint(start, goal, 0.0, duration).peaks
-    assert speed < 4.05
-    assert acceleration < 20.2
-    assert turning < 6.1
+def test_the_duration_under_way_keeps_the_limits_where_any_duration_does(start, goal):
+    def excess(duration):
+        return max(np.array(PointToPoint(start, np.array(goal), 0.0, duration).peaks) / [4.0, 20.0, 6.0])
+
+    duration = duration_for(start, np.array(goal), 0.0, v_max=4.0, a_max=20.0, yaw_rate_max=6.0)
+    assert excess(duration) < 1.02 or all(excess(other) > 0.98 * excess(duration) for other in np.geomspace(0.1, 30, 60))
+
