@@ -4,7 +4,6 @@ import re
 from collections.abc import Iterable
 from typing import Any
 
-from crazychoir.bus import frames
 from crazychoir.errors import ConfigError
 
 MAX_MESSAGE = 8 << 20
