@@ -159,8 +159,10 @@ class FrameBuffer:
 
 def _acceptable(envelope: Envelope) -> bool:
     """Whether the receiver takes what a sender could get wrong."""
-    short = len(envelope.channel) <= MAX_NAME and len(envelope.to) <= MAX_DESTINATIONS
-    return short and 0.0 <= envelope.age <= MAX_AGE
+    name = envelope.channel
+    text = name.isascii() or not any("\ud800" <= letter <= "\udfff" for letter in name)
+    short = len(name) <= MAX_NAME and len(envelope.to) <= MAX_DESTINATIONS
+    return text and short and 0.0 <= envelope.age <= MAX_AGE
 
 
 def _size(envelope: Envelope) -> int:

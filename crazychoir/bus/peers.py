@@ -65,15 +65,15 @@ class Peers:
         return peer
 
     def went(self, host: str, process: str) -> Peer | None:
-        """A token has gone; returns the peer that was lost."""
+        """A token has gone; returns the peer that was lost. A drone that another process flies by now is not gone."""
         peer = self.by_name.get(process)
         if peer is None or peer.host != host:
             return None
         del self.by_name[process]
         self._route()
         if peer.hello is not None:
-            self.bus.drop_readers(peer.hello.addresses)
-            self.on_token(peer.hello.drones, False)
+            self.bus.drop_readers([j for j in peer.hello.addresses if j not in self.directory])
+            self.on_token([i for i in peer.hello.drones if i not in self.directory], False)
         return peer
 
     def mutual(self, peer: Peer) -> bool:

@@ -274,7 +274,13 @@ class ZenohLink(Actor):
         self._flushing = False
         full, self._full = self._full, []
         for lane in full:
-            for frame in lane.buffer.take():
+            try:
+                frames = lane.buffer.take()
+            except CodecError as error:
+                self.counters.unsendable += 1
+                log.warning("not sent: %s", error)
+                continue
+            for frame in frames:
                 self._put(lane, frame)
 
     def _say_hello(self) -> None:

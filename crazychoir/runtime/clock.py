@@ -200,8 +200,10 @@ class WallClock(Clock):
     def _fire(self) -> None:
         now = time.monotonic_ns()
         self._armed_ns = 1  # new alarms need not arm it: that comes at the end
+        due = []
         while self._heap and self._heap[0][0] <= now:
-            alarm = heapq.heappop(self._heap)[-1]
+            due.append(heapq.heappop(self._heap)[-1])
+        for alarm in due:  # what they add for now or earlier comes next time: others must run in between
             if not alarm.cancelled():
                 alarm._run()
         self._armed_ns = self._heap[0][0] if self._heap else 0

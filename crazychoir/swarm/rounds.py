@@ -325,7 +325,8 @@ class Rounds:
     def _schedule(self, now_ns: int) -> None:
         if self._alarm is not None:
             self._alarm.cancel()
-        self._due_ns = min(now_ns - now_ns % SWEEP + SWEEP, *(ch.deadline_ns for ch in self._waiting))
+        waiting = [ch for ch in self._waiting if ch.waiter is not None and not ch.waiter.done()]
+        self._due_ns = min([now_ns - now_ns % SWEEP + SWEEP, *(ch.deadline_ns for ch in waiting)])
         self._alarm = self._clock.call_at(self._due_ns, self._sweep, drone=self.id)
 
     def _sweep(self) -> None:

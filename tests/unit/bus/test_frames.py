@@ -128,6 +128,14 @@ def test_what_cannot_be_encoded_is_a_codec_error():
             encode_frame(Frame("cf3", 1, 2, [bad]))
 
 
+def test_a_buffer_refuses_a_name_that_is_no_text_before_it_spoils_a_frame():
+    buffer = FrameBuffer("cf3", 7, 2)
+    buffer.add(envelope(channel="zürich"))
+    with pytest.raises(CodecError, match="channel"):
+        buffer.add(envelope(channel="caf\ud800"))
+    assert len(buffer.take()) == 1
+
+
 def test_a_buffer_keeps_the_order_and_is_empty_when_taken():
     buffer = FrameBuffer("cf3", 7, 2)
     sent = [envelope(number=k) for k in range(5)]

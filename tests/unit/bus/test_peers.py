@@ -183,3 +183,12 @@ def test_public_copies_are_plain_json() -> None:
     value = json.loads(as_json(State.at([1.0, 2.0, float("nan")])))
     assert value == {"p": [1, 2, None], "v": [0, 0, 0], "q": [0, 0, 0, 1], "w": [0, 0, 0], "age": 0}
     assert json.loads(as_json(Status("flying", note="ü")))["note"] == "ü"
+
+
+def test_a_drone_that_was_started_again_is_not_gone_with_its_former_process(here):
+    here.hear(hello("old", drones=(1, 2), uptime=100.0))
+    here.hear(hello("new", drones=(1,), incarnation=3, uptime=0.1))
+    here.tokens.clear()
+    here.peers.went("there", "old")
+    assert here.tokens == [([2], False)]
+    assert here.peers.directory[1].process == "new"

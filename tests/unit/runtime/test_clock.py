@@ -331,3 +331,20 @@ async def test_a_task_that_waits_for_a_tick_can_be_cancelled_and_go_on_with_the_
     assert task.cancelled()
     assert seen == [100 * MS, 150 * MS, 300 * MS]
     assert not clock._heap
+
+
+def test_alarms_that_are_late_again_and_again_leave_the_loop_to_others():
+    async def main(clock):
+        ends, passes = clock.now() + 0.1, 0
+
+        def late():
+            if clock.now() < ends:
+                clock.call_at(1, late)
+
+        late()
+        while clock.now() < ends:
+            await asyncio.sleep(0)
+            passes += 1
+        return passes
+
+    assert run_wall(main) > 20

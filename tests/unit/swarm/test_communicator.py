@@ -13,7 +13,7 @@ from crazychoir.bus.local import Bus
 from crazychoir.bus.rules import Partition, Rule
 from crazychoir.bus.topics import ROUND
 from crazychoir.errors import CodecError, ConfigError, PeerLost, RosterChanged, RoundTimeout
-from crazychoir.runtime.clock import Clock, run_virtual
+from crazychoir.runtime.clock import Clock, run_virtual, run_wall
 from crazychoir.swarm import graph as graphs
 from crazychoir.swarm.channel import HISTORY
 from crazychoir.swarm.communicator import AHEAD, DATA, Communicator, run_rounds
@@ -730,3 +730,31 @@ def test_a_channel_in_use_cannot_become_joinable():
             c.open("main", joinable=True)
 
     swarm(graphs.path(2), agent)
+
+
+def test_a_wait_that_is_over_does_not_keep_the_loop_from_one_that_goes_on():
+    async def main(clock: Clock) -> tuple[dict[int, Any], float]:
+        bus = Bus(clock)
+        member = Communicator(bus.port(0), graphs.path(2))
+        bus.port(1)
+        slow = asyncio.create_task(member.neighbors_exchange(1, channel="slow", deadline=0.6, policy="partial"))
+        began = clock.now()
+        heard = await member.neighbors_exchange(1, channel="quick", deadline=0.05, policy="partial")
+        took = clock.now() - began
+        await slow
+        return heard, took
+
+    heard, took = run_wall(main)
+    assert heard == {}
+    assert took < 0.4
+
+
+@pytest.mark.parametrize("policy", ["partial", "hold"])
+def test_a_deadline_of_nothing_waits_for_nothing(policy: Any) -> None:
+    async def main(clock: Clock) -> tuple[dict[int, Any], float]:
+        bus = Bus(clock)
+        member = Communicator(bus.port(0), graphs.path(2))
+        bus.port(1)
+        return await member.neighbors_exchange(1, deadline=0.0, policy=policy), clock.now()
+
+    assert run_virtual(main) == ({}, 0.0)
