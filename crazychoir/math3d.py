@@ -73,6 +73,15 @@ def clip(value: float, low: float, high: float) -> float:
 
 
 @kernel()
+def finite(x: Vec) -> bool:
+    """Whether all of x (n,) are numbers."""
+    nothing = 0.0
+    for c in range(x.shape[0]):
+        nothing += 0.0 * x[c]
+    return nothing == 0.0
+
+
+@kernel()
 def wrap(angle: float) -> float:
     """The same angle in [-pi, pi), rad."""
     return angle - 2.0 * math.pi * math.floor((angle + math.pi) / (2.0 * math.pi))

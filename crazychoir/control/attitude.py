@@ -18,9 +18,9 @@ class AttitudeControl(Protocol):
         ...
 
 
-@kernel(vector, vector, vector, vector, memory)
-def _geometric(x: Vec, desired: Vec, kr: Vec, platform: Vec, out: Vec) -> None:
-    """The law of GeometryAttitudeCtrl into out (4,)."""
+@kernel(vector, vector, vector, memory)
+def _geometric(x: Vec, desired: Vec, figures: Vec, out: Vec) -> None:
+    """The law of GeometryAttitudeCtrl into out (4,); figures: (6,) = kr, largest rates."""
     r = columns((x[6], x[7], x[8], x[9]))
     d = (
         (desired[1], desired[2], desired[3]),
@@ -39,7 +39,7 @@ def _geometric(x: Vec, desired: Vec, kr: Vec, platform: Vec, out: Vec) -> None:
     )
     out[0] = desired[0]
     for c in range(3):
-        out[1 + c] = clip(dot(r[c], w) - kr[c] * e[c], -platform[5 + c], platform[5 + c])
+        out[1 + c] = clip(dot(r[c], w) - figures[c] * e[c], -figures[3 + c], figures[3 + c])
 
 
 class GeometryAttitudeCtrl:
@@ -52,10 +52,10 @@ class GeometryAttitudeCtrl:
     """
 
     def __init__(self, gains: Gains = STANDARD, platform: Platform = PAPER) -> None:
-        self._kr, self._platform = np.array(gains.kr), platform.flat
+        self._figures = np.array([*gains.kr, *platform.max_rate])
 
     def command(self, state: State, desired: Vec) -> Vec:
         """A new (4,) = thrust N, body rates rad/s."""
         out = np.empty(4)
-        _geometric(state.flat, desired, self._kr, self._platform, out)
+        _geometric(state.flat, desired, self._figures, out)
         return out

@@ -7,9 +7,23 @@ import numpy as np
 
 from crazychoir.control.gains import FORMATION, STANDARD, Gains
 from crazychoir.control.platform import PAPER, Platform
-from crazychoir.math3d import GRAVITY, Triple, Vec, clip, columns, dot, flat_attitude, kernel, memory, real, vector
+from crazychoir.math3d import (
+    GRAVITY,
+    Triple,
+    Vec,
+    clip,
+    columns,
+    dot,
+    finite,
+    flat_attitude,
+    kernel,
+    memory,
+    real,
+    vector,
+)
 from crazychoir.types import State
 
+GAINS = 9  # of Gains.position, before those of Platform.flat in the figures of the kernels
 DESIRED = 13  # thrust N, x_b, y_b, z_b of R_d (3 each), rate feed-forward w_d rad/s in the axes of R_d (3)
 LEAST_LIFT = 0.2 * GRAVITY  # m/s2: the desired thrust always points up, far from F = 0 and from z_b parallel to x_c
 LONGEST_GAP = 0.1  # s between two desired attitudes whose difference still tells a rate
@@ -73,11 +87,12 @@ def _wish(x: Vec, ref: Vec, gains: Vec, follow: float, c: int) -> float:
     return float(ref[6 + c]) - follow * pull
 
 
-@kernel(vector, vector, vector, vector, real, memory)
-def _flatness(x: Vec, ref: Vec, gains: Vec, platform: Vec, follow: float, out: Vec) -> bool:
+@kernel(vector, vector, vector, real, memory)
+def _flatness(x: Vec, ref: Vec, figures: Vec, follow: float, out: Vec) -> bool:
     """The law of FlatnessPositionCtrl (follow = 1), or that of FlatnessAccelerationCtrl but for its lead."""
-    if not (np.all(np.isfinite(x)) and np.all(np.isfinite(ref))):
+    if not (finite(x) and finite(ref)):
         return False
+    gains, platform = figures[:GAINS], figures[GAINS:]
     v = (ref[3], ref[4], ref[5]) if follow > 0.0 else (x[3], x[4], x[5])
     drag, rise = _drag(x, v, platform), _drag(x, (ref[6], ref[7], ref[8]), platform)
     ax, ay, az = (_wish(x, ref, gains, follow, 0), _wish(x, ref, gains, follow, 1), _wish(x, ref, gains, follow, 2))
@@ -94,8 +109,8 @@ def _flatness(x: Vec, ref: Vec, gains: Vec, platform: Vec, follow: float, out: V
     return True
 
 
-@kernel(vector, vector, vector, vector, memory, real, memory)
-def _led(x: Vec, ref: Vec, gains: Vec, platform: Vec, mem: Vec, h: float, desired: Vec) -> bool:
+@kernel(vector, vector, vector, memory, real, memory)
+def _led(x: Vec, ref: Vec, figures: Vec, mem: Vec, h: float, desired: Vec) -> bool:
     """`_flatness` without follow; then the roll and pitch feed-forward are `lead` times the low-passed rate w_f of R_d.
 
         owed += turn of R_d - w_f h,   w_f = owed (1 - exp(-cutoff h)) / h
@@ -105,7 +120,7 @@ def _led(x: Vec, ref: Vec, gains: Vec, platform: Vec, mem: Vec, h: float, desire
     mem: (13,) = columns of the last R_d, w_f since then (2), owed rad (2);  h: s since then; 0: nothing new was
     measured, w_f goes on; after a gap, or from NaN on, it starts anew.
     """
-    if not _flatness(x, ref, gains, platform, 0.0, desired):
+    if not _flatness(x, ref, figures, 0.0, desired):
         return False
     x_d, y_d = (desired[1], desired[2], desired[3]), (desired[4], desired[5], desired[6])
     z_d = (desired[7], desired[8], desired[9])
@@ -115,8 +130,8 @@ def _led(x: Vec, ref: Vec, gains: Vec, platform: Vec, mem: Vec, h: float, desire
         if h > 0.0:
             owed = mem[11 + n] + turn[n] - mem[9 + n] * h
             mem[11 + n] = owed if h < LONGEST_GAP and math.isfinite(owed) else 0.0
-            mem[9 + n] = mem[11 + n] * (1.0 - math.exp(-gains[8] * h)) / h
-        desired[10 + n] = gains[7] * mem[9 + n]
+            mem[9 + n] = mem[11 + n] * (1.0 - math.exp(-figures[8] * h)) / h
+        desired[10 + n] = figures[7] * mem[9 + n]
     if h > 0.0:
         mem[0:9] = desired[1:10]
     return True
@@ -134,11 +149,11 @@ class FlatnessPositionCtrl:
 
     def __init__(self, gains: Gains = STANDARD, platform: Platform = PAPER) -> None:
         self.gains, self.platform = gains, platform
-        self._gains, self._platform, self._out = gains.position, platform.flat, np.zeros(DESIRED)
+        self._figures, self._out = np.array([*gains.position, *platform.flat]), np.zeros(DESIRED)
 
     def desired(self, state: State, reference: Vec, now: float) -> Vec | None:
         """Thrust, attitude and rate feed-forward (13,); None if state or reference is not finite."""
-        if _flatness(state.flat, reference, self._gains, self._platform, 1.0, self._out):
+        if _flatness(state.flat, reference, self._figures, 1.0, self._out):
             return self._out
         return None
 
@@ -161,7 +176,7 @@ class FlatnessAccelerationCtrl(FlatnessPositionCtrl):
         """Thrust, attitude and rate feed-forward (13,); None if state or reference is not finite."""
         measured = max(now - state.age, self._time)
         h = measured - self._time
-        if _led(state.flat, reference, self._gains, self._platform, self._memory, h, self._out):
+        if _led(state.flat, reference, self._figures, self._memory, h, self._out):
             self._time = measured
             return self._out
         return None
