@@ -20,15 +20,15 @@ from crazychoir.bus.local import OBSERVER, Bus, Port
 from crazychoir.bus.presence import Presence
 from crazychoir.bus.topics import LOG, RESULT, STATUS
 from crazychoir.errors import CrazyChoirError, Hung, Refused
-from crazychoir.guidance.base import CFGuidance, Member
+from crazychoir.guidance.base import CFGuidance, Member, raisable, touch_down
 from crazychoir.guidance.mission import Mission
 from crazychoir.mocap.simulated import SimulatedMocap
 from crazychoir.runtime.actor import Actor
-from crazychoir.runtime.clock import Clock
+from crazychoir.runtime.clock import Clock, wake
 from crazychoir.runtime.supervisor import Supervisor
 from crazychoir.runtime.watchdog import Stall, Watchdog
 from crazychoir.safety.guard import Fence
-from crazychoir.safety.pilot import Pilot
+from crazychoir.safety.pilot import Mode, Pilot
 from crazychoir.simulation.integrator import CFIntegrator
 from crazychoir.simulation.owner import EulerRatesLink, SimulatedLink, WorldOwner
 from crazychoir.swarm.communicator import Communicator
@@ -41,6 +41,8 @@ log = logging.getLogger(__name__)
 VERSION = version("crazychoir")
 LANDING_DEADLINE = 30.0
 """s, beyond the planned time of the descent, after which a drone that is still up has its motors cut."""
+LAST_WORDS = 1.0
+"""s after its drone is down that a mission which was ended has for its last messages, before it is cancelled again."""
 FAREWELL = 1.5
 """s that a drone whose mission is over stays: others may lack its last messages, or the next roster from it."""
 _HEAD = struct.Struct("<iiiq")
@@ -124,14 +126,20 @@ class GuidanceActor(Actor):
     def __init__(self, drone: Drone, config: SwarmConfig, watchdog: Watchdog | None) -> None:
         self.drone, self.config, self.watchdog = drone, config, watchdog
         self._life: asyncio.Task[dict[str, Any]] | None = None
+        self._ended: asyncio.Future[None] | None = None
+        self._member: Member | None = None
         self._aborted = ""
 
     async def run(self) -> None:
         """GO, mission, result; whatever ends the mission is a result, and the drone ends on the ground."""
         drone = self.drone
+        self._ended = asyncio.get_running_loop().create_future()
         self._life = asyncio.create_task(self._mission(), name=f"drone {drone.id} guidance")
         try:
-            await asyncio.wait([self._life])
+            ends: list[asyncio.Future[Any]] = [self._life, self._ended]
+            await asyncio.wait(ends, return_when=asyncio.FIRST_COMPLETED)
+            if not self._life.done():
+                await self._end(self._life)
             drone.result = self._outcome(self._life)
         except asyncio.CancelledError:
             drone.result = {"success": False, "reason": "the mission was cancelled"}
@@ -139,15 +147,31 @@ class GuidanceActor(Actor):
             raise
         finally:
             self._life.cancel()
+            self._forbid("the mission has ended")
             await self._down()
+            drone.result = self._judged(drone.result)
             drone.port.publish(RESULT, drone.result)
         await drone.port.bus.clock.sleep(FAREWELL, drone=drone.id)
         await self._until_cleared()
 
+    async def _end(self, life: asyncio.Task[dict[str, Any]]) -> None:
+        """An aborted mission may say its last words while its drone lands; then it is cancelled until it obeys."""
+        clock, i = self.drone.port.bus.clock, self.drone.id
+        await self._down()
+        patient = clock.now() + LAST_WORDS
+        while not life.done() and clock.now() < patient + LAST_WORDS:
+            if clock.now() >= patient:
+                life.cancel()
+            await clock.sleep(0.05, drone=i)
+        if not life.done():
+            log.error("drone %d: its mission does not end when it is cancelled; left behind", i)
+
     def _outcome(self, life: asyncio.Task[dict[str, Any]]) -> dict[str, Any]:
-        if life.cancelled():
+        """What the mission has come to; an aborted one has failed, whatever it says."""
+        pilot = self.drone.pilot
+        error = life.exception() if life.done() and not life.cancelled() else None
+        if self._aborted:
             return {"success": False, "reason": self._aborted}
-        error, pilot = life.exception(), self.drone.pilot
         if error is None:
             pilot.land("the mission has ended in the air")
             return {"success": True, **life.result()}
@@ -156,6 +180,14 @@ class GuidanceActor(Actor):
             pilot.land(str(error))
             return {"success": False, "reason": str(error)}
         return {"success": False, "reason": self._broken(error)}
+
+    def _judged(self, result: dict[str, Any]) -> dict[str, Any]:
+        """The result, now that the drone is down: a success only if nobody had to bring it down."""
+        pilot = self.drone.pilot
+        reason = self._aborted or (pilot.note if pilot.mode is Mode.CUT else pilot.guard.latched)
+        if not reason or not result.get("success"):
+            return result
+        return {**result, "success": False, "reason": f"drone {self.drone.id}: {reason}"}
 
     def _broken(self, error: BaseException) -> str:
         """The mission's own code has failed: the pilot hovers, then lands; the observers hear why."""
@@ -168,10 +200,18 @@ class GuidanceActor(Actor):
         return text
 
     def abort(self, reason: str) -> None:
-        """End the mission where it is."""
-        self._aborted = reason
+        """End the mission where it is, for good."""
+        self._aborted = self._aborted or reason
+        self._forbid(reason)
         if self._life is not None:
             self._life.cancel()
+        if self._ended is not None:
+            wake(self._ended)
+
+    def _forbid(self, reason: str) -> None:
+        """Nothing that the mission leaves behind flies the drone again."""
+        if self._member is not None:
+            self._member.ended = self._member.ended or reason
 
     async def _mission(self) -> dict[str, Any]:
         drone = self.drone
@@ -181,21 +221,24 @@ class GuidanceActor(Actor):
             raise Refused(f"drone {drone.id}", STOPPED)
         member = Member(drone.id, self.config, drone.port.bus.clock, drone.communicator, drone.pilot, self.watchdog)
         member.announce = lambda: drone.port.publish(STATUS, drone.status())
+        self._member = member
         drone.guidance.bind(member)
         try:
             result: object = await drone.guidance.mission()
         except SystemExit as end:
             raise RuntimeError(f"the mission called sys.exit({end.code!r})") from end
+        except asyncio.CancelledError as cancelled:
+            if self._life is not None and self._life.cancelling():
+                raise
+            raise raisable(cancelled, "the mission") from cancelled
         if result is not None and not isinstance(result, dict):
             raise TypeError(f"mission() returned a {type(result).__name__}; allowed: a dictionary, or nothing")
         return result or {}
 
     async def _down(self) -> None:
         """Wait until it is on the ground; a mission that was aborted has a pilot that lands already."""
-        pilot, clock = self.drone.pilot, self.drone.port.bus.clock
-        ends = clock.now() + LANDING_DEADLINE + pilot.remaining()
-        while pilot.airborne and clock.now() < ends:
-            await clock.sleep(0.05, drone=self.drone.id)
+        pilot = self.drone.pilot
+        await touch_down(pilot, LANDING_DEADLINE)
         if pilot.airborne:
             pilot.cut("does not come down")
 
@@ -271,7 +314,9 @@ class Agent:
         self._start_deadline = config.start_deadline if start_deadline is None else start_deadline
         self._digest = mission_hash(config, mission)
         self.drones: dict[int, Drone] = {i: self._drone(i) for i in ids}
-        self.supervisor = Supervisor(clock, f"process {process}")
+        pilots = [drone.pilot for drone in self.drones.values()]
+        self.pacemaker = Pacemaker(clock, pilots, config.mocap.rate)
+        self.supervisor = Supervisor(clock, f"process {process}", self._shared_failed)
         self.services: list[Actor] = []
         self._guidances: dict[int, GuidanceActor] = {}
 
@@ -332,8 +377,7 @@ class Agent:
         return WorldOwner(self.bus, self.world, cameras, mocap.rate, self.trace)
 
     def _shared(self) -> list[Actor]:
-        pilots = [drone.pilot for drone in self.drones.values()]
-        return [*self.services, self.owner, Pacemaker(self.clock, pilots, self.config.mocap.rate)]
+        return [*self.services, self.owner, self.pacemaker]
 
     def _flying(self, drone: Drone) -> list[Actor]:
         return [drone.barrier.monitor, drone.pilot, StatusActor(drone)]
@@ -366,6 +410,11 @@ class Agent:
         words = stall.actor.split()
         drone = int(words[1]) if len(words) > 1 and words[0] == "drone" and words[1].isdigit() else self.ids[0]
         self.alarm(drone, str(stall))
+
+    def _shared_failed(self, actor: Actor, error: Exception, again: bool) -> None:
+        """Without the world or the pacemaker nobody flies on: the drones land, or are cut by who still ticks them."""
+        if actor is self.owner or actor is self.pacemaker:
+            self.land_all(f"{actor.name} failed: {type(error).__name__}: {error}")
 
     def _failed(self, i: int, actor: Actor, error: Exception, again: bool) -> None:
         drone = self.drones[i]

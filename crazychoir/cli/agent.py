@@ -32,7 +32,7 @@ def agent(
 ) -> None:
     """Fly drones of a swarm; Ctrl-C lands them."""
     if child:
-        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
+        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGHUP)
     set_up_logging()
     from crazychoir.cli.chosen import configured  # kernels and network: 1 s that --help does not need
     from crazychoir.cli.process import run_agent

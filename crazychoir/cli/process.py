@@ -76,11 +76,18 @@ def _link(
 
 
 def _obey_signals(clock: Clock, agent: Agent) -> None:
-    """The first signal lands; a second within 2 s warns; a third cuts the motors."""
+    """The first signal lands; a second within 2 s warns; a third cuts the motors.
+
+    SIGHUP only lands: it says that the terminal or the parent has gone, and a parent of many threads says so once a
+    thread, not that anybody insists.
+    """
     loop = asyncio.get_running_loop()
     times: list[int] = []
 
     def on_signal(number: int) -> None:
+        if number == signal.SIGHUP:
+            agent.land_all("SIGHUP: landing")
+            return
         times.append(clock.now_ns())
         recent = [t for t in times if t > times[-1] - AGAIN * SECOND]
         if len(recent) >= 3:

@@ -22,7 +22,7 @@ class CrazyflieController(ABC):
         self.command_sender, self.traj_handler = command_sender, traj_handler
         self.refused = 0
         self._last: Vec | None = None
-        self._thrust = 0.0
+        self._input = np.zeros(4)
 
     @abstractmethod
     def law(self, state: State, reference: Vec, now: float) -> Vec | None:
@@ -40,14 +40,14 @@ class CrazyflieController(ABC):
                 self._last = flat
         if u is None:
             u = self._hold(state, now)
-        self._thrust = float(u[0])
+        self._input = u
         return self.command_sender.message(u)
 
     def _hold(self, state: State, now: float) -> Vec:
         """Fly the last good reference at rest; with a state that is not finite: the last thrust, no rates."""
         self._last = self.traj_handler.hold(state, self._last)
         u = self.law(state, self._last, now)
-        return np.array([self._thrust, 0.0, 0.0, 0.0]) if u is None else u
+        return np.array([self._input[0], 0.0, 0.0, 0.0]) if u is None else u
 
 
 class HierarchicalController(CrazyflieController):

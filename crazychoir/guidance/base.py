@@ -11,6 +11,7 @@ import numpy as np
 
 from crazychoir.bus.topics import STATE
 from crazychoir.errors import CrazyChoirError
+from crazychoir.guidance.hearing import Hearing
 from crazychoir.runtime.clock import SECOND, Clock, wake
 from crazychoir.runtime.mailbox import Call, Latest
 from crazychoir.runtime.watchdog import Watchdog
@@ -29,6 +30,10 @@ TAKEOFF = Mode.TAKEOFF
 ARRIVED = 0.2
 """m from a goal that counts as there."""
 ATTEMPTS = 5
+PATIENCE = 300.0
+"""s that a flight waits for a pilot that is held, or that the safety table has stopped; and for a first pose."""
+TOUCHDOWN = 5.0
+"""s beyond the planned time of a landing that a mission waits for its end."""
 LAW = "feedback law"
 """The task that a status names while a CFDistributedFeedback runs."""
 
@@ -46,6 +51,8 @@ class Member:
     report: Callable[[], dict[str, Any]] = dict
     """Says how the mission goes: task, round, cost, for the status."""
     announce: Callable[[], None] = lambda: None  # publishes the status now, not at its next tick
+    ended: str = ""
+    """Why the mission is over; from then on it flies no more, whatever it catches and goes on with."""
 
 
 class Verb(Generic[P, R]):
@@ -113,47 +120,73 @@ class CFGuidance:
     # Flying ---------------------------------------------------------------------------------------------------
 
     async def take_off(self, height: float | None = None) -> None:
-        """Rise and hover."""
+        """Rise and hover; a drone that is held, or not seen yet, waits on the ground."""
         pilot = self.member.pilot
-        while pilot.state is None:
+        ends = self.member.clock.now() + PATIENCE
+        while (pilot.state is None or pilot.held) and self.member.clock.now() < ends:
             await self.sleep(SETTLE)
+        self._may_fly()
+        if pilot.state is None:
+            raise Interrupted(f"drone {self.id}: no pose within {PATIENCE:g} s")
         await self._while(pilot.take_off(height), Mode.TAKEOFF)
 
     async def go_to(self, p: Point, duration: float = 0.0) -> None:
         """Fly to p (3,) m, world, and be there: a flight that the safety table has stopped is flown again.
 
+        It waits, at most PATIENCE s, while an operator holds the drone or the safety table brakes it.
         Raises Interrupted when the pilot lands, and when p cannot be reached, as outside the fence.
         """
-        for _ in range(ATTEMPTS):
-            await self._while(self.member.pilot.go_to(p, duration=duration), Mode.HOVER)
+        attempts, ends = 0, self.member.clock.now() + PATIENCE
+        while attempts < ATTEMPTS and self.member.clock.now() < ends:
+            self._may_fly()
+            seconds = self.member.pilot.go_to(p, duration=duration)
+            attempts += seconds > 0.0
+            await self._while(seconds or SETTLE, Mode.HOVER, Mode.TAKEOFF, Mode.FOLLOW)
             if np.linalg.norm(self.state.p - np.asarray(p)) < ARRIVED:
                 return
         place = np.round(np.asarray(p), 2).tolist()
         raise Interrupted(f"drone {self.id}: does not reach {place}: {self.member.pilot.note}")
 
     async def land(self) -> None:
-        """Come down and stop the motors."""
+        """Come down and stop the motors; raises Interrupted unless it ends on the ground, as when they were cut."""
         pilot = self.member.pilot
-        ends = self.member.clock.now() + pilot.land() + 5.0
-        while pilot.airborne and self.member.clock.now() < ends:
-            await self.sleep(SETTLE)
+        pilot.land()
+        await touch_down(pilot, TOUCHDOWN)
+        if pilot.mode is not Mode.GROUND:
+            raise Interrupted(f"drone {self.id}: {pilot.mode.value}: {pilot.note}")
 
     def follow(self, reference: Reference) -> None:
         """Fly this reference; renew it before it is stale."""
+        self._may_fly()
         self.member.pilot.follow(reference)
 
     async def sleep(self, seconds: float) -> None:
         """Wait, in the swarm's time."""
         await self.member.clock.sleep(seconds, drone=self.id)
 
-    async def _while(self, seconds: float, mode: Mode) -> None:
+    def _may_fly(self) -> None:
+        """A mission that is over does not fly."""
+        if self.member.ended:
+            raise Interrupted(f"drone {self.id}: its mission is over: {self.member.ended}")
+
+    async def _while(self, seconds: float, *modes: Mode) -> None:
         """Wait for a flight of `seconds`; an interrupted one (landing, stopped) raises Interrupted."""
         pilot = self.member.pilot
         ends = self.member.clock.now() + seconds
-        while pilot.mode in (mode, Mode.HOVER) and self.member.clock.now() < ends:
+        while pilot.mode in (*modes, Mode.HOVER) and self.member.clock.now() < ends:
             await self.sleep(min(SETTLE, max(ends - self.member.clock.now(), 1e-3)))
-        if pilot.mode not in (mode, Mode.HOVER):
+        if pilot.mode not in (*modes, Mode.HOVER):
             raise Interrupted(f"drone {self.id}: {pilot.mode.value}: {pilot.note}")
+
+
+async def touch_down(pilot: Pilot, grace: float) -> None:
+    """Wait until a pilot's motors are off; at most `grace` s beyond the flight that it has planned, whenever it did."""
+    clock = pilot.clock
+    ends = clock.now() + grace
+    while pilot.airborne and clock.now() < ends:
+        if pilot.remaining() > 0.0:
+            ends = clock.now() + pilot.remaining() + grace
+        await clock.sleep(SETTLE, drone=pilot.drone)
 
 
 class Interrupted(CrazyChoirError):
@@ -163,7 +196,9 @@ class Interrupted(CrazyChoirError):
 class CFDistributedFeedback(CFGuidance):
     """A feedback law on own and neighbours' states. Write `step`; it runs at `rate` Hz and never waits.
 
-    `heard[j]` is the newest State of neighbour j, with its `age`; absent when beyond the topic's maximum age.
+    `heard[j]` is the newest State of neighbour j, with its `age`; absent when beyond the topic's maximum age. If none
+    has come since the last step it is moved on, p + v age, attitude as it was; and the first after such a gap tells the
+    velocity that makes up for those that were lost, see Hearing: a law may sum them up.
     A new state of its own triggers it: what it wants is flown in the same tick.
     rate: Hz, at most that of the poses;  duration: s of the law, after everybody hovers.
     """
@@ -173,15 +208,18 @@ class CFDistributedFeedback(CFGuidance):
 
     @abstractmethod
     def step(self, me: State, heard: Heard) -> Reference | None:
-        """The reference to fly until the next step; None leaves the drone hovering where it is."""
+        """The reference to fly until the next step; None lets the drone come to rest and hover."""
 
     def bind(self, member: Member) -> None:
         """Meet the drone, and listen to the neighbours' states."""
         super().bind(member)
         bus = member.communicator.port.bus
         self._boxes: dict[int, Latest[State]] = {}
+        self._hearings: dict[int, Hearing] = {}
+        mocap, cutoff = member.config.mocap, member.pilot.filter.cutoff
         for j in self.graph.in_neighbors(self.id):
             box = self._boxes[j] = Latest(member.clock, f"drone {self.id} state of {j}", STATE.max_age)
+            self._hearings[j] = Hearing(box, 1.0 / self.rate, cutoff, 1.0 / mocap.rate, mocap.latency)
             bus.subscribe(STATE, j, self.id, box, self.rate if self.rate < STATE.rate else 0.0)
         self._unheard = dict.fromkeys(self._boxes, 0)
         self._law: asyncio.Future[None] | None = None
@@ -217,6 +255,7 @@ class CFDistributedFeedback(CFGuidance):
         clock = self.member.clock
         self._period_ns = round(SECOND / self.rate)
         self._due_ns = clock.now_ns()
+        self._start_hearing()
         self._law = asyncio.get_running_loop().create_future()
         end = clock.call_at(self._due_ns + round(self.duration * SECOND), wake, self._law, drone=self.id)
         try:
@@ -226,22 +265,28 @@ class CFDistributedFeedback(CFGuidance):
             end.cancel()
 
     def _moved(self, me: State, age: float) -> None:
-        """A new state: call `step` if it is due. Its errors end the law, not the tick."""
+        """A new state: call `step` if it is due. Its errors end the law, not the tick, which is not its alone."""
         law = self._law
         if law is None or law.done():
             return
         pilot, late_ns = self.member.pilot, self.member.clock.now_ns() - self._due_ns
         if late_ns < -pilot.period_ns // 2 or pilot.mode is TAKEOFF:
             return
+        if late_ns >= self._period_ns:
+            self._start_hearing()  # steps were left out
         self._due_ns += max(1, late_ns // self._period_ns + 1) * self._period_ns
         try:
             if pilot.mode not in LAW_MODES:
                 raise Interrupted(f"drone {self.id}: {pilot.mode.value}: {pilot.note}{self._deaf()}")
             reference = self._stepped(me)
-            if reference is not None:
+            if reference is None:
+                pilot.hover()
+            else:
                 pilot.follow(reference)
-        except (Exception, SystemExit) as error:  # noqa: BLE001 - whoever awaits the law gets it
-            law.set_exception(error)
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:  # noqa: BLE001 - whoever awaits the law gets it
+            law.set_exception(raisable(error, f"drone {self.id}: step"))
 
     def _stepped(self, me: State) -> Reference | None:
         """What `step` wants, under the eyes of the watchdog."""
@@ -254,17 +299,29 @@ class CFDistributedFeedback(CFGuidance):
         with watchdog.guard(f"drone {self.id} guidance"):
             return self.step(me, heard)
 
+    def _start_hearing(self) -> None:
+        for hearing in self._hearings.values():
+            hearing.start()
+
     def _deaf(self) -> str:
         """Whom it does not hear: the usual reason of a law that says nothing."""
-        heard = self.hear()
-        silent = ", ".join(str(j) for j in self._boxes if j not in heard)
+        silent = ", ".join(str(j) for j, box in self._boxes.items() if box.fresh() is None)
         return f"; hears nothing of drone(s) {silent}" if silent else ""
 
     def hear(self) -> Heard:
-        """The neighbours' states that are not stale."""
+        """The neighbours' states for this step, those that are not stale."""
         heard: Heard = {}
-        for j, box in self._boxes.items():
-            state, age = box.fresh_with_age()
+        for j, hearing in self._hearings.items():
+            state = hearing.state()
             if state is not None:
-                heard[j] = State(state.flat, age)
+                heard[j] = state
         return heard
+
+
+def raisable(error: BaseException, where: str) -> BaseException:
+    """An error that a task may end with: what asyncio and generators take for signals of their own becomes ordinary."""
+    if isinstance(error, Exception | SystemExit) and not isinstance(error, StopIteration):
+        return error
+    ordinary = RuntimeError(f"{where} raised {error!r}")
+    ordinary.__cause__ = error
+    return ordinary.with_traceback(error.__traceback__)

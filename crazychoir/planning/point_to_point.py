@@ -1,6 +1,7 @@
 """Point-to-point flight by a polynomial of degree 7."""
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 
@@ -10,6 +11,8 @@ from crazychoir.types import FullState
 
 PEAK_SPEED = 35.0 / 16.0  # of a rest-to-rest flight of 1 m in 1 s
 PEAK_ACCELERATION = 84.0 * math.sqrt(5.0) / 25.0  # the same, m/s2
+PEAK_DECELERATION = 15.0 / 8.0  # of a stop from 1 m/s in 1 s, m/s2
+STOP = PEAK_DECELERATION / 2.0  # m, of a stop from 1 m/s with 1 m/s2
 SHORTEST = 0.1  # s, of a flight to where one is
 
 
@@ -77,10 +80,10 @@ class PointToPoint:
     """
 
     def __init__(self, start: FullState, goal: Vec, yaw: float, duration: float) -> None:
-        if not (math.isfinite(duration) and duration > 0.0):
-            raise ConfigError("PointToPoint: duration", duration, "a positive number of seconds")
         if np.shape(goal) != (3,) or not np.all(np.isfinite([*goal, yaw, *start.flat])):
             raise ConfigError("PointToPoint: goal", [*goal, yaw], "finite numbers; start too")
+        if not (math.isfinite(duration) and duration > 0.0):
+            raise ConfigError("PointToPoint: duration", duration, "a positive number of seconds")
         self.duration = float(duration)
         self._coefficients = np.empty((4, 8))
         _coefficients(start.flat, np.asarray(goal, dtype=float), float(yaw), self.duration, self._coefficients)
@@ -98,6 +101,11 @@ class PointToPoint:
     def done(self, t: float) -> bool:
         """Is the goal reached at t?"""
         return t >= self.duration
+
+    @property
+    def goal(self) -> Vec:
+        """(3,) m, where it ends."""
+        return self._end[0:3]
 
     @property
     def peaks(self) -> tuple[float, float, float]:
@@ -122,13 +130,37 @@ def duration_for(
     speed, acceleration = float(np.linalg.norm(start.v)), float(np.linalg.norm(start.a))
     if speed + acceleration + abs(start.flat[13]) < 1e-9:
         return at_rest
-    limits = 1.001 * np.array([max(v_max, speed), max(a_max, acceleration), max(yaw_rate_max, abs(start.flat[13]))])
-    best, least = SHORTEST, math.inf
+    limits = np.array([max(v_max, speed), max(a_max, acceleration), max(yaw_rate_max, abs(start.flat[13]))])
+    return _shortest(lambda t: PointToPoint(start, goal, yaw, t), limits).duration
+
+
+def stopping(start: FullState, a_max: float = 2.0) -> PointToPoint:
+    """The shortest flight to rest that keeps the acceleration within a_max m/s2, to 5 %, wherever it ends.
+
+        p(T) = p + v T / 2 + a T^2 / 10 + j T^3 / 120
+
+    the end for which c7 = 0: without a and j at the start it slows down and never turns back, T = 15/8 |v| / a_max,
+    in a distance of STOP |v|^2 / a_max. A start that is itself too hard counts as its own limit; the heading stays.
+    """
+    p, v, a, j = start.flat[0:3], start.flat[3:6], start.flat[6:9], start.flat[9:12]
+
+    def stop(t: float) -> PointToPoint:
+        return PointToPoint(start, p + v * t / 2.0 + a * t**2 / 10.0 + j * t**3 / 120.0, start.yaw, t)
+
+    acceleration = float(np.linalg.norm(a))
+    if acceleration + float(np.linalg.norm(j)) < 1e-9:
+        return stop(max(PEAK_DECELERATION * float(np.linalg.norm(v)) / a_max, SHORTEST))
+    return _shortest(stop, np.array([math.inf, max(a_max, acceleration), math.inf]))
+
+
+def _shortest(flight: Callable[[float], PointToPoint], limits: Vec) -> PointToPoint:
+    """The first of flights that grow by 5 % each whose peaks (3,) keep the limits (3,), or which misses them least."""
+    best, least = flight(SHORTEST), math.inf
     for n in range(120):
-        t = SHORTEST * 1.05**n
-        excess = float(np.max(PointToPoint(start, goal, yaw, t).peaks / limits))
+        plan = flight(SHORTEST * 1.05**n)
+        excess = float(np.max(plan.peaks / (1.001 * limits)))
         if excess <= 1.0:
-            return t
+            return plan
         if excess < least:
-            best, least = t, excess
+            best, least = plan, excess
     return best

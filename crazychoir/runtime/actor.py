@@ -7,7 +7,7 @@ from dataclasses import dataclass
 class Restart:
     """What its supervisor does when an actor fails: at most `limit` restarts in `window` s.
 
-    backoff: s, before the first of them; doubles with each.
+    backoff: s, before the first of them; doubles with each; 0: all of them at once.
     """
 
     limit: int = 0

@@ -7,7 +7,8 @@ from enum import IntEnum
 import numpy as np
 
 from crazychoir.errors import ConfigError
-from crazychoir.math3d import kernel, vector
+from crazychoir.math3d import kernel, real, vector
+from crazychoir.planning.point_to_point import STOP
 from crazychoir.types import Point, State, Vec
 
 
@@ -27,8 +28,9 @@ DOING = {Action.HOVER: "braking", Action.LAND: "landing", Action.CUT: "motors cu
 class Rule:
     """One row of the safety table.
 
-    measure: "pose" (s since the last pose), "reference" (s since the last one), "fence" (m outside the fence)
-    or "broken" (1 if the state is not finite);  limit: exceeded, the rule acts;  clear: it acts until the measure has
+    measure: "pose" (s since the last pose), "reference" (s since the last one), "fence" (m outside the fence), "stop"
+    (m outside the fence, there or where it comes to rest if it brakes now, the worse) or "broken" (1 if the state is
+    not finite);  limit: exceeded, the rule acts;  clear: it acts until the measure has
     been at or below this for `settle` seconds;  latched: it acts for good.
     """
 
@@ -41,14 +43,15 @@ class Rule:
 
 
 # Poses: 0.10 s is ten of them missed at 100 Hz, 0.1 m at 1 m/s; after 0.50 s a prediction is worth little; after 2.00 s
-# without commands the firmware cuts by itself. Fence: like the paper's keep-out zone it ends in a shut-down.
+# without commands the firmware cuts by itself. Fence: it brakes while it can still stop inside; like the paper's
+# keep-out zone it ends in a shut-down.
 TABLE = (
     Rule("pose", 0.10, Action.HOVER, clear=0.05),
     Rule("pose", 0.50, Action.LAND, clear=0.05, settle=1.0),
     Rule("pose", 2.00, Action.CUT, latched=True),
     Rule("reference", 0.30, Action.HOVER, clear=0.15),
     Rule("reference", 5.00, Action.LAND, clear=0.15, settle=1.0),
-    Rule("fence", 0.00, Action.HOVER, clear=-0.05),
+    Rule("stop", 0.00, Action.HOVER, clear=-0.05),
     Rule("fence", 0.25, Action.LAND, latched=True),
     Rule("fence", 0.50, Action.CUT, latched=True),
     Rule("broken", 0.00, Action.CUT, latched=True),
@@ -58,6 +61,7 @@ TEXT = {
     "pose": "pose {value:.2f} s old, limit {limit:.2f} s: {doing}",
     "reference": "reference {value:.2f} s old, limit {limit:.2f} s: {doing}",
     "fence": "{value:.2f} m outside the fence, limit {limit:.2f} m: {doing}",
+    "stop": "comes to rest {value:.2f} m outside the fence, limit {limit:.2f} m: {doing}",
     "broken": "state is not finite: {doing}",
 }
 
@@ -102,12 +106,19 @@ class Verdict:
 ALL_WELL = Verdict(Action.NOMINAL)
 
 
-@kernel(vector, vector)
-def _outside(x: Vec, box: Vec) -> float:
-    """m by which the place of x (13,) is outside the box (6,) = low, high, negative inside; not finite if x is not."""
+@kernel(vector, vector, real)
+def _outside(x: Vec, box: Vec, reach: float) -> float:
+    """The measure "stop": m by which the place of x (13,), or where it comes to rest, is outside the box (6,).
+
+        p + reach |v| v
+
+    box: low, high;  reach: s2/m.  Negative inside; not finite if x is not.
+    """
+    far = reach * math.sqrt(x[3] * x[3] + x[4] * x[4] + x[5] * x[5])
     furthest, finite = -math.inf, 0.0
     for c in range(3):
-        furthest = max(furthest, max(box[c] - x[c], x[c] - box[3 + c]))
+        ahead = far * x[3 + c]
+        furthest = max(furthest, max(box[c] - x[c] - min(ahead, 0.0), x[c] + max(ahead, 0.0) - box[3 + c]))
     for c in range(13):
         finite += 0.0 * x[c]
     return furthest + finite
@@ -118,17 +129,24 @@ class Guard:
 
     A rule starts to act when its measure exceeds its limit and stops after `settle` seconds at or below `clear`;
     a latched one never stops: an operator looks at the drone and starts its agent again.
+
+    a_max: m/s2, with which it brakes. It brakes at the distance STOP |v|^2 / a_max from the fence that `stopping`
+    needs, so a drone that follows references comes to rest at the fence; one that flies a plan of its own, which ends
+    inside, at the fence itself.
     """
 
-    def __init__(self, fence: Fence = ROOM, table: tuple[Rule, ...] = TABLE) -> None:
+    def __init__(self, fence: Fence = ROOM, table: tuple[Rule, ...] = TABLE, a_max: float = 2.0) -> None:
         for rule in table:
             if rule.measure not in TEXT or (rule.clear > rule.limit and not rule.latched):
                 raise ConfigError("Guard: table", rule, f"a measure of {', '.join(TEXT)}; clear at or below limit")
         self.fence, self.table = fence, table
         self._acting: dict[Rule, float] = {}  # a rule that acts, and since when its measure has been calm
+        self._found: dict[Rule, float] = {}  # the last value for which it did
         self._latched: dict[Rule, str] = {}  # a latched one, and why it began to act
         least = {m: min((r.limit for r in table if r.measure == m), default=math.inf) for m in TEXT}
-        self._quiet_pose, self._quiet_reference, self._quiet_fence = least["pose"], least["reference"], least["fence"]
+        self._quiet_pose, self._quiet_reference = least["pose"], least["reference"]
+        self._quiet_stop = min(least["fence"], least["stop"])
+        self._reach = STOP / a_max
         self._box = np.array([*fence.low, *fence.high])
 
     @property
@@ -138,26 +156,35 @@ class Guard:
 
     def check(self, now: float, state: State | None, pose_age: float, reference_age: float | None = None) -> Verdict:
         """The verdict at `now` (s); ages in s;  state None: nothing was ever seen;  reference_age None: none needed."""
-        age = 0.0 if reference_age is None else reference_age
-        outside = -math.inf if state is None else _outside(state.flat, self._box)
-        calm = pose_age <= self._quiet_pose and age <= self._quiet_reference and outside <= self._quiet_fence
-        return ALL_WELL if calm and not self._acting else self._judge(now, self._measured(state, pose_age, age))
+        age, reach = (0.0, 0.0) if reference_age is None else (reference_age, self._reach)
+        stop = -math.inf if state is None else _outside(state.flat, self._box, reach)
+        calm = pose_age <= self._quiet_pose and age <= self._quiet_reference and stop <= self._quiet_stop
+        return ALL_WELL if calm and not self._acting else self._judge(now, self._measured(state, pose_age, age, stop))
 
-    def _measured(self, state: State | None, pose_age: float, reference_age: float) -> dict[str, float]:
+    @property
+    def acts(self) -> bool:
+        """Whether a rule acts, or has too recently."""
+        return bool(self._acting)
+
+    def excuse(self, measure: str) -> None:
+        """Stop the rules of a measure that counts no more; a latched one stays."""
+        self._acting = {rule: since for rule, since in self._acting.items() if rule.measure != measure or rule.latched}
+
+    def _measured(self, state: State | None, pose_age: float, reference_age: float, stop: float) -> dict[str, float]:
         """The measures of the table."""
         outside, broken = -math.inf, 0.0
         if state is not None:
             x, y, z, *rest = state.flat.tolist()
             outside = self.fence.outside(x, y, z)
             broken = 0.0 if math.isfinite(x + y + z + sum(rest)) else 1.0
-        return {"pose": pose_age, "reference": reference_age, "fence": outside, "broken": broken}
+        return {"pose": pose_age, "reference": reference_age, "fence": outside, "stop": stop, "broken": broken}
 
     def _judge(self, now: float, values: dict[str, float]) -> Verdict:
         """Start and stop rules, then let the worst one that acts speak."""
         for rule in self.table:
             value = values[rule.measure]
             if not value <= rule.limit:  # a NaN is beyond every limit
-                self._acting[rule] = math.inf
+                self._acting[rule], self._found[rule] = math.inf, value
                 if rule.latched:
                     self._latched.setdefault(rule, _reason(rule, value))
             elif rule in self._acting:
@@ -165,7 +192,7 @@ class Guard:
         worst = max(self._acting, key=lambda rule: rule.action, default=None)
         if worst is None:
             return ALL_WELL
-        return Verdict(worst.action, self._latched.get(worst) or _reason(worst, values[worst.measure]))
+        return Verdict(worst.action, self._latched.get(worst) or _reason(worst, self._found[worst]))
 
     def _calm(self, rule: Rule, value: float, now: float) -> None:
         """Stop a rule that has been calm for long enough."""

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from crazychoir.control.gains import Gains
-from crazychoir.math3d import Triple, Vec, kernel, memory, real, saturate, vector
+from crazychoir.math3d import Triple, Vec, clip, kernel, memory, saturate, vector
 from crazychoir.swarm.tables import Flight
 from crazychoir.types import Acceleration, FullState, State
 
@@ -17,9 +17,10 @@ def _share(a: Triple, limit: float) -> float:
     return limit / length if length > limit else 1.0
 
 
-@kernel(vector, vector, vector, real, real, memory)
-def _cut(x: Vec, ref: Vec, gains: Vec, v_max: float, a_max: float, out: Vec) -> bool:
+@kernel(vector, vector, vector, vector, memory)
+def _cut(x: Vec, ref: Vec, gains: Vec, limits: Vec, out: Vec) -> bool:
     """The law of ReferenceLimits for a reference (14,), into out (14,); False, and out is no good: nothing to cut."""
+    v_max, a_max, j_max, w_max = limits[0], limits[1], limits[2], limits[3]
     speed = _share((ref[3], ref[4], ref[5]), v_max)
     lead = _share((ref[6], ref[7], ref[8]), a_max) if speed == 1.0 else 0.0
     e = (ref[0] - x[0], ref[1] - x[1], ref[2] - x[2])
@@ -30,42 +31,53 @@ def _cut(x: Vec, ref: Vec, gains: Vec, v_max: float, a_max: float, out: Vec) -> 
         gains[2] * far * e[2] + gains[5] * (speed * ref[5] - x[5]),
     )
     hard = _share(pull, a_max)
+    turn = _share((ref[9], ref[10], ref[11]), j_max)
     for c in range(3):
         out[c] = x[c] + hard * far * e[c]
         out[3 + c] = x[3 + c] + hard * (speed * ref[3 + c] - x[3 + c])
         out[6 + c] = lead * ref[6 + c]
-        out[9 + c] = ref[9 + c] if lead == 1.0 else 0.0
-    out[12], out[13] = ref[12], ref[13]
-    return min(speed, lead, far, hard) < 1.0
+        out[9 + c] = turn * ref[9 + c] if lead == 1.0 else 0.0
+    out[12], out[13] = ref[12], clip(ref[13], -w_max, w_max)
+    return min(speed, lead, far, hard, turn) < 1.0 or abs(ref[13]) > w_max
 
 
 class ReferenceLimits:
-    """Cuts a reference to v_max, a_max of [flight]; one that keeps them stays as it is, to the bit.
+    """Cuts a reference to v_max, a_max of [flight] and what follows from them; one within stays as it is, to the bit.
 
         Acceleration:  |a| <= a_max
         FullState:     |v_d| <= v_max (a cut one without acceleration),  |a_d| <= a_max (a cut one without jerk),
-                       |(kp / kv) (p_d - p)| <= v_max,  |kp (p_d - p) + kv (v_d - v)| <= a_max
+                       |(kp / kv) (p_d - p)| <= v_max,  |kp (p_d - p) + kv (v_d - v)| <= a_max,
+                       |j_d| <= kr a_max,  |yaw_d'| <= kr_yaw (1 rad)
 
-    So a far place is flown to at v_max, a reference that runs away is followed at 2 v_max, and none, however it jumps,
-    asks for more than 2 a_max.
-    kp 1/s2, kv 1/s: of the controller that flies FullStates.
+    So a far place is flown to at v_max, a reference that runs away is followed at 2 v_max, and none asks for more than
+    2 a_max, however its place, velocity and acceleration jump. The jerk and the yaw rate are fed forward to the body
+    rates: those that nothing else in the reference bears out tilt the drone until its attitude control outweighs them,
+    for a_max m/s2 more, and turn it by 1 rad.
+    kp 1/s2, kv 1/s, kr 1/s: of the controller that flies FullStates.
     """
 
     def __init__(self, flight: Flight, gains: Gains) -> None:
-        self.v_max, self.a_max = flight.speed_limit, flight.acceleration_limit
+        self.a_max = flight.acceleration_limit
         self._a_max_squared = self.a_max**2
         self._gains = gains.position
+        roll, pitch, yaw = gains.kr
+        self._limits = np.array([flight.speed_limit, self.a_max, min(roll, pitch) * self.a_max, yaw * 1.0])
 
-    def acceleration(self, reference: Acceleration) -> Acceleration:
-        """At most a_max, in the same direction."""
+    def acceleration(self, reference: Acceleration) -> Acceleration | None:
+        """At most a_max, in the same direction; None if it has another shape or is not finite."""
         wanted = np.asarray(reference.a)
+        if wanted.shape != (3,):
+            return None
         x, y, z = wanted.tolist()
-        if x * x + y * y + z * z <= self._a_max_squared:
+        squared = x * x + y * y + z * z + 0.0 * reference.yaw
+        if squared <= self._a_max_squared:
             return reference
+        if not math.isfinite(x + y + z + reference.yaw):
+            return None
         return Acceleration(saturate(wanted, self.a_max), reference.yaw)
 
     def full_state(self, reference: FullState, state: State) -> FullState:
         """A reference that pulls the drone in `state` no harder than the limits allow."""
         out = np.empty(14)
-        hard = _cut(state.flat, reference.flat, self._gains, self.v_max, self.a_max, out)
+        hard = _cut(state.flat, reference.flat, self._gains, self._limits, out)
         return FullState(out) if hard else reference

@@ -18,11 +18,13 @@ from crazychoir.control.attitude import GeometryAttitudeCtrl
 from crazychoir.control.controller import HierarchicalController
 from crazychoir.control.gains import FORMATION, STANDARD
 from crazychoir.control.handlers import AccelerationTraj, FPQRSender, FullStateTraj
+from crazychoir.control.platform import PAPER
 from crazychoir.control.position import FlatnessAccelerationCtrl, FlatnessPositionCtrl
 from crazychoir.filters.velocity import VelocityFilter
 from crazychoir.math3d import yaw_of
-from crazychoir.planning.point_to_point import PointToPoint, duration_for
-from crazychoir.runtime.actor import ON_FAILURE, Actor
+from crazychoir.planning.landing import Landing
+from crazychoir.planning.point_to_point import PEAK_SPEED, PointToPoint, duration_for, stopping
+from crazychoir.runtime.actor import Actor, Restart
 from crazychoir.runtime.clock import SECOND
 from crazychoir.runtime.mailbox import Call, Latest
 from crazychoir.safety.guard import Action, Fence, Guard, Throttle, Verdict
@@ -33,13 +35,13 @@ from crazychoir.types import FPQR, Acceleration, FullState, Goto, Point, Pose, R
 log = logging.getLogger(__name__)
 ON_THE_FLOOR = 0.04
 """m above the ground at which a landing drone stops its motors."""
-BRAKE_TIME = 0.4
-"""s of the present velocity within which a braking drone comes to rest."""
 TOUCHDOWN_LATE = 2.0
 """s after the planned touch-down when a drone at rest (below AT_REST m/s) counts as landed."""
 AT_REST = 0.05
 GIVE_UP_HOVER = 2.0
 """s of hovering after guidance has failed, before the landing."""
+GIVE_UP_TICKS = 0.5
+"""s of failed ticks, within 10 s, after which the pilot is given up: as long as it flies on without a pose."""
 
 
 class Mode(Enum):
@@ -72,11 +74,8 @@ class Link(Protocol):
 
 
 def flyable(reference: object) -> bool:
-    """Whether it is a reference of the right shape, and all its numbers are numbers: their sum is one."""
+    """Whether it is a FullState or a Goto of the right shape, and all its numbers are numbers: their sum is one."""
     match reference:
-        case Acceleration():
-            a = np.asarray(reference.a)
-            return a.shape == (3,) and math.isfinite(sum(a.tolist()) + reference.yaw)
         case FullState():
             flat = reference.flat
             fits = flat.shape == (14,) and flat.dtype == np.float64 and flat.flags.c_contiguous
@@ -93,7 +92,6 @@ class Pilot(Actor):
     """Flies one drone; guidance calls `take_off`, `follow`, `hover`, `land`."""
 
     name = "pilot"
-    restart = ON_FAILURE
 
     def __init__(self, port: Port, link: Link, limits: Flight, fence: Fence, rate: float = 100.0) -> None:
         self.port, self.link, self.limits, self.fence = port, link, limits, fence
@@ -111,18 +109,19 @@ class Pilot(Actor):
             FlatnessAccelerationCtrl(FORMATION), GeometryAttitudeCtrl(FORMATION), FPQRSender(), AccelerationTraj()
         )
         self.filter = VelocityFilter()
-        self.guard = Guard(fence)
+        self.guard = Guard(fence, a_max=limits.acceleration_limit)
         self.references: Latest[Reference] = Latest(self.clock, f"drone {self.drone} reference", REFERENCE.max_age)
         port.bus.subscribe(POSE, self.drone, self.drone, Call(self.clock, self._posed, f"drone {self.drone} pose"))
         self.period_ns = round(SECOND / rate)
-        self._plan: PointToPoint | None = None
+        self.restart = Restart(limit=max(5, round(GIVE_UP_TICKS * rate)), backoff=0.0)  # a drone in flight cannot wait
+        self._plan: PointToPoint | Landing | None = None
         self._plan_start = 0.0
         self._last: FullState | None = None
         self._braking = Action.NOMINAL
         self._ticked_ns = 0
         self._cut_for = ""
         self._said = Throttle(1.0)
-        self._idle = FPQR(np.zeros(4))
+        self._idle, self._level = FPQR(np.zeros(4)), FPQR(np.array([PAPER.weight, 0.0, 0.0, 0.0]))
         self._run: asyncio.Future[None] | None = None
 
     async def run(self) -> None:
@@ -139,14 +138,29 @@ class Pilot(Actor):
             return
         try:
             self.tick(pose)
-        except Exception as error:  # noqa: BLE001 - its supervisor decides
-            run.set_exception(error)
+        except (KeyboardInterrupt, SystemExit):
+            raise
+        except BaseException as error:  # noqa: BLE001 - its supervisor decides; who brought the pose goes on
+            bare = not isinstance(error, Exception) or isinstance(error, StopIteration)  # no future takes these
+            run.set_exception(RuntimeError(f"{type(error).__name__} in a tick: {error}") if bare else error)
+            self._steady()
+
+    def _steady(self) -> None:
+        """A tick has failed: the thrust of hovering and no rates, instead of whatever was sent last."""
+        if not self.airborne:
+            return
+        try:
+            self.link.send(self._level)
+        except Exception as error:  # noqa: BLE001 - it may be the link that has failed
+            self._say("link", f"no command reaches the drone: {type(error).__name__}: {error}")
 
     def on_restart(self) -> None:
-        """Whatever made a tick fail is forgotten: it hovers where it is."""
+        """Whatever made a tick fail is forgotten: it comes to rest and hovers, or goes on landing, from where it is."""
         self.references.clear()
         self._plan = self._last = None
-        if self.mode is Mode.FOLLOW:
+        if self.mode is Mode.LAND:
+            self._descend()
+        elif self.mode in GUIDED:
             self.mode = Mode.HOVER
 
     def hold(self, on: bool = True) -> None:
@@ -179,10 +193,10 @@ class Pilot(Actor):
     # What guidance asks ---------------------------------------------------------------------------------------
 
     def take_off(self, height: float | None = None) -> float:
-        """Rise to `height` m above the ground; returns the time it will take. Only from the ground.
+        """Rise to `height` m above the ground, inside the fence; returns the time it will take. Only from the ground.
 
-        It stays there while an emergency stop is in force; and for good, that is until its agent is started again, when
-        its motors were cut or a latched rule of the safety table has acted.
+        It stays there while it is held and while an emergency stop is in force; and for good, that is until its agent
+        is started again, when its motors were cut or a latched rule of the safety table has acted.
         """
         if self.port.bus.stopped:
             self._say("stop", "emergency stop in force: no take-off until `crazychoir stop --clear`")
@@ -190,22 +204,39 @@ class Pilot(Actor):
         if self._cut_for or self.guard.latched:
             self._say("again", f"{self._cut_for or self.guard.latched}: no take-off until its agent is started again")
             return 0.0
+        rise = self.limits.takeoff_height if height is None else height
+        if not math.isfinite(rise):
+            self._say("rise", f"a take-off to {rise} m: not flown")
+            return 0.0
+        if self.held:
+            self._say("held", "held by its operator: no take-off until it is let go")
+            return 0.0
         if self.mode is not Mode.GROUND or self.state is None:
             return 0.0
         goal = self.state.p.copy()
-        goal[2] = self.limits.ground + (self.limits.takeoff_height if height is None else height)
+        goal[2] = self.limits.ground + rise
+        goal[2] = self.fence.nearest(goal)[2]
         start = FullState.at(self.state.p, yaw=yaw_of(self.state.q))
+        duration = self._fly_to(start, goal, start.yaw, 0.0)
         self.mode = Mode.TAKEOFF
-        return self._fly_to(start, goal, start.yaw, 0.0)
+        return duration
 
     def go_to(self, p: Point, yaw: float | None = None, duration: float = 0.0) -> float:
-        """Fly to p (3,) m, world, inside the fence; returns the time it will take (0 while it may not fly)."""
-        if self.mode not in (Mode.TAKEOFF, Mode.HOVER, Mode.FOLLOW) or self.held:
+        """Fly to p (3,) m, world, inside the fence; returns the time it will take.
+
+        0: it may not, as it is not in the air, is held, or brakes because the safety table says so. Missing references
+        are no hindrance: this flight needs none.
+        """
+        if self.mode not in GUIDED or self.held:
+            return 0.0
+        self.guard.excuse("reference")
+        if self.guard.acts:
             return 0.0
         start = self._now_flown()
-        self.mode = Mode.HOVER
         goal = self.fence.nearest(np.asarray(p, dtype=float), inset=0.0)
-        return self._fly_to(start, goal, start.yaw if yaw is None else yaw, duration)
+        seconds = self._fly_to(start, goal, start.yaw if yaw is None else yaw, duration)
+        self.mode, self._braking = Mode.HOVER, NOMINAL
+        return seconds
 
     def follow(self, reference: Reference) -> None:
         """Fly this reference from the next tick on; it must be renewed before it is stale.
@@ -213,36 +244,35 @@ class Pilot(Actor):
         One that is not a reference, has another shape or is not finite counts as none; one that asks for more than
         [flight] allows is cut to that, see ReferenceLimits. A held drone follows nothing.
         """
-        if not flyable(reference):
+        if isinstance(reference, Acceleration):
+            wanted: Reference | None = self.reference_limits.acceleration(reference)
+        else:
+            wanted = reference if flyable(reference) else None
+        if wanted is None:
             self._say("reference", f"{type(reference).__name__} is no finite reference of its shape: not flown")
+        elif self.mode not in GUIDED or self.held:
             return
-        if self.mode in GUIDED and not self.held:
-            if isinstance(reference, Goto):
-                self.go_to(reference.p, reference.yaw, reference.duration)
-                return
-            if isinstance(reference, Acceleration):
-                reference = self.reference_limits.acceleration(reference)
-            self.references.put(reference)
+        elif isinstance(wanted, Goto):
+            self.go_to(wanted.p, wanted.yaw, wanted.duration)
+        else:
+            self.references.put(wanted)
             self.mode = FOLLOW
 
     def hover(self) -> None:
-        """Come to rest and stay."""
-        if self.mode in (Mode.FOLLOW, Mode.TAKEOFF):
+        """Come to rest, at the shortest distance that the limits allow, and stay; one that does stays where it is."""
+        if self.mode not in GUIDED:
+            return
+        if self.mode is FOLLOW or self.remaining() > 0.0:
             self._brake()
-            self.mode = Mode.HOVER
+        self.mode = Mode.HOVER
 
     def land(self, reason: str = "") -> float:
-        """Come down where it is and stop the motors; returns the time it will take."""
-        if self.mode in (Mode.GROUND, Mode.CUT, Mode.LAND) or self.state is None:
+        """Come to rest, then straight down, inside the fence, and stop the motors; returns the time it will take."""
+        if self.mode not in GUIDED or self.state is None:
             return 0.0
         if reason:
             self._say("land", reason)
-        start = self._now_flown()
-        goal = start.p + BRAKE_TIME * start.flat[3:6]
-        drop = max(start.p[2] - self.limits.ground, 0.05) + 0.05
-        goal[2] = self.limits.ground - 0.05
-        self.mode = Mode.LAND
-        return self._fly_to(start, goal, start.yaw, 35.0 / 16.0 * drop / self.limits.landing_speed)
+        return self._descend()
 
     def cut(self, reason: str) -> None:
         """Stop the motors, for good."""
@@ -286,7 +316,8 @@ class Pilot(Actor):
     def _is_down(self, state: State, now: float) -> bool:
         """Low enough; or the descent is long over and it moves no more, whatever height cameras and floor say."""
         low = state.flat[2] < self.limits.ground + ON_THE_FLOOR
-        over = self._plan is not None and now - self._plan_start > self._plan.duration + TOUCHDOWN_LATE
+        plan = self._plan
+        over = isinstance(plan, Landing) and plan.done(now - self._plan_start - TOUCHDOWN_LATE)
         return bool(low or (over and np.linalg.norm(state.v) < AT_REST))
 
     def _follow(self, state: State, now: float) -> FPQR:
@@ -322,14 +353,35 @@ class Pilot(Actor):
 
     def _brake(self) -> None:
         start = self._now_flown()
-        goal = self.fence.nearest(start.p + BRAKE_TIME * start.flat[3:6])
-        self._fly_to(start, goal, start.yaw, 0.0)
+        self._fly(start, self._stop(start))
+
+    def _descend(self) -> float:
+        """Land from where it is; s until its motors stop."""
+        start, limits = self._now_flown(), self.limits
+        stop = self._stop(start)
+        above, floor = FullState.at(stop.goal, yaw=start.yaw), stop.goal.copy()
+        floor[2] = limits.ground - 0.05
+        fastest = duration_for(above, floor, start.yaw, limits.speed_limit, limits.acceleration_limit)
+        slow = PEAK_SPEED * (above.p[2] - floor[2]) / limits.landing_speed
+        landing = Landing(stop, PointToPoint(above, floor, start.yaw, max(slow, fastest)))
+        self._fly(start, landing)
+        self.mode = LAND
+        return landing.reaches(limits.ground + ON_THE_FLOOR)
+
+    def _stop(self, start: FullState) -> PointToPoint:
+        """To rest, the shortest way; where that ends outside the fence or in the floor, to the nearest place inside."""
+        limits = self.limits
+        stop = stopping(start, limits.acceleration_limit)
+        goal = self.fence.nearest(stop.goal)
+        goal[2] = max(goal[2], limits.ground)
+        if np.array_equal(goal, stop.goal):
+            return stop
+        duration = duration_for(start, goal, start.yaw, limits.speed_limit, limits.acceleration_limit)
+        return PointToPoint(start, goal, start.yaw, duration)
 
     def _now_flown(self) -> FullState:
-        """Where a new plan begins: on the reference that is flown, else at the state."""
-        if self._last is not None and self._plan is not None and self.mode is not Mode.FOLLOW:
-            return self._last
-        if self._last is not None and self.mode is Mode.FOLLOW:
+        """Where a new plan begins: on its own plan if it flies one, else at the state, with the speed it has."""
+        if self._last is not None and self._plan is not None:
             return self._last
         state = self.state
         assert state is not None  # noqa: S101 - callers fly, and who flies has a state
@@ -338,10 +390,11 @@ class Pilot(Actor):
     def _fly_to(self, start: FullState, goal: np.ndarray, yaw: float, duration: float) -> float:
         limits = self.limits
         fastest = duration_for(start, goal, yaw, limits.speed_limit, limits.acceleration_limit)
-        self._plan = PointToPoint(start, goal, yaw, max(duration, fastest))
-        self._plan_start = self.clock.now()
-        self._last = start
-        return self._plan.duration
+        return self._fly(start, PointToPoint(start, goal, yaw, max(duration, fastest)))
+
+    def _fly(self, start: FullState, plan: PointToPoint | Landing) -> float:
+        self._plan, self._plan_start, self._last = plan, self.clock.now(), start
+        return plan.duration
 
     def _landed(self) -> None:
         self.mode = Mode.GROUND

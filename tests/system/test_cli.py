@@ -7,6 +7,7 @@ import logging
 import os
 import signal
 import socket
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -318,10 +319,16 @@ def alive(pid):
     return False
 
 
+def phases(team):
+    """What each drone was seen doing, one after the other."""
+    seen = {i: [status["phase"] for status in team.statuses(i)] for i in team.config.ids}
+    return {i: [new for old, new in pairwise([None, *told]) if new != old] for i, told in seen.items()}
+
+
 def landed(team):
     """Whether every drone was seen landing, then on the ground, and never stopped in the air."""
-    phases = {i: [status["phase"] for status in team.statuses(i)] for i in team.config.ids}
-    return all("landing" in seen and seen[-1] == "on ground" and "stopped" not in seen for seen in phases.values())
+    every = phases(team).values()
+    return all("landing" in seen and seen[-1] == "on ground" and "stopped" not in seen for seen in every)
 
 
 @pytest.mark.timeout(240)
@@ -336,7 +343,7 @@ async def test_an_interrupted_flight_lands_then_ends_and_leaves_nobody_behind(fo
         reasons = [result["reason"] for result in ended["results"].values()]
         assert len(reasons) == 4, ended
         assert all("SIG" in reason for reason in reasons)
-        assert landed(team), team.statuses()
+        assert landed(team), (phases(team), {s["note"] for s in team.statuses()})
         assert not any(alive(child) for child in children)
         assert "Traceback" not in flying.text
 
@@ -349,7 +356,7 @@ async def test_children_land_and_end_when_their_parent_is_killed(four, tmp_path,
         await flying.kill()
         try:
             await until(lambda: not any(alive(child) for child in children), 40.0, lambda: "children still run")
-            assert landed(team), team.statuses()
+            assert landed(team), (phases(team), {s["note"] for s in team.statuses()})
         finally:
             for child in children:
                 with contextlib.suppress(ProcessLookupError):

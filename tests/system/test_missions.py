@@ -18,10 +18,10 @@ KEYS = {
 }  # fmt: skip
 
 
-def formed(seed):
+def formed(seed, loss=0.0):
     """A formation of four in this process, in virtual time."""
     mission = load("bearing_formation")
-    return fly_fast(mission.scatter(mission.swarm(None).replace(seed=seed)), mission)
+    return fly_fast(mission.scatter(mission.swarm(None).replace(seed=seed, network={"loss": loss})), mission)
 
 
 def flown(seed, loss):
@@ -47,6 +47,15 @@ def test_the_result_of_a_run_has_its_keys():
 @pytest.mark.parametrize("seed", range(20))
 def test_four_take_their_places_within_16_s(seed):
     settled(formed(seed))
+
+
+@pytest.mark.parametrize("loss", [0.2, 0.3])
+@pytest.mark.parametrize("seed", range(1, 7))
+def test_four_take_their_places_though_messages_are_lost(seed, loss):
+    result = formed(seed, loss)
+    assert result["success"], result["reasons"]
+    assert result["formation_error_m"] <= 0.01
+    assert 1.0 < result["settling_s"] <= 19.0
 
 
 def test_the_settling_time_is_the_last_time_that_anybody_is_far():

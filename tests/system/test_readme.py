@@ -1,11 +1,13 @@
-"""The mission that the README shows is whole: saved as it stands there, it flies."""
+"""What the README shows is so: its mission, saved as it stands there, flies; its figures are those of its commands."""
 
 import json
 import re
+import shlex
 import subprocess
 import sys
 
 import pytest
+from system.commands import call
 
 pytestmark = pytest.mark.system
 MARK = r"<!-- my_law\.py -->\n```python\n(.*?)```"
@@ -39,3 +41,66 @@ def test_it_flies_by_the_command_of_the_readme(mission_file):
 
 def test_more_drones_by_one_option(mission_file):
     assert flown(mission_file, "--drones", "6")["drones"] == 6
+
+
+def shown(repository, command):
+    """The rows that the README shows below a command, {figure: text}."""
+    text = (repository / "README.md").read_text()
+    block = re.search(rf"\n\$ {re.escape(command)}\n(.*?)\n```", text, re.DOTALL)
+    assert block is not None, f"README.md shows no {command}"
+    return dict(line.split(None, 1) for line in block[1].splitlines() if not line.endswith(": success"))
+
+
+def said(repository, monkeypatch, command):
+    """What the command says now."""
+    monkeypatch.chdir(repository)
+    program, *words = shlex.split(command)
+    done = call(program, *words, "--json", seconds=90.0)
+    assert done.code == 0, done.err
+    return done.json
+
+
+def number(text):
+    """The number at the start of a figure."""
+    return float(text.split()[0])
+
+
+def counted(text):
+    """The figures of a row of several, {name: number}."""
+    return {name: number(value) for name, value in (part.split(":") for part in text.split(", "))}
+
+
+def test_the_tour_shows_the_formation_that_flies(repository, monkeypatch):
+    """Roughly, and not its digest: another processor rounds otherwise."""
+    command = "crazychoir run bearing_formation --fast --seed 1"
+    rows, result = shown(repository, command), said(repository, monkeypatch, command)
+    assert number(rows["drones"]) == result["drones"]
+    assert number(rows["simulated_s"]) == pytest.approx(result["simulated_s"], abs=0.5)
+    assert number(rows["settling_s"]) == pytest.approx(result["settling_s"], abs=0.5)
+    assert number(rows["formation_error_m"]) == pytest.approx(result["formation_error_m"], abs=0.002)
+    assert number(rows["min_separation_m"]) == pytest.approx(result["min_separation_m"], abs=0.01)
+    assert counted(rows["messages"]) == pytest.approx(result["messages"], rel=0.02, abs=5)
+    assert re.fullmatch("[0-9a-f]{32}", rows["digest"])
+
+
+def test_the_tour_shows_the_plan_that_is_solved(repository, monkeypatch):
+    command = "crazychoir solve agents/data/lab6.json --loss 0.5"
+    rows, result = shown(repository, command), said(repository, monkeypatch, command)
+    assert number(rows["cost"]) == pytest.approx(result["cost"], abs=1e-4)
+    assert number(rows["lower_bound"]) == pytest.approx(result["lower_bound"], abs=1e-4)
+    assert rows["bound_exact"] == str(result["bound_exact"])
+    assert number(rows["rounds"]) == pytest.approx(result["rounds"], rel=0.1)
+    assert number(rows["messages"]) == pytest.approx(result["messages"], rel=0.1)
+
+
+def test_the_demo_shows_the_plan_that_is_flown(repository):
+    """The plan is that of virtual time; the rest of the block is of real time and only has to fit."""
+    rows = shown(repository, "make demo")
+    words = ("run", "pickup_delivery", "--fast", "--loss", 0.2, "--seed", 1, "--json")
+    demo = call("crazychoir", *words, seconds=90.0).json
+    assert number(rows["cost"]) == pytest.approx(demo["cost"], abs=1e-4)
+    assert rows["plan_digest"] == demo["plan_digest"][:16]
+    messages = counted(rows["messages"])
+    assert messages["lost"] == pytest.approx(0.2 * messages["sent"], rel=0.1)
+    assert counted(rows["planned_m"]) == pytest.approx(demo["planned_m"], abs=2e-3)
+    assert counted(rows["flown_m"]) == pytest.approx(demo["flown_m"], rel=0.1)

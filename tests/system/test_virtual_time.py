@@ -67,6 +67,6 @@ def test_six_processes_make_the_plan_of_one(usual, tmp_path, compiled):
     real = fly(config.replace(seed=1, network={"loss": 0.2}, flight=BRISK, mission_options=options), tmp_path)
     assert real["plan_digest"] == usual["plan_digest"]
     assert real["success"], real["reasons"]
-    assert real["messages"]["lost"] > 0.05 * real["messages"]["sent"], "messages outside of rounds count, too"
+    assert real["messages"]["lost"] == pytest.approx(0.2 * real["messages"]["sent"], rel=0.1)
     assert real["digest"] is None
     assert real["real_time_factor"] == 1.0

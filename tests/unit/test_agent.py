@@ -13,6 +13,7 @@ from crazychoir.guidance.base import CFDistributedFeedback, CFGuidance
 from crazychoir.guidance.mission import load
 from crazychoir.runtime.clock import SECOND, run_virtual
 from crazychoir.runtime.mailbox import Call
+from crazychoir.safety.guard import Fence, Guard
 from crazychoir.safety.pilot import Mode
 from crazychoir.swarm.config import default_swarm
 from crazychoir.types import Acceleration
@@ -168,6 +169,166 @@ def test_an_emergency_stop_cuts_for_good_and_its_clearing_only_ends_the_agent(pa
         assert agent.drones[0].pilot.mode is Mode.CUT
 
     run_virtual(main)
+
+
+# The end of a flight ------------------------------------------------------------------------------------------------
+
+
+def ended(does, at=None, act=lambda agent: None, drones=1, seconds=60.0, **flight):
+    """The results, the agent, and (phase, ...) of drone 0; `act` on the agent at some time."""
+
+    async def main(clock):
+        config = default_swarm(drones).replace(flight=BRISK | flight)
+        agent = Agent(clock, config, mission_of(does), config.ids)
+        phases = [agent.drones[0].pilot.mode]
+
+        async def look():
+            while True:
+                await clock.sleep(0.02)
+                if agent.drones[0].pilot.mode is not phases[-1]:
+                    phases.append(agent.drones[0].pilot.mode)
+
+        if at is not None:
+            clock.call_at(round(at * SECOND), act, agent)
+        looking, running = asyncio.create_task(look()), asyncio.create_task(agent.run())
+        await asyncio.wait([running, asyncio.create_task(clock.sleep(seconds))], return_when=asyncio.FIRST_COMPLETED)
+        looking.cancel()
+        assert running.done(), "it has not ended"
+        return running.result(), agent, phases
+
+    return run_virtual(main)
+
+
+async def stays(guidance):
+    await guidance.take_off()
+    await guidance.sleep(20.0)
+    await guidance.land()
+
+
+def failing(actor):
+    """Its next step raises."""
+
+    def fail(*_):
+        raise ValueError("no idea")
+
+    if actor == "world":
+        return lambda agent: setattr(agent.owner, "step", fail)
+    return lambda agent: setattr(agent.drones[0].pilot, "nudge", fail)
+
+
+@pytest.mark.parametrize("actor", ["world", "pacemaker"])
+def test_without_world_or_pacemaker_every_mission_ends_with_the_reason(actor):
+    results, agent, _ = ended(stays, 3.0, failing(actor), drones=2, seconds=10.0)
+    assert all(r == {"success": False, "reason": f"{actor} failed: ValueError: no idea"} for r in results.values())
+    assert not any(drone.pilot.airborne for drone in agent.drones.values())
+
+
+class Cancels(CFDistributedFeedback):
+    """Drone 0 asks for the result of a task that was cancelled."""
+
+    duration = 4.0
+
+    def step(self, me, heard):
+        if self.id == 0 and self.member.clock.now() > 3.0:
+            raise asyncio.CancelledError
+        return Acceleration(-2.0 * me.v)
+
+
+def test_a_step_that_raises_cancelled_error_ends_its_own_law_alone():
+    async def main(clock):
+        agent = Agent(clock, swarm(2), SimpleNamespace(guidance=lambda i, config: Cancels()), (0, 1))
+        results = await agent.run()
+        assert "drone 0: step raised CancelledError()" in results[0]["reason"]
+        assert not results[0]["success"]
+        assert results[1]["success"], results[1]
+        assert results[1]["law_s"] == pytest.approx(Cancels.duration)
+        assert [agent.drones[i].pilot.mode for i in (0, 1)] == [Mode.GROUND, Mode.GROUND]
+
+    run_virtual(main)
+
+
+def test_a_mission_that_raises_cancelled_error_has_failed():
+    async def gives_up(guidance):
+        await guidance.take_off()
+        raise asyncio.CancelledError
+
+    results, _, phases = ended(gives_up)
+    assert not results[0]["success"]
+    assert "guidance failed: RuntimeError: the mission raised CancelledError()" in results[0]["reason"]
+    assert phases == [Mode.GROUND, Mode.TAKEOFF, Mode.HOVER, Mode.LAND, Mode.GROUND]
+
+
+@pytest.mark.parametrize("lands", [False, True], ids=["after its mission", "in its mission"])
+def test_a_drone_whose_motors_are_cut_on_its_way_down_is_no_success(lands):
+    async def is_cut(guidance):
+        await guidance.take_off()
+        clock = guidance.member.clock
+        clock.call_at(clock.now_ns() + SECOND // 4, guidance.member.pilot.cut, "emergency stop")
+        if lands:
+            await guidance.land()
+        return {"answer": 42}
+
+    results, _, phases = ended(is_cut)
+    assert phases[-2:] == [Mode.LAND, Mode.CUT]
+    assert not results[0]["success"]
+    assert results[0]["reason"] == ("drone 0: stopped: emergency stop" if lands else "drone 0: emergency stop")
+
+
+def test_a_drone_that_its_guard_has_landed_for_good_is_no_success():
+    async def waits(guidance):
+        await guidance.take_off()
+        while guidance.member.pilot.airborne:
+            await guidance.sleep(0.05)
+
+    def narrow(agent):
+        agent.drones[0].pilot.guard = Guard(Fence.box((-3.0, -3.0, -0.5), (3.0, 3.0, -0.05)))
+
+    results, _, phases = ended(waits, 2.5, narrow)
+    assert phases[-2:] == [Mode.LAND, Mode.GROUND]
+    assert not results[0]["success"]
+    assert results[0]["reason"].startswith("drone 0: 0.3")
+    assert "outside the fence" in results[0]["reason"]
+
+
+def test_a_descent_may_take_as_long_as_it_is_planned():
+    results, agent, phases = ended(raises, takeoff_height=2.0, landing_speed=0.05, seconds=150.0)
+    assert "ValueError: no idea" in results[0]["reason"]
+    assert phases[-2:] == [Mode.LAND, Mode.GROUND]
+    assert agent.clock.now() > 60.0
+
+
+@pytest.mark.parametrize("patience", [0.5, 6.0], ids=["still in the air", "on the ground"])
+def test_who_was_landed_on_command_does_not_take_off_again_whatever_it_catches(patience):
+    async def stubborn(guidance):
+        while True:
+            try:
+                await guidance.take_off()
+                await guidance.go_to(guidance.state.p)
+                await guidance.sleep(5.0)
+                return {"answer": 42}
+            except BaseException:  # noqa: BLE001 - as some write
+                await guidance.sleep(patience)
+
+    def land(agent):
+        agent.land_all("landed on command")
+
+    results, _, phases = ended(stubborn, 2.0, land)
+    assert results[0] == {"success": False, "reason": "landed on command"}
+    assert phases == [Mode.GROUND, Mode.TAKEOFF, Mode.HOVER, Mode.LAND, Mode.GROUND]
+
+
+def test_what_a_mission_leaves_behind_flies_nothing():
+    async def leaves(guidance):
+        await guidance.take_off()
+        guidance.left = asyncio.create_task(again(guidance))
+
+    async def again(guidance):
+        await guidance.sleep(5.0)
+        await guidance.take_off()
+
+    results, _, phases = ended(leaves)
+    assert results[0] == {"success": True}
+    assert phases == [Mode.GROUND, Mode.TAKEOFF, Mode.LAND, Mode.GROUND]
 
 
 # A law --------------------------------------------------------------------------------------------------------------

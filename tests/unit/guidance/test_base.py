@@ -1,6 +1,7 @@
 """CFGuidance: its verbs are those of the communicator, and a flight that is not flown raises."""
 
 import asyncio
+import contextlib
 import inspect
 
 import numpy as np
@@ -8,17 +9,22 @@ import pytest
 from virtual_time import virtual
 
 from crazychoir.bus.local import Bus
+from crazychoir.guidance import base
 from crazychoir.guidance.base import CFGuidance, Interrupted, Member
+from crazychoir.runtime.clock import SECOND
 from crazychoir.safety.guard import Fence
-from crazychoir.safety.pilot import Pilot
+from crazychoir.safety.pilot import Mode, Pilot
 from crazychoir.simulation.integrator import CFIntegrator
 from crazychoir.simulation.owner import SimulatedLink
 from crazychoir.swarm import graph as graphs
 from crazychoir.swarm.communicator import Communicator
 from crazychoir.swarm.config import default_swarm
-from crazychoir.types import Pose
+from crazychoir.types import FullState, Pose
 
 VERBS = ("send", "receive", "asynchronous_receive", "neighbors_exchange")
+
+
+TICK = 0.01
 
 
 def pair(clock):
@@ -34,6 +40,28 @@ def pair(clock):
         guidance.bind(Member(i, config, clock, Communicator(bus.ports[i], graphs.path(2)), pilot))
         both.append(guidance)
     return both
+
+
+@contextlib.asynccontextmanager
+async def in_the_air(clock):
+    """A guidance whose drone hovers in a world that goes on; its pilot."""
+    bus, config, world = Bus(clock), default_swarm(2), CFIntegrator((0,), np.zeros((1, 3)))
+    pilot = Pilot(bus.port(0), SimulatedLink(world, 0), config.flight, Fence.box((-3.0, -3.0, -0.2), (3.0, 3.0, 2.5)))
+    guidance = CFGuidance()
+    guidance.bind(Member(0, config, clock, Communicator(bus.ports[0], graphs.path(2)), pilot))
+
+    async def turn():
+        async for _ in clock.ticks(1.0 / TICK):
+            for _ in range(round(TICK / world.dt)):
+                world.step()
+            pilot.tick(Pose(world.state(0).flat[[0, 1, 2, 6, 7, 8, 9]]))
+
+    turning = asyncio.create_task(turn())
+    await guidance.take_off()
+    try:
+        yield guidance, pilot
+    finally:
+        turning.cancel()
 
 
 @pytest.mark.parametrize("verb", VERBS)
@@ -65,3 +93,69 @@ async def test_a_take_off_that_is_not_flown_raises_with_the_reason(clock):
     pilot.cut("emergency stop")
     with pytest.raises(Interrupted, match="drone 0: stopped: emergency stop: no take-off until its agent is started"):
         await a.take_off()
+
+
+@virtual
+async def test_a_flight_waits_while_an_operator_holds_the_drone(clock):
+    async with in_the_air(clock) as (guidance, pilot):
+        pilot.hold()
+        flight = asyncio.create_task(guidance.go_to([1.0, 0.0, 1.0]))
+        await clock.sleep(20.0)
+        assert not flight.done()
+        assert guidance.state.p == pytest.approx([0.0, 0.0, 1.0], abs=0.02)
+        pilot.hold(False)
+        await flight
+        assert guidance.state.p == pytest.approx([1.0, 0.0, 1.0], abs=base.ARRIVED)
+
+
+@virtual
+async def test_a_flight_waits_while_the_safety_table_brakes_it(clock):
+    async with in_the_air(clock) as (guidance, pilot):
+        go_to, refused_until = pilot.go_to, clock.now() + 3.0
+
+        def braking(p, duration=0.0):
+            return 0.0 if clock.now() < refused_until else go_to(p, duration=duration)
+
+        pilot.go_to = braking
+        await guidance.go_to([1.0, 0.0, 1.0])
+        assert guidance.state.p == pytest.approx([1.0, 0.0, 1.0], abs=base.ARRIVED)
+
+
+@virtual
+async def test_a_flight_that_is_held_for_ever_is_given_up(clock):
+    async with in_the_air(clock) as (guidance, pilot):
+        pilot.hold()
+        began = clock.now()
+        with pytest.raises(Interrupted, match="does not reach"):
+            await guidance.go_to([1.0, 0.0, 1.0])
+        assert clock.now() - began == pytest.approx(base.PATIENCE, abs=0.1)
+
+
+@virtual
+async def test_a_drone_that_nobody_sees_does_not_wait_for_ever_to_take_off(clock):
+    a, _ = pair(clock)
+    with pytest.raises(Interrupted, match="drone 0: no pose within 300 s"):
+        await a.take_off()
+
+
+@virtual
+async def test_a_landing_that_does_not_end_on_the_ground_raises(clock):
+    async with in_the_air(clock) as (guidance, pilot):
+        clock.call_at(clock.now_ns() + SECOND, pilot.cut, "emergency stop")
+        with pytest.raises(Interrupted, match="drone 0: stopped: emergency stop"):
+            await guidance.land()
+    async with in_the_air(clock) as (guidance, pilot):
+        await guidance.land()
+        assert pilot.mode is Mode.GROUND
+
+
+@virtual
+async def test_a_mission_that_is_over_flies_nothing(clock):
+    async with in_the_air(clock) as (guidance, _):
+        guidance.member.ended = "landed on command"
+        for flight in (guidance.take_off, lambda: guidance.go_to([1.0, 0.0, 1.0])):
+            with pytest.raises(Interrupted, match="drone 0: its mission is over: landed on command"):
+                await flight()
+        with pytest.raises(Interrupted, match="its mission is over"):
+            guidance.follow(FullState.at((1.0, 0.0, 1.0)))
+        await guidance.land()

@@ -152,6 +152,35 @@ async def test_it_hears_its_neighbours_with_their_ages_and_no_stale_ones(clock):
     ending.cancel()
 
 
+@virtual
+async def test_a_neighbour_that_moves_is_heard_where_it_is_though_messages_are_lost(clock):
+    law = Told()
+    drone = Drone(clock, law)
+    await drone.fly(0.1)
+    ending = asyncio.create_task(law.run_law())
+    for k in range(100):
+        await clock.sleep(TICK)
+        if k % 5 == 0:
+            drone.neighbor.publish(STATE, State.at((1.0 + 0.5 * k * TICK, 0.0, 1.0), (0.5, 0.0, 0.0)))
+        drone.tick(neighbor=False)
+        assert law.heard[-1][1].p == pytest.approx([1.0 + 0.5 * k * TICK, 0.0, 1.0])
+        assert law.heard[-1][1].age == pytest.approx(k % 5 * TICK)
+        assert law.heard[-1][1].v == pytest.approx([0.5, 0.0, 0.0])
+    ending.cancel()
+
+
+@virtual
+async def test_a_pause_of_the_law_is_not_made_up_for_in_one_step(clock):
+    law = Told()
+    drone, ending = await flown(clock, law, seconds=0.5)
+    await clock.sleep(0.3)
+    for k in range(30):
+        drone.neighbor.publish(STATE, State.at((1.0 + 0.5 * k * TICK, 0.0, 1.0), (0.5, 0.0, 0.0)))
+    drone.tick(neighbor=False)
+    assert law.heard[-1][1].v == pytest.approx([0.5, 0.0, 0.0])
+    ending.cancel()
+
+
 # Its errors ---------------------------------------------------------------------------------------------------------
 
 
@@ -174,6 +203,30 @@ def test_an_error_of_step_ends_the_law_and_the_pilot_flies_on(error):
     run_virtual(main)
 
 
+@pytest.mark.parametrize(
+    "error", [asyncio.CancelledError("of another"), StopIteration(), GeneratorExit()], ids=lambda error: repr(error)
+)
+def test_what_asyncio_takes_for_its_own_ends_the_law_as_an_error_and_not_the_tick(error):
+    def raising(me, heard):
+        if len(law.times) > 50:
+            raise error
+        return Acceleration(-2.0 * me.v)
+
+    law = Told(raising)
+
+    async def main(clock):
+        drone = Drone(clock, law)
+        await drone.fly(0.1)
+        ending = asyncio.create_task(law.run_law())
+        await drone.fly(2.0)
+        with pytest.raises(RuntimeError, match=r"drone 0: step raised (CancelledError|StopIteration|GeneratorExit)"):
+            await ending
+        assert len(law.times) == 51, "called no more"
+        assert drone.pilot.state.age == 0.0
+
+    run_virtual(main)
+
+
 @pytest.mark.parametrize("wanted", [Acceleration("abc"), Acceleration(["a", "b", "c"])], ids=repr)
 def test_what_nobody_can_fly_does_not_end_the_tick(wanted):
     async def main(clock):
@@ -186,29 +239,39 @@ def test_what_nobody_can_fly_does_not_end_the_tick(wanted):
 
 
 @virtual
-async def test_none_leaves_the_reference_to_grow_stale_and_the_pilot_brakes(clock):
+async def test_none_lets_it_come_to_rest_and_hover_at_once_and_it_is_asked_on(clock):
     law = Told(lambda me, heard: Acceleration(np.array([0.5, 0.0, 0.0])) if len(law.times) <= 100 else None)
-    drone, ending = await flown(clock, law, seconds=1.2)
-    moving = np.linalg.norm(drone.world.state(0).v)
-    await drone.fly(2.0)
-    assert moving > 0.1
-    assert drone.pilot.note.startswith("reference")
-    assert "braking" in drone.pilot.note
+    drone, ending = await flown(clock, law, seconds=1.01)
+    assert np.linalg.norm(drone.world.state(0).v) > 0.1
+    await drone.fly(2 * TICK)
+    assert drone.pilot.mode is Mode.HOVER
+    await drone.fly(1.8)
     assert np.linalg.norm(drone.world.state(0).v) < 0.05
-    assert len(law.times) >= 300, "it is asked on: it may hear somebody again"
-    ending.cancel()
+    assert len(law.times) >= 280, "it may hear somebody again"
+    await drone.fly(0.3)
+    assert await ending is None
 
 
 @virtual
-async def test_a_law_that_says_nothing_for_long_ends_and_names_whom_it_does_not_hear(clock):
-    law = Told(lambda me, heard: Acceleration(-2.0 * me.v) if heard else None, duration=20.0)
+async def test_a_law_that_hears_nobody_for_long_hovers_to_its_end_and_knows_whom(clock):
+    law = Told(lambda me, heard: Acceleration(-2.0 * me.v) if heard else None, duration=10.0)
     drone, ending = await flown(clock, law, seconds=1.0)
-    await drone.fly(6.0, neighbor=False)
-    error = await ending
-    assert isinstance(error, Interrupted)
-    assert str(error).startswith("drone 0: landing: reference 5")
-    assert str(error).endswith("; hears nothing of drone(s) 1")
-    assert drone.pilot.mode is Mode.LAND
+    place = drone.world.state(0).p.copy()
+    await drone.fly(9.2, neighbor=False)
+    assert await ending is None
+    assert drone.pilot.mode is Mode.HOVER
+    assert drone.world.state(0).p == pytest.approx(place, abs=0.02)
+    assert law._unheard[1] / law.rate == pytest.approx(9.0 - STATE.max_age, abs=0.05)
+
+
+@virtual
+async def test_a_pilot_that_lands_while_nobody_is_heard_names_whom(clock):
+    law = Told()
+    drone, ending = await flown(clock, law, seconds=1.0)
+    await drone.fly(1.0, neighbor=False)
+    drone.pilot.land("landing on command")
+    await drone.fly(0.1, neighbor=False)
+    assert str(await ending) == "drone 0: landing: landing on command; hears nothing of drone(s) 1"
 
 
 @virtual

@@ -70,6 +70,43 @@ def test_a_relapse_starts_the_wait_anew():
     assert guard.check(1.3, HERE, 0.0, 0.0).action == Action.NOMINAL
 
 
+@pytest.mark.parametrize(("x", "v", "action"), [
+    (2.5, 1.0, Action.NOMINAL), (2.6, 1.0, Action.HOVER), (2.6, 0.9, Action.NOMINAL), (1.2, 2.0, Action.HOVER),
+    (-2.6, -1.0, Action.HOVER), (2.9, -1.0, Action.NOMINAL), (3.2, -2.0, Action.HOVER), (3.3, -2.0, Action.LAND),
+])  # fmt: skip
+def test_it_brakes_before_the_fence_at_the_distance_in_which_it_stops(x, v, action):
+    """p + 15/16 |v| v / a_max, a_max = 2 m/s2; what is outside already counts as it is, however it comes back."""
+    assert Guard().check(0.0, State.at((x, 0.0, 1.0), (v, 0.0, 0.0)), 0.0, 0.0).action == action
+
+
+def test_the_distance_grows_as_the_acceleration_shrinks_and_a_plan_of_its_own_needs_none():
+    state = State.at((2.0, 0.0, 1.0), (1.0, 0.0, 0.0))
+    assert Guard(a_max=2.0).check(0.0, state, 0.0, 0.0) is ALL_WELL
+    verdict = Guard(a_max=0.5).check(0.0, state, 0.0, 0.0)
+    assert verdict.reason == "comes to rest 0.88 m outside the fence, limit 0.00 m: braking"
+    assert Guard(a_max=0.5).check(0.0, state, 0.0, None) is ALL_WELL
+
+
+def test_a_reason_keeps_the_value_for_which_the_rule_acted():
+    guard = Guard()
+    guard.check(0.0, HERE, 0.0, 5.1)
+    assert guard.check(0.01, HERE, 0.0, 5.2).reason == "reference 5.20 s old, limit 5.00 s: landing"
+    assert guard.check(0.5, HERE, 0.0, None).reason == "reference 5.20 s old, limit 5.00 s: landing"
+
+
+def test_a_measure_that_counts_no_more_is_excused_unless_it_is_latched():
+    guard = Guard(table=(*TABLE, Rule("reference", 9.0, Action.LAND, latched=True)))
+    guard.check(0.0, HERE, 0.2, 0.4)
+    guard.excuse("reference")
+    assert guard.acts
+    assert guard.check(0.0, HERE, 0.0, None).reason.startswith("pose")
+    guard.excuse("pose")
+    assert not guard.acts
+    guard.check(0.0, HERE, 0.0, 9.1)
+    guard.excuse("reference")
+    assert guard.check(0.0, HERE, 0.0, None).action == Action.LAND
+
+
 def test_a_latched_rule_acts_for_good_and_says_why_it_began():
     guard = Guard()
     assert guard.latched == ""

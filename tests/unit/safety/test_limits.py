@@ -40,7 +40,9 @@ def test_a_full_state_is_cut_to_the_limits_and_its_heading_is_not(seed):
     assert np.linalg.norm(pull(cut, state)) <= 2.0 + 1e-9
     assert np.linalg.norm(cut.a) <= 2.0 + 1e-9
     assert np.linalg.norm(KP / KV * (cut.p - state.p)) <= 1.0 + 1e-9
-    np.testing.assert_array_equal(cut.flat[12:], reference.flat[12:])
+    assert np.linalg.norm(cut.flat[9:12]) <= 16.0 + 1e-9
+    assert cut.yaw == reference.yaw
+    assert cut.flat[13] == np.clip(reference.flat[13], -4.0, 4.0)
 
 
 def test_the_speed_asked_for_is_cut_too():
@@ -48,6 +50,25 @@ def test_the_speed_asked_for_is_cut_too():
     cut = LIMITS.full_state(FullState.at([0.0, 0.0, 1.0], [3.0, 0.0, 0.0], [1.0, 0.0, 0.0]), still)
     assert cut.v == pytest.approx([1.0, 0.0, 0.0])
     assert cut.a == pytest.approx(np.zeros(3)), "at its limit it does not grow"
+
+
+def test_the_jerk_and_the_yaw_rate_are_cut_to_what_the_attitude_control_outweighs():
+    """|j| <= kr a_max, |yaw'| <= kr_yaw (1 rad); the direction stays."""
+    cut = LIMITS.full_state(FullState.at(HERE.p, HERE.v, j=[300.0, 0.0, -400.0], yaw_rate=-99.0), HERE)
+    assert cut.flat[9:12] == pytest.approx([9.6, 0.0, -12.8])
+    assert cut.flat[13] == -4.0
+    assert LIMITS.full_state(FullState.at(HERE.p, HERE.v, yaw_rate=4.1), HERE).flat[13] == 4.0
+
+
+@pytest.mark.parametrize("bad", [np.zeros(2), np.array([np.nan, 0.0, 0.0]), [0.0, np.inf, 0.0], np.zeros((1, 3))])
+def test_an_acceleration_that_is_none_is_not_flown(bad):
+    assert LIMITS.acceleration(Acceleration(bad)) is None
+
+
+@pytest.mark.parametrize("yaw", [np.nan, np.inf])
+@pytest.mark.parametrize("a", [np.zeros(3), np.array([9.0, 0.0, 0.0])])
+def test_an_acceleration_whose_heading_is_none_is_not_flown(a, yaw):
+    assert LIMITS.acceleration(Acceleration(a, yaw)) is None
 
 
 def test_an_acceleration_that_is_cut_has_no_jerk_left():

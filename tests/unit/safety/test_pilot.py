@@ -1,12 +1,19 @@
 """The pilot with a simulated drone beneath it, tick by tick, in virtual time."""
 
+import asyncio
+
 import numpy as np
 import pytest
 from virtual_time import virtual
 
 from crazychoir.bus.local import Bus
-from crazychoir.safety.guard import Fence
-from crazychoir.safety.pilot import GIVE_UP_HOVER, Mode, Pilot
+from crazychoir.bus.topics import POSE
+from crazychoir.control.platform import PAPER
+from crazychoir.errors import ConfigError
+from crazychoir.planning.point_to_point import STOP
+from crazychoir.runtime.supervisor import Supervisor
+from crazychoir.safety.guard import Action, Fence
+from crazychoir.safety.pilot import GIVE_UP_HOVER, TOUCHDOWN_LATE, Mode, Pilot
 from crazychoir.simulation.integrator import CFIntegrator
 from crazychoir.simulation.owner import SimulatedLink
 from crazychoir.swarm.tables import Flight
@@ -30,15 +37,17 @@ class Flown:
         """The truth."""
         return self.world.state(0).p
 
-    async def fly(self, seconds, *, poses=True, each=lambda: None):
-        """Let it fly; `each` is called before every tick."""
+    async def fly(self, seconds, *, poses=True, each=lambda: None, drift=lambda: 0.0):
+        """Let it fly; `each` is called before every tick; drift: m along x by which the cameras see it elsewhere."""
         for _ in range(round(seconds / TICK)):
             await self.clock.sleep(TICK)
             for _ in range(round(TICK / self.world.dt)):
                 self.world.step()
             each()
             truth = self.world.state(0)
-            self.pilot.tick(Pose(truth.flat[[0, 1, 2, 6, 7, 8, 9]], 0.0) if poses else None)
+            seen = truth.flat[[0, 1, 2, 6, 7, 8, 9]]
+            seen[0] += drift()
+            self.pilot.tick(Pose(seen, 0.0) if poses else None)
             self.track.append(truth.p)
             self.references.append(self.pilot._last)
 
@@ -161,19 +170,50 @@ async def test_a_long_gap_lands_it_and_a_longer_one_cuts_the_motors(clock):
 async def test_whoever_leaves_the_fence_brakes_then_lands_then_falls(clock):
     drone = Flown(clock, fence=((-0.5, -0.5, -0.2), (0.5, 0.5, 2.0)))
     await drone.hovering()
-    first, notes = {}, []
+    first, notes, t0 = {}, [], clock.now()
 
-    def push():
-        if drone.pilot.mode in (Mode.HOVER, Mode.FOLLOW):
-            drone.pilot.follow(Acceleration([2.0, 0.0, 0.0]))
-        first.setdefault(drone.pilot.mode, drone.p[0])
+    def look():
+        first.setdefault(drone.pilot.mode, clock.now() - t0)
         notes.append(drone.pilot.note)
 
-    await drone.fly(4.0, each=push)
-    assert list(first) == [Mode.FOLLOW, Mode.LAND, Mode.CUT], "too fast to be stopped by anything less"
-    assert first[Mode.LAND] == pytest.approx(0.75, abs=0.03)
-    assert first[Mode.CUT] == pytest.approx(1.0, abs=0.03)
-    assert next(note for note in notes if note) == "0.00 m outside the fence, limit 0.00 m: braking"
+    await drone.fly(2.0, each=look, drift=lambda: 6.0 * (clock.now() - t0))  # something carries it away
+    assert list(first) == [Mode.HOVER, Mode.LAND, Mode.CUT]
+    said = [note.split(" m outside")[1] for note in dict.fromkeys(notes) if note]
+    assert [text.partition(",")[2] for text in dict.fromkeys(said)] == [
+        " limit 0.00 m: braking", " limit 0.25 m: landing, for good", " limit 0.50 m: motors cut, for good",
+    ]  # fmt: skip
+
+
+async def led_out(clock, reference):
+    """References of `reference(t)`, t s since the first, that lead a drone out of the fence at x = 3 m for 8 s."""
+    drone = Flown(clock)
+    await drone.hovering()
+    t0, actions = clock.now(), set()
+
+    def out():
+        drone.pilot.follow(reference(clock.now() - t0))
+        actions.add(drone.pilot._braking)
+
+    await drone.fly(8.0, each=out)
+    assert actions == {Action.NOMINAL, Action.HOVER}
+    assert 2.7 < max(p[0] for p in drone.track) < 3.2
+    assert drone.pilot.mode is Mode.FOLLOW
+    assert drone.pilot.note.endswith("m outside the fence, limit 0.00 m: braking")
+
+
+@virtual
+async def test_a_path_out_of_the_fence_at_the_speed_limit_ends_in_hovering_at_the_fence(clock):
+    await led_out(clock, lambda t: FullState.at([t, 0.0, 1.0], [1.0, 0.0, 0.0]))
+
+
+@virtual
+async def test_a_place_outside_the_fence_ends_in_hovering_at_the_fence(clock):
+    await led_out(clock, lambda t: FullState.at([9.0, 0.0, 1.0]))
+
+
+@virtual
+async def test_an_acceleration_out_of_the_fence_ends_in_hovering_at_the_fence(clock):
+    await led_out(clock, lambda t: Acceleration([2.0, 0.0, 0.0]))
 
 
 @virtual
@@ -275,7 +315,10 @@ async def test_a_drone_at_rest_after_its_descent_has_landed_whatever_height_the_
     drone = Flown(clock)
     await drone.hovering()
     drone.pilot.limits = Flight(ground=-0.3)
-    await drone.fly(drone.pilot.land() + 4.0)
+    drone.pilot.land()
+    await drone.fly(drone.pilot.remaining() + TOUCHDOWN_LATE - 0.1)
+    assert drone.pilot.mode is Mode.LAND
+    await drone.fly(0.2)
     assert drone.pilot.mode is Mode.GROUND
 
 
@@ -335,18 +378,15 @@ async def test_an_acceleration_beyond_the_limit_is_cut_to_it(clock):
 
 
 @virtual
-async def test_who_had_to_land_for_the_fence_does_not_rise_again(clock):
+async def test_who_had_to_land_for_the_fence_comes_back_inside_and_does_not_rise_again(clock):
     drone = Flown(clock, fence=((-0.5, -0.5, -0.2), (0.5, 0.5, 2.0)))
     await drone.hovering()
-    drone.pilot.limits = Flight(landing_speed=1.0)
-
-    def push():
-        if drone.pilot.mode is not Mode.LAND:
-            drone.pilot.follow(Acceleration([0.7, 0.0, 0.0]))
-
-    await drone.fly(2.0, each=push)
-    await drone.fly(4.0)
+    t0 = clock.now()
+    await drone.fly(0.8, drift=lambda: min(4.0 * (clock.now() - t0), 0.95))  # the cameras are moved
+    assert drone.pilot.mode is Mode.LAND
+    await drone.fly(drone.pilot.remaining() + 1.0, drift=lambda: 0.95)
     assert drone.pilot.mode is Mode.GROUND, drone.pilot.note
+    assert drone.p[0] + 0.95 < 0.45
     assert drone.pilot.take_off() == 0.0
     assert "m outside the fence, limit 0.25 m: landing, for good: no take-off until" in drone.pilot.note
     await drone.fly(1.0)
@@ -377,3 +417,332 @@ async def test_a_height_of_zero_is_a_height(clock):
     assert drone.pilot.take_off(0.0) < drone.pilot.limits.takeoff_height
     await drone.fly(3.0)
     assert drone.p[2] < 0.02
+
+
+@virtual
+async def test_a_take_off_ends_inside_the_fence_and_needs_a_number(clock):
+    drone = Flown(clock)
+    await drone.fly(0.05)
+    for bad in (np.nan, np.inf):
+        assert drone.pilot.take_off(bad) == 0.0
+        assert drone.pilot.mode is Mode.GROUND
+    await drone.fly(drone.pilot.take_off(9.0) + 1.0)
+    assert drone.pilot.mode is Mode.HOVER
+    assert drone.p[2] == pytest.approx(2.4, abs=0.02)
+    assert drone.pilot.note == "a take-off to inf m: not flown"
+
+
+@virtual
+async def test_a_place_that_is_none_changes_nothing(clock):
+    drone = Flown(clock)
+    await drone.hovering()
+    drone.pilot.follow(Acceleration([0.1, 0.0, 0.0]))
+    with pytest.raises(ConfigError, match="goal"):
+        drone.pilot.go_to([np.nan, 0.0, 1.0])
+    assert drone.pilot.mode is Mode.FOLLOW
+
+
+# Coming to rest -----------------------------------------------------------------------------------------------------
+
+
+@virtual
+async def test_a_landing_under_way_stops_at_once_and_takes_the_time_that_it_promised(clock):
+    drone, height = Flown(clock), 2.0
+    await drone.hovering()
+    await drone.fly(drone.pilot.go_to([0.0, 0.0, height]) + 0.5)
+    t0 = clock.now()
+    await drone.fly(1.5, each=lambda: drone.pilot.follow(FullState.at([clock.now() - t0, 0.0, height], [1.0, 0, 0])))
+    here, speed, since = drone.p[0], drone.world.state(0).v[0], len(drone.track)
+    seconds, t0 = drone.pilot.land(), clock.now()
+    while drone.pilot.airborne:
+        await drone.fly(0.01)
+    assert clock.now() - t0 == pytest.approx(seconds, abs=0.2)
+    assert max(p[0] for p in drone.track[since:]) - here < STOP * speed**2 / 2.0 + 0.05
+    assert drone.p[0] - here > 0.3
+    assert drone.pilot.mode is Mode.GROUND
+
+
+@virtual
+async def test_a_landing_during_the_take_off_rises_no_further_than_its_stop(clock):
+    drone = Flown(clock, fence=((-3.0, -3.0, -0.2), (3.0, 3.0, 4.0)))
+    await drone.fly(0.05)
+    drone.pilot.take_off(3.0)
+    await drone.fly(3.2)
+    z, speed = drone.p[2], drone.world.state(0).v[2]
+    assert speed > 0.8
+    drone.pilot.land()
+    await drone.fly(20.0)
+    assert max(p[2] for p in drone.track) < z + 0.6
+    assert drone.pilot.mode is Mode.GROUND
+
+
+@virtual
+async def test_a_landing_near_the_fence_stays_inside(clock):
+    drone = Flown(clock)
+    await drone.hovering()
+    t0 = clock.now()
+    path = lambda: FullState.at([clock.now() - t0, 0.0, 1.0], [1.0, 0.0, 0.0])  # noqa: E731
+    await drone.fly(2.45, each=lambda: drone.pilot.follow(path()))
+    drone.pilot.land("landing on command")
+    await drone.fly(11.0)
+    assert drone.pilot.mode is Mode.GROUND
+    assert drone.pilot.note == "landing on command"
+    assert max(p[0] for p in drone.track) < 3.0
+
+
+@virtual
+async def test_a_landing_outside_the_fence_comes_down_inside(clock):
+    drone = Flown(clock)
+    await drone.hovering()
+    drone.pilot.fence = Fence.box((-3.0, 0.2, -0.2), (-0.1, 3.0, 2.5))
+    await drone.fly(drone.pilot.land() + 0.5)
+    assert drone.pilot.mode is Mode.GROUND
+    assert drone.p == pytest.approx([-0.2, 0.3, 0.0], abs=0.02)
+
+
+@virtual
+async def test_hovering_ends_a_flight_under_way_and_leaves_one_at_rest_alone(clock):
+    drone = Flown(clock)
+    await drone.hovering()
+    plan = drone.pilot._plan
+    drone.pilot.hover()
+    assert drone.pilot._plan is plan
+    drone.pilot.go_to([2.5, 0.0, 1.0])
+    await drone.fly(2.0)
+    here = drone.p[0]
+    drone.pilot.hold()
+    await drone.fly(4.0)
+    assert drone.p[0] - here < 0.6
+    assert np.linalg.norm(drone.world.state(0).v) < 0.02
+    assert drone.pilot.mode is Mode.HOVER
+
+
+@virtual
+async def test_after_guidance_has_failed_in_a_flight_it_hovers(clock):
+    drone = Flown(clock)
+    await drone.hovering()
+    drone.pilot.go_to([2.5, 0.0, 1.0])
+    await drone.fly(2.0)
+    here = drone.p[0]
+    drone.pilot.guidance_failed("no idea")
+    await drone.fly(GIVE_UP_HOVER - 0.1)
+    assert drone.p[0] - here < 0.6
+    assert np.linalg.norm(drone.world.state(0).v) < 0.02
+
+
+@virtual
+async def test_a_held_drone_stays_on_the_ground(clock):
+    drone = Flown(clock)
+    await drone.fly(0.05)
+    drone.pilot.hold()
+    assert drone.pilot.take_off() == 0.0
+    assert drone.pilot.mode is Mode.GROUND
+    drone.pilot.hold(on=False)
+    assert drone.pilot.take_off() > 0.0
+
+
+@virtual
+async def test_no_flight_begins_while_the_safety_table_brakes(clock):
+    drone = Flown(clock)
+    await drone.hovering()
+    await drone.fly(0.2, poses=False)
+    plan = drone.pilot._plan
+    assert drone.pilot.go_to([2.0, 0.0, 1.0]) == 0.0
+    drone.pilot.follow(Goto([2.0, 0.0, 1.0]))
+    assert drone.pilot._plan is plan
+    await drone.fly(1.0)
+    assert drone.pilot.go_to([2.0, 0.0, 1.0]) > 0.0
+
+
+@virtual
+async def test_a_flight_may_begin_where_references_were_missing_and_a_lost_pose_still_brakes_it(clock):
+    drone = Flown(clock)
+    await drone.hovering()
+    drone.pilot.follow(Acceleration([0.0, 0.0, 0.0]))
+    await drone.fly(1.0)
+    assert drone.pilot._braking is Action.HOVER
+    assert drone.pilot.go_to([2.0, 0.0, 1.0]) > 0.0
+    plan = drone.pilot._plan
+    await drone.fly(0.2)
+    assert drone.pilot._plan is plan
+    await drone.fly(0.2, poses=False)
+    assert drone.pilot._plan is not plan
+
+
+@virtual
+async def test_a_pose_that_is_lost_in_the_first_tick_of_a_flight_brakes_it(clock):
+    drone = Flown(clock)
+    await drone.hovering()
+    drone.pilot.follow(Acceleration([0.0, 0.0, 0.0]))
+    await drone.fly(1.0)
+    await drone.fly(0.05, poses=False)
+    await clock.sleep(0.04)
+    assert drone.pilot.go_to([2.0, 0.0, 1.0]) > 0.0
+    plan = drone.pilot._plan
+    await clock.sleep(0.05)
+    drone.pilot.tick(None)
+    assert drone.pilot._plan is not plan
+
+
+@virtual
+async def test_a_jerk_that_nothing_bears_out_does_not_overturn_it(clock):
+    drone = Flown(clock)
+    await drone.hovering()
+    place, lean = drone.p.copy(), []
+
+    def shake():
+        drone.pilot.follow(FullState.at(place, j=[80.0, 0.0, 0.0], yaw_rate=1e4))
+        x, y, *_ = drone.world.state(0).q
+        lean.append(np.degrees(np.arccos(1.0 - 2.0 * (x**2 + y**2))))
+
+    await drone.fly(1.5, each=shake)
+    assert max(lean) < 20.0
+    assert drone.p[2] == pytest.approx(1.0, abs=0.1)
+    assert abs(drone.world.state(0).w[2]) < 2.0
+
+
+# Ticks that fail ----------------------------------------------------------------------------------------------------
+
+
+class Frail:
+    """A link whose `fails` says, at each command, whether to raise; what got through is in `sent`: (s, command)."""
+
+    def __init__(self, link, clock):
+        self.link, self.clock = link, clock
+        self.fails, self.sent = lambda command: False, []
+
+    def send(self, command):
+        if self.fails(command):
+            raise OSError("one failed write")
+        self.sent.append((self.clock.now(), command))
+        self.link.send(command)
+
+    def cut(self):
+        self.link.cut()
+
+
+class Supervised(Flown):
+    """Its poses come over the bus, and a supervisor starts its pilot again."""
+
+    def __init__(self, clock):
+        super().__init__(clock)
+        self.link = self.pilot.link = Frail(self.pilot.link, clock)
+        self.failures, self.given_up = [], False
+        self.life = asyncio.ensure_future(Supervisor(clock, "drone 0", self.failed).run([self.pilot]))
+
+    def failed(self, actor, error, again):
+        self.failures.append(error)
+        self.given_up = not again
+
+    async def fly(self, seconds):
+        """Let it fly."""
+        for _ in range(round(seconds / TICK)):
+            await self.clock.sleep(TICK)
+            for _ in range(round(TICK / self.world.dt)):
+                self.world.step()
+            truth = self.world.state(0)
+            self.pilot.port.publish(POSE, Pose(truth.flat[[0, 1, 2, 6, 7, 8, 9]], 0.0))
+            self.track.append(truth.p)
+
+    async def land(self, height):
+        """Until it lands and is lower than `height` m."""
+        self.pilot.land()
+        while self.p[2] > height:
+            await self.fly(TICK)
+
+    async def end(self):
+        """No task is left."""
+        self.life.cancel()
+        await asyncio.gather(self.life, return_exceptions=True)
+
+
+def once():
+    """True the first time."""
+    turns = iter([True])
+    return lambda *_: next(turns, False)
+
+
+@virtual
+async def test_a_failed_tick_while_landing_lands_it_softly(clock):
+    drone = Supervised(clock)
+    await drone.hovering()
+    await drone.land(0.6)
+    drone.link.fails = once()
+    since = len(drone.track)
+    while drone.pilot.airborne:
+        await drone.fly(TICK)
+    assert len(drone.failures) == 1
+    assert drone.p[2] < 0.05
+    assert np.diff([p[2] for p in drone.track[since:]]).min() / TICK > -0.6
+    assert drone.pilot.mode is Mode.GROUND
+    await drone.end()
+
+
+@virtual
+async def test_at_rest_without_a_landing_that_is_over_is_not_down(clock):
+    drone = Flown(clock)
+    await drone.hovering()
+    drone.pilot.mode = Mode.LAND
+    await drone.fly(4.0)
+    assert drone.pilot.mode is Mode.LAND
+    assert drone.p[2] == pytest.approx(1.0, abs=0.05)
+
+
+@virtual
+async def test_after_a_failed_tick_the_drone_is_steadied_and_commanded_again_at_the_next_pose(clock):
+    drone = Supervised(clock)
+    await drone.hovering()
+    drone.pilot.go_to([2.0, 0.0, 1.0])
+    await drone.fly(1.5)
+    drone.link.fails = once()
+    failed_at, count = clock.now(), len(drone.link.sent)
+    await drone.fly(0.05)
+    times, commands = zip(*drone.link.sent[count:], strict=True)
+    assert times[0] == pytest.approx(failed_at + TICK)
+    np.testing.assert_array_equal(commands[0].flat, [PAPER.weight, 0.0, 0.0, 0.0])
+    assert np.diff(times) == pytest.approx(TICK)
+    assert drone.pilot.mode is Mode.HOVER
+    await drone.fly(2.0)
+    assert np.linalg.norm(drone.world.state(0).v) < 0.05
+    await drone.end()
+
+
+@virtual
+async def test_a_link_that_fails_for_a_third_of_a_second_is_survived_and_one_for_good_is_given_up(clock):
+    drone = Supervised(clock)
+    await drone.hovering()
+    start = clock.now()
+    drone.link.fails = lambda command: clock.now() < start + 0.35
+    await drone.fly(2.0)
+    assert len(drone.failures) == pytest.approx(35, abs=1)
+    assert drone.pilot.mode is Mode.HOVER
+    assert np.linalg.norm(drone.world.state(0).v) < 0.05
+    drone.link.fails = lambda command: True
+    await drone.fly(0.3)
+    assert drone.given_up
+    assert "no command reaches the drone" in drone.pilot.note
+    await drone.end()
+
+
+@virtual
+async def test_nobody_who_brings_a_pose_hears_of_a_failed_tick_but_of_an_end_of_the_process(clock):
+    drone = Supervised(clock)
+    await drone.hovering()
+    for error in (asyncio.CancelledError("a job of somebody"), StopIteration(), GeneratorExit(), KeyError("x")):
+        raised = once()
+
+        def fails(command, raised=raised, error=error):
+            if raised():
+                raise error
+            return False
+
+        drone.link.fails, before = fails, len(drone.failures)
+        await drone.fly(0.5)
+        assert len(drone.failures) == before + 1, error
+        assert type(error).__name__ in repr(drone.failures[-1])
+    assert drone.pilot.mode is Mode.HOVER
+    for error in (KeyboardInterrupt, SystemExit):
+        drone.link.fails = lambda command, error=error: (_ for _ in ()).throw(error)
+        with pytest.raises(error):
+            drone.pilot.nudge(clock.now_ns() + 10**9)
+    await drone.end()

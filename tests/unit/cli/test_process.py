@@ -1,0 +1,46 @@
+"""Signals: what an operator insists on, and what only says that the parent has gone."""
+
+import os
+import signal
+
+import pytest
+
+from crazychoir.cli.process import _obey_signals
+from crazychoir.runtime.clock import run_wall
+
+
+class Told:
+    """In an agent's place: what it is told."""
+
+    def __init__(self):
+        self.calls = []
+
+    def land_all(self, reason):
+        self.calls.append(("land", reason))
+
+    def cut_all(self, reason):
+        self.calls.append(("cut", reason))
+
+
+def told(number, times):
+    """What an agent is told when its process gets a signal several times in a row."""
+
+    async def main(clock):
+        agent = Told()
+        _obey_signals(clock, agent)
+        for _ in range(times):
+            os.kill(os.getpid(), number)
+            await clock.sleep(0.02)
+        return agent.calls
+
+    return run_wall(main)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_the_first_signal_lands_and_the_third_cuts(number):
+    assert told(number, 3) == [("land", f"{number.name}: landing"), ("cut", "third signal")]
+
+
+def test_however_often_the_parent_is_said_to_be_gone_the_drones_land():
+    """A killed parent of many threads sends it several times, as they die one after the other."""
+    assert told(signal.SIGHUP, 5) == [("land", "SIGHUP: landing")] * 5
