@@ -318,8 +318,8 @@ async def test_a_child_without_a_result_has_none(out):
 
 async def test_a_child_that_does_not_end_is_killed(monkeypatch):
     monkeypatch.setattr(launch, "GRACE", 0.3)
-    deaf = await child("import signal; signal.signal(15, signal.SIG_IGN); print('on'); signal.pause()")
-    ready = await child("import signal; signal.signal(15, lambda *_: exit(3)); print('on'); signal.pause()")
+    deaf = await child("import signal; signal.signal(15, signal.SIG_IGN); print('on', flush=True); signal.pause()")
+    ready = await child("import signal; signal.signal(15, lambda *_: exit(3)); print('on', flush=True); signal.pause()")
     for process in (deaf, ready):
         assert await process.stdout.readline() == b"on\n"
     await launch._end([deaf, ready])
