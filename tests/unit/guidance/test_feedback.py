@@ -184,14 +184,21 @@ async def test_a_pause_of_the_law_is_not_made_up_for_in_one_step(clock):
 # Its errors ---------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("error", [ValueError("no idea"), SystemExit(3), Hung("a second")], ids=repr)
-def test_an_error_of_step_ends_the_law_and_the_pilot_flies_on(error):
+def failing(error):
+    """A law that comes to rest, and whose 51st step raises the error."""
+
     def raising(me, heard):
         if len(law.times) > 50:
             raise error
         return Acceleration(-2.0 * me.v)
 
     law = Told(raising)
+    return law
+
+
+@pytest.mark.parametrize("error", [ValueError("no idea"), SystemExit(3), Hung("a second")], ids=repr)
+def test_an_error_of_step_ends_the_law_and_the_pilot_flies_on(error):
+    law = failing(error)
 
     async def main(clock):
         drone, ending = await flown(clock, law, seconds=2.0)
@@ -207,12 +214,7 @@ def test_an_error_of_step_ends_the_law_and_the_pilot_flies_on(error):
     "error", [asyncio.CancelledError("of another"), StopIteration(), GeneratorExit()], ids=lambda error: repr(error)
 )
 def test_what_asyncio_takes_for_its_own_ends_the_law_as_an_error_and_not_the_tick(error):
-    def raising(me, heard):
-        if len(law.times) > 50:
-            raise error
-        return Acceleration(-2.0 * me.v)
-
-    law = Told(raising)
+    law = failing(error)
 
     async def main(clock):
         drone = Drone(clock, law)
