@@ -36,18 +36,16 @@ class BearingFormation(CFDistributedFeedback):
     def __init__(
         self, i: int, shape: Shape, neighbors: Iterable[int], leader: bool, kp: float = KP, kv: float = KV
     ) -> None:
-        self.leader = leader
-        # P_ij [kp I, kv I]: acts on position and velocity in one product.
-        self.K = {j: np.kron([kp, kv], projector(np.subtract(shape[j], shape[i]))) for j in neighbors}
+        self.leader, self.neighbors = leader, tuple(neighbors)
+        # The law as one product, u = K (x_i, x_j, x_k, ...), with states x (13,) of which p and v count.
+        blocks = [np.kron([kp, kv], projector(np.subtract(shape[j], shape[i]))) for j in self.neighbors]
+        self.K = np.hstack([np.pad(block, ((0, 0), (0, 7))) for block in (-sum(blocks), *blocks)])
 
     def step(self, me: State, heard: Heard) -> Acceleration | None:
         """The follower's law; a leader hovers, and so does who does not hear all its neighbours."""
-        if self.leader or len(heard) < len(self.K):
+        if self.leader or len(heard) < len(self.neighbors):
             return None
-        u, x = np.zeros(3), me.flat[:6]
-        for j, other in heard.items():
-            u -= self.K[j].dot(x - other.flat[:6])
-        return Acceleration(u)
+        return Acceleration(self.K.dot(np.concatenate([me.flat, *[heard[j].flat for j in self.neighbors]])))
 
 
 def guidance(i: int, config: SwarmConfig) -> BearingFormation:

@@ -14,6 +14,7 @@ from crazychoir.bus.topics import BY_NAME, BY_NUMBER, OBSERVABLE, Topic
 from crazychoir.errors import CodecError
 from crazychoir.runtime.clock import MESSAGE, SECOND, Clock
 from crazychoir.runtime.mailbox import AnyMailbox
+from crazychoir.runtime.stages import Stages
 from crazychoir.types import Wire
 
 ANY = -1
@@ -117,7 +118,7 @@ class Bus:
     def __init__(
         self, clock: Clock, impairment: Impairment | None = None, process: str = "local", host: str = "local"
     ) -> None:
-        self.clock = clock
+        self.clock, self.stages = clock, Stages(clock)
         self.impairment = impairment or Impairment(0)
         self.process, self.host = process, host
         self.ports: dict[int, Port] = {}

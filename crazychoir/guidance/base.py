@@ -14,6 +14,7 @@ from crazychoir.errors import CrazyChoirError
 from crazychoir.guidance.hearing import Hearing
 from crazychoir.runtime.clock import SECOND, Clock, wake
 from crazychoir.runtime.mailbox import Call, Latest
+from crazychoir.runtime.stages import DECIDE
 from crazychoir.runtime.watchdog import Watchdog
 from crazychoir.safety.pilot import Mode, Pilot
 from crazychoir.swarm.communicator import Communicator, run_rounds
@@ -224,6 +225,7 @@ class CFDistributedFeedback(CFGuidance):
         self._unheard = dict.fromkeys(self._boxes, 0)
         self._law: asyncio.Future[None] | None = None
         self._period_ns = self._due_ns = 0
+        self._me, self._stages = self.state, bus.stages
         bus.subscribe(STATE, self.id, self.id, Call(member.clock, self._moved, f"drone {self.id} state"))
 
     async def mission(self) -> dict[str, Any]:
@@ -265,7 +267,13 @@ class CFDistributedFeedback(CFGuidance):
             end.cancel()
 
     def _moved(self, me: State, age: float) -> None:
-        """A new state: call `step` if it is due. Its errors end the law, not the tick, which is not its alone."""
+        """A new state: decide when all drones of this process have said theirs."""
+        if self._law is not None:
+            self._me = me
+            self._stages.add(DECIDE, self._decide)
+
+    def _decide(self) -> None:
+        """Call `step` if it is due. Its errors end the law, not the tick, which is not its alone."""
         law = self._law
         if law is None or law.done():
             return
@@ -278,7 +286,7 @@ class CFDistributedFeedback(CFGuidance):
         try:
             if pilot.mode not in LAW_MODES:
                 raise Interrupted(f"drone {self.id}: {pilot.mode.value}: {pilot.note}{self._deaf()}")
-            reference = self._stepped(me)
+            reference = self._stepped(self._me)
             if reference is None:
                 pilot.hover()
             else:

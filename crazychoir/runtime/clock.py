@@ -62,6 +62,10 @@ class Clock:
         self.push(when_ns, alarm, priority, drone)
         return alarm
 
+    def soon(self, callback: Callable[[], object]) -> None:
+        """Call it in the next pass of the loop."""
+        self._loop.call_soon(callback)
+
     def push(self, when_ns: int, alarm: Alarm, priority: int, drone: int) -> None:
         """Put an alarm on the heap."""
         self._sequence += 1

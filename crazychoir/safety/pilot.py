@@ -1,4 +1,4 @@
-"""The pilot of one drone: pose -> filter -> reference -> controller -> guard -> command, in one pass a tick.
+"""The pilot of one drone: pose -> filter -> reference -> controller -> guard -> command, in the stages of one tick.
 
 It always has the last word: whatever guidance asks, or fails to ask, each tick ends in a command that the safety
 table allows. A pose triggers the tick; if none comes in time, the clock does.
@@ -27,6 +27,7 @@ from crazychoir.planning.point_to_point import PEAK_SPEED, PointToPoint, duratio
 from crazychoir.runtime.actor import Actor, Restart
 from crazychoir.runtime.clock import SECOND
 from crazychoir.runtime.mailbox import Call, Latest
+from crazychoir.runtime.stages import ACT, SAY
 from crazychoir.safety.guard import Action, Fence, Guard, Throttle, Verdict
 from crazychoir.safety.limits import ReferenceLimits
 from crazychoir.swarm.tables import Flight
@@ -96,7 +97,7 @@ class Pilot(Actor):
     def __init__(self, port: Port, link: Link, limits: Flight, fence: Fence, rate: float = 100.0) -> None:
         self.port, self.link, self.limits, self.fence = port, link, limits, fence
         self.reference_limits = ReferenceLimits(limits, STANDARD)
-        self.clock = port.bus.clock
+        self.clock, self._stages = port.bus.clock, port.bus.stages
         self.drone = port.address
         self.mode = Mode.GROUND
         self.state: State | None = None
@@ -125,7 +126,7 @@ class Pilot(Actor):
         self._run: asyncio.Future[None] | None = None
 
     async def run(self) -> None:
-        """Poses and the clock tick it, without a pass of the loop between; a tick that fails ends the run."""
+        """Poses and the clock tick it; a tick that fails ends the run."""
         self._run = asyncio.get_running_loop().create_future()
         try:
             await self._run
@@ -134,16 +135,18 @@ class Pilot(Actor):
 
     def _posed(self, pose: Pose | None, age: float) -> None:
         run = self._run
-        if run is None or run.done():
-            return
-        try:
+        if run is not None and not run.done():
             self.tick(pose)
-        except (KeyboardInterrupt, SystemExit):
-            raise
-        except BaseException as error:  # noqa: BLE001 - its supervisor decides; who brought the pose goes on
+
+    def _fail(self, error: BaseException) -> None:
+        """A tick has failed: its supervisor decides; who brought the pose, and the other drones, go on."""
+        run = self._run
+        if run is None or isinstance(error, KeyboardInterrupt | SystemExit):
+            raise error
+        if not run.done():
             bare = not isinstance(error, Exception) or isinstance(error, StopIteration)  # no future takes these
             run.set_exception(RuntimeError(f"{type(error).__name__} in a tick: {error}") if bare else error)
-            self._steady()
+        self._steady()
 
     def _steady(self) -> None:
         """A tick has failed: the thrust of hovering and no rates, instead of whatever was sent last."""
@@ -175,20 +178,40 @@ class Pilot(Actor):
             self._posed(None, 0.0)
 
     def tick(self, pose: Pose | None) -> None:
-        """One pass of the chain."""
-        now_ns = self._ticked_ns = self.clock.now_ns()
-        now = now_ns / SECOND
-        state = self.filter.predict(now) if pose is None else self.filter.update(pose, now)
-        self.state = state
-        if state is None:
+        """See, with the cameras or by prediction; the rest of the chain follows in the stages of this tick."""
+        try:
+            now_ns = self._ticked_ns = self.clock.now_ns()
+            now = now_ns / SECOND
+            self.state = self.filter.predict(now) if pose is None else self.filter.update(pose, now)
+        except BaseException as error:  # noqa: BLE001 - see _fail
+            self._fail(error)
+        else:
+            if self.state is not None:
+                self._stages.add(SAY, self._say_state)
+                self._stages.add(ACT, self._act)
+
+    def _say_state(self) -> None:
+        """Guidance decides when all have said theirs."""
+        state = self.state
+        try:
+            assert state is not None  # noqa: S101 - else there is no such stage
+            self.port.publish(STATE, state, state.age)
+        except BaseException as error:  # noqa: BLE001 - see _fail
+            self._fail(error)
+
+    def _act(self) -> None:
+        """Send the command for the state of this tick, unless the tick has failed before."""
+        state, run = self.state, self._run
+        if state is None or (run is not None and run.done()):
             return
-        port = self.port
-        port.publish(STATE, state, state.age)  # guidance may answer at once
-        command = self._command(state, now)
-        self.link.send(command)
-        port.publish(COMMAND, command)
-        if self._last is not None:
-            port.publish(REFERENCE, self._last)
+        try:
+            command = self._command(state, self._ticked_ns / SECOND)
+            self.link.send(command)
+            self.port.publish(COMMAND, command)
+            if self._last is not None:
+                self.port.publish(REFERENCE, self._last)
+        except BaseException as error:  # noqa: BLE001 - see _fail
+            self._fail(error)
 
     # What guidance asks ---------------------------------------------------------------------------------------
 

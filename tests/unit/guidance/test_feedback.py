@@ -41,7 +41,7 @@ class Drone:
 
     def __init__(self, clock, law):
         self.clock, self.law = clock, law
-        bus = Bus(clock)
+        bus = self.bus = Bus(clock)
         ports = [bus.port(i) for i in range(3)]
         self.neighbor = ports[1]
         self.world = CFIntegrator((0,), np.array([[0.0, 0.0, 1.0]]))
@@ -57,6 +57,7 @@ class Drone:
         if neighbor:
             self.neighbor.publish(STATE, State.at((1.0, 0.0, 1.0)))
         self.pilot.tick(Pose(self.world.state(0).flat[[0, 1, 2, 6, 7, 8, 9]]))
+        self.bus.stages.run()
 
     async def fly(self, seconds, neighbor=True):
         for _ in range(round(seconds / TICK)):
@@ -109,6 +110,30 @@ async def test_late_states_do_not_make_it_catch_up(clock):
     assert len(law.times) - before == pytest.approx(25, abs=1)
     assert min(np.diff(law.times)) >= 0.5 / law.rate - 1e-9
     ending.cancel()
+
+
+@pytest.mark.parametrize("order", [(0, 1), (1, 0)])
+def test_each_law_hears_of_this_tick_whichever_drone_is_seen_first(order):
+    async def main(clock):
+        bus, config = Bus(clock), default_swarm(2)
+        world = CFIntegrator((0, 1), np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 1.0]]))
+        laws = [Told(), Told()]
+        for port, law in zip([bus.port(0), bus.port(1)], laws, strict=True):
+            pilot = Pilot(port, SimulatedLink(world, port.address), config.flight, Fence.box((-3, -3, -0.2), (3, 3, 2)))
+            pilot.mode = Mode.HOVER
+            law.bind(Member(port.address, config, clock, Communicator(port, graphs.path(2)), pilot))
+        endings = [asyncio.create_task(law.run_law()) for law in laws]
+        for k in range(10):
+            await clock.sleep(TICK)
+            for i in order:
+                laws[i].member.pilot.tick(Pose(np.array([i, 0.1 * k, 1.0, 0.0, 0.0, 0.0, 1.0])))
+        await clock.sleep(TICK / 2)
+        for ending in endings:
+            ending.cancel()
+        return [[heard[1 - i].p[1] for heard in laws[i].heard] for i in (0, 1)]
+
+    for heard in run_virtual(main):
+        assert heard[1:] == pytest.approx([0.1 * k for k in range(10)][-len(heard) + 1 :])
 
 
 @virtual

@@ -48,6 +48,7 @@ class Flown:
             seen = truth.flat[[0, 1, 2, 6, 7, 8, 9]]
             seen[0] += drift()
             self.pilot.tick(Pose(seen, 0.0) if poses else None)
+            self.bus.stages.run()
             self.track.append(truth.p)
             self.references.append(self.pilot._last)
 
@@ -284,6 +285,7 @@ async def test_poses_that_are_not_numbers_are_no_poses(clock):
     for _ in range(round(2.5 / TICK)):
         await clock.sleep(TICK)
         drone.pilot.tick(Pose(np.full(7, np.nan), 0.0))
+        drone.bus.stages.run()
     assert drone.pilot.mode is Mode.CUT, "as if the cameras saw nothing for 2 s"
 
 
@@ -581,6 +583,7 @@ async def test_a_pose_that_is_lost_in_the_first_tick_of_a_flight_brakes_it(clock
     plan = drone.pilot._plan
     await clock.sleep(0.05)
     drone.pilot.tick(None)
+    drone.bus.stages.run()
     assert drone.pilot._plan is not plan
 
 
@@ -642,6 +645,7 @@ class Supervised(Flown):
                 self.world.step()
             truth = self.world.state(0)
             self.pilot.port.publish(POSE, Pose(truth.flat[[0, 1, 2, 6, 7, 8, 9]], 0.0))
+            self.bus.stages.run()
             self.track.append(truth.p)
 
     async def land(self, height):
@@ -743,6 +747,7 @@ async def test_nobody_who_brings_a_pose_hears_of_a_failed_tick_but_of_an_end_of_
     assert drone.pilot.mode is Mode.HOVER
     for error in (KeyboardInterrupt, SystemExit):
         drone.link.fails = lambda command, error=error: (_ for _ in ()).throw(error)
+        drone.pilot.nudge(clock.now_ns() + 10**9)
         with pytest.raises(error):
-            drone.pilot.nudge(clock.now_ns() + 10**9)
+            drone.bus.stages.run()
     await drone.end()
