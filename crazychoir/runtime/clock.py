@@ -62,6 +62,10 @@ class Clock:
         self.push(when_ns, alarm, priority, drone)
         return alarm
 
+    def future(self) -> "asyncio.Future[None]":
+        """Something to wait for, in the loop of this clock."""
+        return asyncio.Future(loop=self._loop)
+
     def soon(self, callback: Callable[[], object]) -> None:
         """Call it in the next pass of the loop."""
         self._loop.call_soon(callback)

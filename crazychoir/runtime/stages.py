@@ -6,7 +6,6 @@ say where they are, all decide, all act. It is also faster: a hundred turns of t
 processor's caches, a hundred turns of the whole chain do not.
 """
 
-from collections import deque
 from collections.abc import Callable
 
 from crazychoir.runtime.clock import Clock
@@ -22,19 +21,20 @@ class Stages:
 
     def __init__(self, clock: Clock) -> None:
         self.clock = clock
-        self._stages: tuple[deque[Work], ...] = (deque(), deque(), deque())
+        self._stages: list[list[Work]] = [[], [], []]
         self._due = False
 
     def add(self, stage: int, work: Work) -> None:
-        """Let `work` run in its stage, soon; it handles its own errors."""
+        """Let `work` run in its stage, soon. It handles its own errors: one that escapes ends the stage for all."""
         self._stages[stage].append(work)
         if not self._due:
             self._due = True
             self.clock.soon(self.run)
 
     def run(self) -> None:
-        """All that is to do, stage by stage; what a stage adds to later ones is done too."""
+        """All that is to do, stage by stage; what a stage adds to later ones is done too, the rest in the next pass."""
         self._due = False
-        for stage in self._stages:
-            while stage:
-                stage.popleft()()
+        for n in range(len(self._stages)):
+            stage, self._stages[n] = self._stages[n], []
+            for work in stage:
+                work()

@@ -2,7 +2,6 @@
 
 import asyncio
 
-import pytest
 from virtual_time import virtual
 
 from crazychoir.runtime.stages import ACT, DECIDE, SAY, Stages
@@ -40,15 +39,3 @@ async def test_what_is_added_to_a_stage_that_is_over_is_done_in_the_next_pass(cl
     stages.add(ACT, lambda: stages.add(SAY, lambda: done.append(clock.now())))
     await clock.sleep(0.01)
     assert done == [0.0]
-
-
-@virtual
-async def test_work_that_raises_takes_nobody_else_along(clock):
-    stages, done = Stages(clock), []
-    stages.add(ACT, lambda: 1 // 0)
-    stages.add(ACT, lambda: done.append("other"))
-    with pytest.raises(ZeroDivisionError):
-        stages.run()
-    stages.add(SAY, lambda: done.append("say"))
-    await clock.sleep(0.01)
-    assert done == ["say", "other"]
