@@ -8,7 +8,6 @@ further ahead than its history. So the answer of a round algorithm does not depe
 
 import asyncio
 from collections import deque
-from collections.abc import Sequence
 from math import inf
 from typing import Final, Protocol
 
@@ -294,7 +293,7 @@ class Rounds:
 
     # Looking after those who wait -----------------------------------------------------------------------------
 
-    def _expect(self, ch: Channel, missing: Sequence[int], seconds: float) -> "asyncio.Future[None]":
+    def _expect(self, ch: Channel, missing: dict[int, None], seconds: float) -> "asyncio.Future[None]":
         """Wait for the messages of these; `_expected` ends it."""
         if ch.waiter is not None:
             where = f"drone {self.id}: channel {ch.name!r}"
@@ -303,10 +302,10 @@ class Rounds:
         epochs = self._epochs
         if epochs.gaps:
             k = ch.receiving if ch.joinable else inf
-            missing = [j for j in missing if not epochs.silent(j, k)]
-        ch.missing = dict.fromkeys(missing)
-        if not missing:
-            waiter.set_result(None)
+            missing = {j: None for j in missing if not epochs.silent(j, k)}
+            if not missing:
+                waiter.set_result(None)
+        ch.missing = missing
         now_ns = ch.since_ns = self._now_ns()
         ch.attempt = ch.resend_ns = 0
         due_ns = ch.deadline_ns = now_ns + int(SECOND * seconds)
