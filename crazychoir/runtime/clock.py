@@ -14,7 +14,7 @@ import selectors
 import sys
 import time
 from collections import deque
-from collections.abc import Awaitable, Callable, Coroutine, Generator, Iterator
+from collections.abc import Callable, Coroutine, Generator, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextvars import Context
 from types import FrameType
@@ -424,9 +424,3 @@ def prompt() -> Iterator[None]:
     finally:
         gc.unfreeze()
         sys.setswitchinterval(before)
-
-
-async def within(seconds: float, awaitable: Awaitable[T]) -> T:
-    """Await with a deadline; raises TimeoutError."""
-    async with asyncio.timeout(seconds):
-        return await awaitable

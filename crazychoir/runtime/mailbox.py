@@ -80,11 +80,6 @@ class Latest(Mailbox[T]):
         self._seen = self.version
         return self._value  # type: ignore[return-value]
 
-    @property
-    def unread(self) -> bool:
-        """Whether there is a message that nobody has read."""
-        return self.version > self._seen
-
     def peek(self) -> T | None:
         """The content, however old; None before the first message."""
         self._seen = self.version
