@@ -37,6 +37,10 @@ def _measure(pose: Vec, mem: Vec, h: float, cutoff: float, t: float, out: Vec) -
     return True
 
 
+TRUST = 0.002  # in the instant at which a pose seems to be measured; the rest in the rate of the cameras
+EARLY = 0.25  # of a period that a pose may seem to be early; it may seem to be later by what is left
+
+
 class VelocityFilter:
     """Derivative and first-order low-pass of position and attitude, right at any rate.
 
@@ -46,32 +50,42 @@ class VelocityFilter:
     e = exp(-cutoff h) and h the measured time between the samples. w is in body axes and knows no wrap of angles.
     The state is carried from the time of the measurement to `now` at constant velocity.
 
-    cutoff: rad/s;  horizon: s, how far a prediction goes at most.  Poses that are not finite count as missing.
+    Cameras have a steady rate, what tells when they saw a pose is late by some 0.1 ms and sometimes by more: the
+    instant of the measurement follows their rate, and what is seen of it slowly, so that h does not jitter.
+
+    cutoff: rad/s;  horizon: s, how far a prediction goes at most;  period: s of the cameras, 0 if they have no rate;
+    measured: s, the instant of the last measurement.  Poses that are not finite count as missing.
     """
 
-    def __init__(self, cutoff: float = 50.0, horizon: float = 0.5) -> None:
-        self.cutoff, self.horizon = cutoff, horizon
+    def __init__(self, cutoff: float = 50.0, horizon: float = 0.5, period: float = 0.0) -> None:
+        self.cutoff, self.horizon, self.period = cutoff, horizon, period
         self.refused = 0
         self._memory = np.zeros(13)
-        self._measured = -math.inf
+        self.measured = -math.inf
 
     def update(self, pose: Pose, now: float) -> State | None:
         """The state at `now` with a new pose; None only before the first pose that is finite."""
-        h = now - pose.age - self._measured
+        h = now - pose.age - self.measured
         if h <= 1e-6:  # a repeated or an older pose says nothing new
             return self.predict(now)
         if h == math.inf:
             return self._start(pose, now)
-        out = np.empty(13)
-        if _measure(pose.flat, self._memory, h, self.cutoff, min(pose.age, self.horizon), out):
-            self._measured = now - pose.age
-            return State(out, pose.age)
+        out, h = np.empty(13), self._steady(h)
+        age = now - self.measured - h
+        if _measure(pose.flat, self._memory, h, self.cutoff, min(age, self.horizon), out):
+            self.measured += h
+            return State(out, age)
         self.refused += 1
         return self.predict(now)
 
+    def _steady(self, h: float) -> float:
+        """s since the last measurement, by the rate of the cameras."""
+        whole = self.period * math.floor(h / self.period + EARLY) if self.period > 0.0 else 0.0
+        return whole + TRUST * (h - whole) if whole > 0.0 else h
+
     def predict(self, now: float) -> State | None:
         """The state at `now` at constant velocity, when no pose has come; None before the first."""
-        age = now - self._measured
+        age = now - self.measured
         if age == math.inf:
             return None
         out = np.empty(13)
@@ -82,7 +96,7 @@ class VelocityFilter:
         """Take the first pose, at rest."""
         if np.all(np.isfinite(pose.flat)):
             self._memory[0:3], self._memory[6:10] = pose.p, pose.q / np.linalg.norm(pose.q)
-            self._measured = now - pose.age
+            self.measured = now - pose.age
         else:
             self.refused += 1
         return self.predict(now)

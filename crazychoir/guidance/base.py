@@ -11,7 +11,7 @@ import numpy as np
 
 from crazychoir.bus.topics import STATE
 from crazychoir.errors import CrazyChoirError
-from crazychoir.guidance.hearing import Hearing
+from crazychoir.guidance.hearing import Hearing, VelocitySum
 from crazychoir.runtime.clock import SECOND, Clock, wake
 from crazychoir.runtime.mailbox import Call, Latest
 from crazychoir.runtime.watchdog import Watchdog
@@ -197,8 +197,8 @@ class CFDistributedFeedback(CFGuidance):
     """A feedback law on own and neighbours' states. Write `step`; it runs at `rate` Hz and never waits.
 
     `heard[j]` is the newest State of neighbour j, with its `age`; absent when beyond the topic's maximum age. If none
-    has come since the last step it is moved on, p + v age, attitude as it was; and the first after such a gap tells the
-    velocity that makes up for those that were lost, see Hearing: a law may sum them up.
+    has come since the last step it is moved on, p + v age, attitude as it was. Velocities, its own too, make up for
+    those that were lost or flown for too long because a step was late, see VelocitySum: a law may sum them up.
     A new state of its own triggers it: what it wants is flown in the same tick.
     rate: Hz, at most that of the poses;  duration: s of the law, after everybody hovers.
     """
@@ -216,16 +216,21 @@ class CFDistributedFeedback(CFGuidance):
         bus = member.communicator.port.bus
         self._boxes: dict[int, Latest[State]] = {}
         self._hearings: dict[int, Hearing] = {}
-        mocap, cutoff = member.config.mocap, member.pilot.filter.cutoff
         for j in self.graph.in_neighbors(self.id):
             box = self._boxes[j] = Latest(member.clock, f"drone {self.id} state of {j}", STATE.max_age)
-            self._hearings[j] = Hearing(box, 1.0 / self.rate, cutoff, 1.0 / mocap.rate, mocap.latency)
+            self._hearings[j] = Hearing(box, self._sum())
             bus.subscribe(STATE, j, self.id, box, self.rate if self.rate < STATE.rate else 0.0)
+        self._own, self._measured = self._sum(), 0.0
+        self._pose_period = 1.0 / member.config.mocap.rate  # s, the grid on which a step is flown: clocks jitter
         self._unheard = dict.fromkeys(self._boxes, 0)
         self._law: asyncio.Future[None] | None = None
         self._period_ns = self._due_ns = 0
         self._me, self._stages = self.state, bus.stages
         bus.subscribe(STATE, self.id, self.id, Call(member.clock, self._moved, f"drone {self.id} state"))
+
+    def _sum(self) -> VelocitySum:
+        member = self.member
+        return VelocitySum(member.pilot.filter.cutoff, 1.0 / member.config.mocap.rate, 1.0 / self.rate)
 
     async def mission(self) -> dict[str, Any]:
         """Take off, wait for the others, run the law, land.
@@ -256,7 +261,8 @@ class CFDistributedFeedback(CFGuidance):
         clock = self.member.clock
         self._period_ns = round(SECOND / self.rate)
         self._due_ns = clock.now_ns()
-        self._start_hearing()
+        for sums in (self._own, *self._hearings.values()):
+            sums.start()
         self._law = asyncio.get_running_loop().create_future()
         end = clock.call_at(self._due_ns + round(self.duration * SECOND), wake, self._law, drone=self.id)
         try:
@@ -280,8 +286,6 @@ class CFDistributedFeedback(CFGuidance):
         pilot, late_ns = self.member.pilot, self.member.clock.now_ns() - self._due_ns
         if late_ns < -pilot.period_ns // 2 or pilot.mode is TAKEOFF:
             return
-        if late_ns >= self._period_ns:
-            self._start_hearing()  # steps were left out
         self._due_ns += max(1, late_ns // self._period_ns + 1) * self._period_ns
         try:
             if pilot.mode not in LAW_MODES:
@@ -298,7 +302,11 @@ class CFDistributedFeedback(CFGuidance):
 
     def _stepped(self, me: State) -> Reference | None:
         """What `step` wants, under the eyes of the watchdog."""
-        heard, watchdog = self.hear(), self.member.watchdog
+        watchdog, measured, before = self.member.watchdog, self.member.pilot.filter.measured, self._measured
+        self._measured = measured
+        held = self._pose_period * round(max(measured - before, 0.0) / self._pose_period)
+        heard = self.hear(held)
+        me = State(self._own.told(me.flat, me.age, held, measured > before), me.age)
         if len(heard) < len(self._boxes):
             for j in self._boxes:
                 self._unheard[j] += j not in heard
@@ -307,20 +315,16 @@ class CFDistributedFeedback(CFGuidance):
         with watchdog.guard(f"drone {self.id} guidance"):
             return self.step(me, heard)
 
-    def _start_hearing(self) -> None:
-        for hearing in self._hearings.values():
-            hearing.start()
-
     def _deaf(self) -> str:
         """Whom it does not hear: the usual reason of a law that says nothing."""
         silent = ", ".join(str(j) for j, box in self._boxes.items() if box.fresh() is None)
         return f"; hears nothing of drone(s) {silent}" if silent else ""
 
-    def hear(self) -> Heard:
-        """The neighbours' states for this step, those that are not stale."""
+    def hear(self, held: float) -> Heard:
+        """The neighbours' states for this step, those that are not stale; held: s that the last one was flown."""
         heard: Heard = {}
         for j, hearing in self._hearings.items():
-            state = hearing.state()
+            state = hearing.state(held)
             if state is not None:
                 heard[j] = state
         return heard

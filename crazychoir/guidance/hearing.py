@@ -1,64 +1,101 @@
-"""What a law hears of one neighbour, step by step, such that a lost message leaves no trace in what the law sums up."""
+"""What a law is told of its own state and of its neighbours', such that late, lost and repeated ones leave no trace."""
 
 import math
 
+import numpy as np
+
+from crazychoir.math3d import Vec, kernel, memory, real, vector
 from crazychoir.runtime.mailbox import Latest
-from crazychoir.types import State, Vec
+from crazychoir.types import State
+
+SPREAD = 10.0  # steps within which a law is told what the velocities so far have lacked
+
+
+@kernel(vector, real, real, real, real, memory)
+def _settle(x: Vec, reach: float, held: float, spread: float, new: float, mem: Vec) -> None:
+    """The law of VelocitySum; mem: (9,) = place P of the newest state, velocity that is told, owed m."""
+    for c in range(3):
+        v = x[3 + c]
+        place = x[c] - reach * v
+        owed = mem[6 + c] - held * mem[3 + c]
+        mem[3 + c] = v
+        if new > 0.0:
+            owed += place - mem[c]
+            owed = owed if held < 2.0 * spread and math.isfinite(owed) else 0.0
+            mem[c] = place
+            mem[3 + c] += owed / spread
+        mem[6 + c] = owed
+
+
+class VelocitySum:
+    """Keeps the sum of the velocities that a law is told right, so that a law may sum them up.
+
+    Velocities are low-passed derivatives of measured places,
+
+        v_k = e v_k-1 + (1 - e) (p_k - p_k-1) / h,  e = exp(-cutoff h)
+
+    so when each is flown for h, the noise in the sum of all of them is that of two places:
+
+        h (v_a + ... + v_b-1) = P_b - P_a,  P = p - T v,  T = h / (1 - e)
+
+    One that is flown for longer because the next step is late, or is heard twice or never, leaves its own noise behind:
+    the sum is a random walk, on which a formation drifts by centimetres. What is missing is therefore told too, within
+    some steps, so that none of them is a jerk:
+
+        owed += P_b - P_a - (what was told, for as long as it was flown),  told = v_b + owed / spread
+
+    What was held for 2 spread or longer would be made up for too much: then it starts anew.
+    cutoff: rad/s of the filter;  h: s between its poses;  period: s of the law, spread = SPREAD period.
+    """
+
+    def __init__(self, cutoff: float, h: float, period: float) -> None:
+        self.reach, self.spread = -h / math.expm1(-cutoff * h), SPREAD * period
+        self._memory = np.full(9, math.nan)
+
+    def start(self) -> None:
+        """Nothing was told yet: there is nothing to make up for."""
+        self._memory[:] = math.nan
+
+    def told(self, flat: Vec, age: float, held: float, new: bool = True) -> Vec:
+        """The state (13,) with the velocity that keeps the sum right.
+
+        age: s, by which its place was moved on at constant velocity;  held: s that what was told last was flown;
+        new: whether it was measured since then.  After a gap, or what is no number, it starts anew.
+        """
+        _settle(flat, age + self.reach, held, self.spread, new, self._memory)
+        out = flat.copy()
+        out[3:6] = self._memory[3:6]
+        return out
 
 
 class Hearing:
     """The states of one neighbour as a law takes them, once a step.
 
-    In a step without a new message the newest state is moved on, p + v age. Velocities are low-passed derivatives of
-    measured places,
+    In a step without a new message the newest state is moved on, p + v age. Velocities are those of `sums`.
 
-        v_k = e v_k-1 + (1 - e) (p_k - p_k-1) / h,  e = exp(-cutoff h)
-
-    so the noise in the sum of all of them is that of two places; in the sum of those that arrive it is a random walk,
-    on which a law that sums up velocities drifts by centimetres. The first state after a gap therefore tells the
-    velocity with which the sum is right again, whatever was lost between messages a and b:
-
-        h (v_a+1 + ... + v_b) = p_b - p_a - T (v_b - v_a),  T = h e / (1 - e) + latency
-
-    box: of the neighbour's states;  period: s of the law;  cutoff: rad/s of the neighbour's filter;  h: s between its
-    poses;  latency: s by which its filter has moved them on.
+    box: of the neighbour's states.
     """
 
-    def __init__(self, box: Latest[State], period: float, cutoff: float, h: float, latency: float = 0.0) -> None:
-        self.box, self.period = box, period
-        self.lag = h / math.expm1(cutoff * h) + latency
+    def __init__(self, box: Latest[State], sums: VelocitySum) -> None:
+        self.box, self.sums = box, sums
         self._version = 0
-        self._last: Vec | None = None  # the last message
-        self._told: Vec | None = None  # m, the sum of what was told since the last message before the gap
 
     def start(self) -> None:
-        """Steps begin now, or some were left out: there is nothing to make up for."""
-        self._last = self._told = None
+        """Steps begin now: there is nothing to make up for."""
+        self.sums.start()
 
-    def state(self) -> State | None:
-        """The neighbour's state for this step, with the age of the message; None if that is too old."""
+    def state(self, held: float) -> State | None:
+        """The neighbour's state for this step, with the age of the message; None if that is too old.
+
+        held: s that the last step's reference was flown.
+        """
         state, age = self.box.fresh_with_age()
-        new, self._version = self.box.version - self._version, self.box.version
+        new, self._version = self.box.version != self._version, self.box.version
         if state is None:
             self.start()
             return None
-        flat, last = state.flat, self._last
-        if new == 0 and last is not None:
-            told = self.period * flat[3:6]
-            self._told = told if self._told is None else self._told + told
-            return State(moved_on(flat, age), age)
-        self._last = flat
-        if last is None or (new == 1 and self._told is None):
-            return State(flat, age)
-        caught_up = flat.copy()
-        caught_up[3:6] = self._due(last, flat) / self.period
-        self._told = None
-        return State(caught_up, age)
-
-    def _due(self, before: Vec, now: Vec) -> Vec:
-        """m, by which the sum of velocities lacks what lies between two messages."""
-        due = now[0:3] - before[0:3] - self.lag * (now[3:6] - before[3:6])
-        return due if self._told is None else due - self._told
+        flat, moved = (state.flat, state.age) if new else (moved_on(state.flat, age - state.age), age)
+        return State(self.sums.told(flat, moved, held, new), age)
 
 
 def moved_on(flat: Vec, age: float) -> Vec:

@@ -108,7 +108,7 @@ class Pilot(Actor):
         self.follower = HierarchicalController(
             FlatnessAccelerationCtrl(FORMATION), GeometryAttitudeCtrl(FORMATION), FPQRSender(), AccelerationTraj()
         )
-        self.filter = VelocityFilter()
+        self.filter = VelocityFilter(period=1.0 / rate)
         self.guard = Guard(fence, a_max=limits.acceleration_limit)
         self.references: Latest[Reference] = Latest(self.clock, f"drone {self.drone} reference", REFERENCE.max_age)
         port.bus.subscribe(POSE, self.drone, self.drone, Call(self.clock, self._posed, f"drone {self.drone} pose"))

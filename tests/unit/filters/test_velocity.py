@@ -63,3 +63,34 @@ def test_a_pose_that_is_not_finite_counts_as_missing():
     assert state.age == pytest.approx(0.01)
     assert f.refused == 1
     assert VelocityFilter().update(pose(np.inf), 0.0) is None
+
+
+def measured(jitter, period):
+    """Instants in s by a filter of poses every 10 ms, that seem to be late by what is drawn."""
+    draw, motion = np.random.default_rng(2), VelocityFilter(period=period)
+    instants = []
+    for k in range(2000):
+        late = jitter * draw.exponential() if k else 0.0
+        motion.update(Pose(np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0])), 1.0 + 0.01 * k + late)
+        instants.append(motion.measured)
+    return np.array(instants)
+
+
+@pytest.mark.parametrize("jitter", [5e-5, 5e-4])
+def test_the_rate_of_the_cameras_tells_when_a_pose_was_measured(jitter):
+    assert np.diff(measured(jitter, 0.01)).std() < 0.005 * jitter
+    assert np.diff(measured(jitter, 0.0)).std() > 0.5 * jitter, "what it is for"
+
+
+def test_poses_that_are_missed_are_counted_and_a_clock_that_is_wrong_is_followed():
+    motion, fast = VelocityFilter(period=0.01), 1.0001
+    for k in (*range(1000), *range(1005, 20_000, 3)):
+        motion.update(Pose(np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0])), 1.0 + 0.01 * fast * k)
+        assert motion.measured == pytest.approx(1.0 + 0.01 * fast * k, abs=2e-3)
+
+
+def test_a_very_late_pose_is_not_taken_for_two():
+    motion = VelocityFilter(period=0.01)
+    for k in range(10):
+        motion.update(Pose(np.array([0.01 * k, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0])), 1.0 + 0.01 * k + 0.007 * (k == 5))
+    assert motion.measured == pytest.approx(1.09, abs=1e-4)
