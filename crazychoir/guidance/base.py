@@ -261,8 +261,9 @@ class CFDistributedFeedback(CFGuidance):
         clock = self.member.clock
         self._period_ns = round(SECOND / self.rate)
         self._due_ns = clock.now_ns()
-        for sums in (self._own, *self._hearings.values()):
-            sums.start()
+        self._own.start()
+        for hearing in self._hearings.values():
+            hearing.start()
         self._law = asyncio.get_running_loop().create_future()
         end = clock.call_at(self._due_ns + round(self.duration * SECOND), wake, self._law, drone=self.id)
         try:

@@ -2,14 +2,12 @@
 
 from dataclasses import dataclass
 
-import numpy as np
 import pytest
 from system.agents import BRISK
 from system.commands import call, fly, run
 
 from crazychoir.guidance.mission import load
 from crazychoir.launch import Score, fly_fast
-from crazychoir.simulation.owner import WorldOwner
 from crazychoir.swarm.config import SwarmConfig
 from crazychoir.types import Status
 
@@ -58,19 +56,6 @@ def test_four_take_their_places_though_messages_are_lost(seed, loss):
     assert result["success"], result["reasons"]
     assert result["formation_error_m"] <= 0.01
     assert 1.0 < result["settling_s"] <= 19.0
-
-
-@pytest.mark.parametrize("seed", range(1, 9))
-def test_they_take_their_places_though_what_takes_time_takes_it_unevenly(seed, monkeypatch):
-    """In real time a state is computed some 0.1 ms after its tick was due, and once in a while some ms after."""
-    draw, on_time = np.random.default_rng(seed), WorldOwner.step
-
-    def uneven(owner, late=0.0):
-        spent = draw.exponential(1.5e-4) + (draw.exponential(1e-3) if draw.uniform() < 0.05 else 0.0)
-        on_time(owner, late - spent)
-
-    monkeypatch.setattr(WorldOwner, "step", uneven)
-    settled(formed(seed))
 
 
 def test_the_settling_time_is_the_last_time_that_anybody_is_far():
