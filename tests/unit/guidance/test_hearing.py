@@ -1,4 +1,4 @@
-"""What a law is told: neither late steps, nor lost, late or repeated messages leave a trace in the sum of velocities."""
+"""What a law is told: late steps, and lost, late or repeated messages leave no trace in the sum of velocities."""
 
 import math
 
