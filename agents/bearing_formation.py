@@ -45,7 +45,10 @@ class BearingFormation(CFDistributedFeedback):
         """The follower's law; a leader hovers, and so does who does not hear all its neighbours."""
         if self.leader or len(heard) < len(self.neighbors):
             return None
-        return Acceleration(self.K.dot(np.concatenate([me.flat, *[heard[j].flat for j in self.neighbors]])))
+        states = [me.flat]
+        for j in self.neighbors:
+            states.append(heard[j].flat)
+        return Acceleration(self.K.dot(np.concatenate(states)))
 
 
 def guidance(i: int, config: SwarmConfig) -> BearingFormation:

@@ -46,15 +46,23 @@ class AccelerationTraj:
 
     topic = "acceleration"
 
+    def __init__(self) -> None:
+        frames = np.zeros(14), np.zeros(14)
+        self._next, self._other = [(flat, flat[6:9]) for flat in frames]
+
     def read(self, reference: Reference) -> Vec | None:
-        """Acceleration and yaw; position and velocity are left at zero, nothing follows them."""
+        """Acceleration and yaw; position and velocity are left at zero, nothing follows them.
+
+        The array is this handler's own, good until its next but one.
+        """
         if not isinstance(reference, Acceleration):
             return None
         a = np.asarray(reference.a)
         if a.shape != (3,):
             return None
-        flat = np.zeros(14)
-        flat[6:9] = a
+        flat, acceleration = self._next
+        self._next, self._other = self._other, self._next
+        acceleration[...] = a
         flat[12] = reference.yaw
         return flat
 

@@ -38,6 +38,7 @@ def _measure(pose: Vec, mem: Vec, h: float, cutoff: float, t: float, out: Vec) -
 
 
 TRUST = 0.002  # in the instant at which a pose seems to be measured; the rest in the rate of the cameras
+ROUNDING = 1e-9  # s
 EARLY = 0.25  # of a period that a pose may seem to be early; it may seem to be later by what is left
 
 
@@ -70,18 +71,17 @@ class VelocityFilter:
             return self.predict(now)
         if h == math.inf:
             return self._start(pose, now)
-        out, h = np.empty(13), self._steady(h)
-        age = now - self.measured - h
+        age, out = pose.age, np.empty(13)
+        if self.period > 0.0:  # their rate tells it better than a clock
+            whole = self.period * int(h / self.period + EARLY)
+            if whole and abs(h - whole) > ROUNDING:
+                late = (1.0 - TRUST) * (h - whole)
+                age, h = age + late, h - late
         if _measure(pose.flat, self._memory, h, self.cutoff, min(age, self.horizon), out):
-            self.measured += h
+            self.measured = now - age
             return State(out, age)
         self.refused += 1
         return self.predict(now)
-
-    def _steady(self, h: float) -> float:
-        """s since the last measurement, by the rate of the cameras."""
-        whole = self.period * math.floor(h / self.period + EARLY) if self.period > 0.0 else 0.0
-        return whole + TRUST * (h - whole) if whole > 0.0 else h
 
     def predict(self, now: float) -> State | None:
         """The state at `now` at constant velocity, when no pose has come; None before the first."""

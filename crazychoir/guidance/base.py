@@ -13,7 +13,7 @@ from crazychoir.bus.topics import STATE
 from crazychoir.errors import CrazyChoirError
 from crazychoir.guidance.hearing import Hearing, VelocitySum
 from crazychoir.runtime.clock import SECOND, Clock, wake
-from crazychoir.runtime.mailbox import Call, Latest
+from crazychoir.runtime.mailbox import Call
 from crazychoir.runtime.watchdog import Watchdog
 from crazychoir.safety.pilot import Mode, Pilot
 from crazychoir.swarm.communicator import Communicator, run_rounds
@@ -214,15 +214,12 @@ class CFDistributedFeedback(CFGuidance):
         """Meet the drone, and listen to the neighbours' states."""
         super().bind(member)
         bus = member.communicator.port.bus
-        self._boxes: dict[int, Latest[State]] = {}
         self._hearings: dict[int, Hearing] = {}
         for j in self.graph.in_neighbors(self.id):
-            box = self._boxes[j] = Latest(member.clock, f"drone {self.id} state of {j}", STATE.max_age)
-            self._hearings[j] = Hearing(box, self._sum())
-            bus.subscribe(STATE, j, self.id, box, self.rate if self.rate < STATE.rate else 0.0)
+            hearing = self._hearings[j] = Hearing(member.clock, f"drone {self.id} state of {j}", self._sum())
+            bus.subscribe(STATE, j, self.id, hearing, self.rate if self.rate < STATE.rate else 0.0)
         self._own, self._measured = self._sum(), 0.0
-        self._pose_period = 1.0 / member.config.mocap.rate  # s, the grid on which a step is flown: clocks jitter
-        self._unheard = dict.fromkeys(self._boxes, 0)
+        self._unheard = dict.fromkeys(self._hearings, 0)
         self._law: asyncio.Future[None] | None = None
         self._period_ns = self._due_ns = 0
         self._me, self._stages = self.state, bus.stages
@@ -261,9 +258,9 @@ class CFDistributedFeedback(CFGuidance):
         clock = self.member.clock
         self._period_ns = round(SECOND / self.rate)
         self._due_ns = clock.now_ns()
-        self._own.start()
+        self._own.forget()
         for hearing in self._hearings.values():
-            hearing.start()
+            hearing.forget()
         self._law = asyncio.get_running_loop().create_future()
         end = clock.call_at(self._due_ns + round(self.duration * SECOND), wake, self._law, drone=self.id)
         try:
@@ -277,7 +274,6 @@ class CFDistributedFeedback(CFGuidance):
         if self._law is not None:
             self._me = me
             self._stages.decide.append(self._decide)
-            self._stages.due()
 
     def _decide(self) -> None:
         """Call `step` if it is due. Its errors end the law, not the tick, which is not its alone."""
@@ -303,13 +299,13 @@ class CFDistributedFeedback(CFGuidance):
 
     def _stepped(self, me: State) -> Reference | None:
         """What `step` wants, under the eyes of the watchdog."""
-        watchdog, measured, before = self.member.watchdog, self.member.pilot.filter.measured, self._measured
+        watchdog, measured = self.member.watchdog, self.member.pilot.filter.measured
+        poses = round((measured - self._measured) / self._own.h)  # a whole number: clocks jitter, cameras do not
         self._measured = measured
-        held = self._pose_period * round(max(measured - before, 0.0) / self._pose_period)
-        heard = self.hear(held)
-        me = State(self._own.told(me.flat, me.age, held, measured > before), me.age)
-        if len(heard) < len(self._boxes):
-            for j in self._boxes:
+        heard = self.hear(poses)
+        me = self._own.told(me, me.age, poses, poses)
+        if len(heard) < len(self._hearings):
+            for j in self._hearings:
                 self._unheard[j] += j not in heard
         if watchdog is None:
             return self.step(me, heard)
@@ -318,11 +314,11 @@ class CFDistributedFeedback(CFGuidance):
 
     def _deaf(self) -> str:
         """Whom it does not hear: the usual reason of a law that says nothing."""
-        silent = ", ".join(str(j) for j, box in self._boxes.items() if box.fresh() is None)
+        silent = ", ".join(str(j) for j, box in self._hearings.items() if box.fresh() is None)
         return f"; hears nothing of drone(s) {silent}" if silent else ""
 
-    def hear(self, held: float) -> Heard:
-        """The neighbours' states for this step, those that are not stale; held: s that the last one was flown."""
+    def hear(self, held: int) -> Heard:
+        """The neighbours' states for this step, those that are not stale; held: poses since the last step."""
         heard: Heard = {}
         for j, hearing in self._hearings.items():
             state = hearing.state(held)

@@ -4,27 +4,35 @@ import math
 
 import numpy as np
 
+from crazychoir.bus.topics import STATE
 from crazychoir.math3d import Vec, kernel, memory, real, vector
+from crazychoir.runtime.clock import SECOND, Clock
 from crazychoir.runtime.mailbox import Latest
 from crazychoir.types import State
 
 SPREAD = 10.0  # steps within which a law is told what the velocities so far have lacked
+NOTHING = 1e-7  # m; less is not owed
 
 
-@kernel(vector, real, real, real, real, memory)
-def _settle(x: Vec, reach: float, held: float, spread: float, new: float, mem: Vec) -> None:
-    """The law of VelocitySum; mem: (9,) = place P of the newest state, velocity that is told, owed m."""
+@kernel(vector, real, vector, real, real, real, real, memory, memory)
+def _settle(
+    x: Vec, reach: float, last: Vec, last_reach: float, held: float, spread: float, new: float, mem: Vec, out: Vec
+) -> float:
+    """The law of VelocitySum from the state `last` to x, into out (13,); returns the largest part that is owed, m.
+
+    mem: (6,) = velocity that was told, owed m.
+    """
+    most = 0.0
+    out[:] = x
     for c in range(3):
-        v = x[3 + c]
-        place = x[c] - reach * v
-        owed = mem[6 + c] - held * mem[3 + c]
-        mem[3 + c] = v
+        owed = mem[3 + c] - held * mem[c]
         if new > 0.0:
-            owed += place - mem[c]
+            owed += (x[c] - reach * x[3 + c]) - (last[c] - last_reach * last[3 + c])
             owed = owed if held < 2.0 * spread and math.isfinite(owed) else 0.0
-            mem[c] = place
-            mem[3 + c] += owed / spread
-        mem[6 + c] = owed
+            out[3 + c] += owed / spread
+        mem[c], mem[3 + c] = out[3 + c], owed
+        most = max(most, abs(owed))
+    return most
 
 
 class VelocitySum:
@@ -49,57 +57,72 @@ class VelocitySum:
     """
 
     def __init__(self, cutoff: float, h: float, period: float) -> None:
-        self.reach, self.spread = -h / math.expm1(-cutoff * h), SPREAD * period
-        self._memory = np.full(9, math.nan)
+        self.h, self.reach, self.spread = h, -h / math.expm1(-cutoff * h), SPREAD * period
+        self._last: State | None = None  # what was told last, before its velocity was corrected
+        self._even = True  # nothing is owed
+        self._memory = np.zeros(6)
 
-    def start(self) -> None:
-        """Nothing was told yet: there is nothing to make up for."""
-        self._memory[:] = math.nan
+    def forget(self) -> None:
+        """As before the first state: nothing was told, there is nothing to make up for."""
+        self._last, self._even = None, True
 
-    def told(self, flat: Vec, age: float, held: float, new: bool = True) -> Vec:
-        """The state (13,) with the velocity that keeps the sum right.
+    def told(self, state: State, age: float, held: int, steps: int) -> State:
+        """The state with the velocity that keeps the sum right, and this age.
 
-        age: s, by which its place was moved on at constant velocity;  held: s that what was told last was flown;
-        new: whether it was measured since then.  After a gap, or what is no number, it starts anew.
+        state: its place was moved on from the measurement by its own age, at constant velocity;  held: poses for which
+        what was told last was flown;  steps: poses from the measurement before to this one, 0: it is the same.
         """
-        _settle(flat, age + self.reach, held, self.spread, new, self._memory)
-        out = flat.copy()
-        out[3:6] = self._memory[3:6]
-        return out
+        last = self._last
+        if (held == 1 and steps == 1 and self._even) or last is None:  # as a rule: all is as the filter adds it up
+            self._last = state
+            return state if age == state.age else State(state.flat, age)
+        memory, out = self._memory, np.empty(13)
+        if self._even:
+            memory[0:3], memory[3:6] = last.v, 0.0
+        before, now, new = self.reach + last.age, self.reach + state.age, float(steps > 0)
+        owed = _settle(state.flat, now, last.flat, before, held * self.h, self.spread, new, memory, out)
+        self._even = owed < NOTHING
+        if steps > 0:
+            self._last = state
+        return State(out, age)
 
 
-class Hearing:
-    """The states of one neighbour as a law takes them, once a step.
+class Hearing(Latest[State]):
+    """The mailbox for the states of one neighbour, as a law takes them, once a step.
 
-    In a step without a new message the newest state is moved on, p + v age. Velocities are those of `sums`.
-
-    box: of the neighbour's states.
+    In a step without a new message the newest state is moved on, p + v age. Velocities are those of a VelocitySum.
     """
 
-    def __init__(self, box: Latest[State], sums: VelocitySum) -> None:
-        self.box, self.sums = box, sums
-        self._version = 0
+    def __init__(self, clock: Clock, name: str, sums: VelocitySum) -> None:
+        super().__init__(clock, name, STATE.max_age)
+        self.sums = sums
+        self._h_ns = round(sums.h * SECOND)
+        self._half_ns = self._h_ns // 2
+        self._told_version = self._told_ns = 0
 
-    def start(self) -> None:
+    def forget(self) -> None:
         """Steps begin now: there is nothing to make up for."""
-        self.sums.start()
+        self.sums.forget()
 
-    def state(self, held: float) -> State | None:
+    def state(self, held: int) -> State | None:
         """The neighbour's state for this step, with the age of the message; None if that is too old.
 
-        held: s that the last step's reference was flown.
+        held: poses for which the last step's reference was flown.
         """
-        state, age = self.box.fresh_with_age()
-        new, self._version = self.box.version != self._version, self.box.version
+        state, age = self.fresh_with_age()
         if state is None:
-            self.start()
+            self.sums.forget()
             return None
-        flat, moved = (state.flat, state.age) if new else (moved_on(state.flat, age - state.age), age)
-        return State(self.sums.told(flat, moved, held, new), age)
+        version, born_ns = self.version, self._born_ns
+        if version == self._told_version:
+            state = State(moved_on(state.flat, age - state.age), age)
+        steps = (born_ns - self._told_ns + self._half_ns) // self._h_ns
+        self._told_version, self._told_ns = version, born_ns
+        return self.sums.told(state, age, held, steps)
 
 
-def moved_on(flat: Vec, age: float) -> Vec:
-    """A state (13,) as it is `age` s later at constant velocity, attitude and body rates left as they were."""
+def moved_on(flat: Vec, seconds: float) -> Vec:
+    """A state (13,) as it is some seconds later at constant velocity, attitude and body rates left as they were."""
     now = flat.copy()
-    now[0:3] += age * now[3:6]
+    now[0:3] += seconds * now[3:6]
     return now

@@ -14,10 +14,11 @@ Work = Callable[[], None]
 
 
 class Stages:
-    """What the drones of a process still have to do in this pass of the loop: append to a stage, then call `due`.
+    """What the drones of a process still have to do in this pass of the loop: append to stages, then call `due`.
 
-    say: publish the own state;  decide: let a law find a reference;  act: send a command. Poses are seen before, as
-    they come. Each piece of work handles its own errors: one that escapes ends the stage for all.
+    say: publish the own state;  decide: let a law find a reference, appended when it hears of that state;  act: send
+    a command. Poses are seen before, as they come. Each piece of work handles its own errors: one that escapes ends
+    the stage for all.
     """
 
     def __init__(self, clock: Clock) -> None:

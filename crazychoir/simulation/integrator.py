@@ -212,6 +212,7 @@ class CFIntegrator:
         self.impact = np.zeros(n)
         self._resting = np.where(self.states[:, 2] > 0.0, 0.0, 1.0)
         self._alive = np.ones(n)
+        self._held = {i: self.commands[row] for i, row in self.row.items()}
         self._actual = self.commands.copy()
         self._platform, self._lags = platform.flat, np.array([thrust_lag, rate_lag])
         self._late = int(command_delay / dt + 1e-9)
@@ -226,7 +227,7 @@ class CFIntegrator:
 
     def command(self, i: int, u: Vec | Sequence[float]) -> None:
         """Hold u (4,) = thrust N, rates rad/s for drone i from now on."""
-        self.commands[self.row[i]] = u
+        self._held[i][...] = u
 
     def cut(self, i: int) -> None:
         """Stop the motors of drone i for good."""

@@ -25,7 +25,6 @@ async def test_what_a_stage_adds_is_done_in_the_same_pass_and_once(clock):
     def say():
         done.append("say")
         stages.decide.append(lambda: done.append("decide"))
-        stages.due()
 
     stages.act.append(lambda: done.append("act"))
     stages.say.append(say)
