@@ -67,17 +67,19 @@ class VelocityFilter:
 
     def update(self, pose: Pose, now: float) -> State | None:
         """The state at `now` with a new pose; None only before the first pose that counts."""
-        h = now - pose.age - self._measured
+        age = pose.age
+        measured = now - age
+        h = measured - self._measured
         if h <= 1e-6:  # a repeated or an older pose says nothing new
             return self.predict(now)
-        if h == math.inf:
+        if self._state is None:
             return self._start(pose, now)
-        out = np.empty(13)
-        speed = _measure(pose.flat, self._memory, h, self.cutoff, min(pose.age, self.horizon), out)
+        out, t = np.empty(13), age if age < self.horizon else self.horizon
+        speed = _measure(pose.flat, self._memory, h, self.cutoff, t, out)
         if speed >= 0.0:
             out.setflags(False)  # type: ignore[call-arg]  # by place: faster than by name, in every tick
-            self.speed, self._measured = speed, now - pose.age
-            self._state = state = State(out, pose.age)
+            self.speed, self._measured = speed, measured
+            self._state = state = State(out, age)
             return state
         self.refused += 1
         return self.predict(now)

@@ -85,7 +85,7 @@ class ReferenceLimits:
         x, y, z = wanted.tolist()
         squared = x * x + y * y + z * z + 0.0 * reference.yaw
         room = self._kv * (self._v_max - speed)
-        if squared <= self._a_max_squared and squared <= room * abs(room):
+        if squared <= self._a_max_squared and room > 0.0 and squared <= room * room:
             return reference
         if not math.isfinite(x + y + z + reference.yaw):
             return None

@@ -64,7 +64,7 @@ class Mode(Enum):
 # Members of an enumeration are slow to look up, in Python 3.11 above all; a tick needs these.
 HOVER, FOLLOW, LAND, NOMINAL = Mode.HOVER, Mode.FOLLOW, Mode.LAND, Action.NOMINAL
 DOWN = (Mode.GROUND, Mode.CUT)
-GUIDED = (Mode.HOVER, Mode.TAKEOFF, Mode.FOLLOW)
+GUIDED = (Mode.FOLLOW, Mode.HOVER, Mode.TAKEOFF)
 
 
 class Link(Protocol):
@@ -353,12 +353,13 @@ class Pilot(Actor):
     # The chain ------------------------------------------------------------------------------------------------
 
     def _command(self, state: State, now: float) -> FPQR:
-        if self.mode in DOWN:
-            return self._idle
-        if self.mode is FOLLOW:
+        mode = self.mode
+        if mode is FOLLOW:
             verdict = self.guard.check(now, state, state.age, self.references.age())
+        elif mode in DOWN:
+            return self._idle
         else:
-            verdict = self.guard.check(now, state, state.age, None, self.mode is not HOVER)
+            verdict = self.guard.check(now, state, state.age, None, mode is not HOVER)
         if verdict.action is not NOMINAL or self._obeyed is not NOMINAL:
             self._obey(verdict)
             if not self.airborne:
