@@ -146,7 +146,8 @@ async def test_a_landing_waits_while_an_operator_holds_the_drone_but_not_for_saf
         landing = asyncio.create_task(guidance.land())
         await clock.sleep(1.0)
         pilot.land("pose 0.51 s old")
-        await landing
+        await clock.sleep(pilot.remaining() + 1.0)
+        assert landing.done()
         assert pilot.mode is Mode.GROUND
 
 

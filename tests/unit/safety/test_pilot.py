@@ -12,7 +12,7 @@ from crazychoir.bus.topics import POSE
 from crazychoir.control.gains import STANDARD
 from crazychoir.control.platform import PAPER
 from crazychoir.errors import ConfigError
-from crazychoir.planning.point_to_point import STOP
+from crazychoir.planning.point_to_point import STOP, stopping
 from crazychoir.runtime.supervisor import Supervisor
 from crazychoir.safety.guard import INSET, Action, Fence
 from crazychoir.safety.limits import ReferenceLimits
@@ -460,12 +460,33 @@ async def test_the_fence_has_its_floor_where_that_is_above_the_ground(clock):
 @virtual
 async def test_a_fall_is_stopped_with_what_the_motors_can(clock):
     drone = Flown(clock)
-    drone.pilot = Pilot(drone.bus.port(1), SimulatedLink(drone.world, 0), Flight(acceleration_limit=20.0), Fence.box(
-        (-3.0, -3.0, 0.0), (3.0, 3.0, 4.5)))  # fmt: skip
+    limits, fence = Flight(speed_limit=3.0, acceleration_limit=20.0), Fence.box((-3.0, -3.0, 0.0), (3.0, 3.0, 4.5))
+    drone.pilot = Pilot(drone.bus.port(1), SimulatedLink(drone.world, 0), limits, fence)
     await drone.fly(0.05)
     await drone.fly(drone.pilot.take_off(4.0) + 0.5)
+    since = len(drone.track)
     await drone.fly(3.0, each=lambda: drone.pilot.follow(Acceleration([0.0, 0.0, -9.0])))
+    speed, _ = fastest(drone, since)
+    assert speed > 2.5
     assert drone.world.impact[0] < 0.5
+
+
+@virtual
+async def test_whoever_brakes_at_the_fence_comes_to_rest_first_and_then_goes_inside(clock):
+    drone = Flown(clock)
+    await drone.hovering()
+    t0, plans = clock.now(), []
+
+    def out():
+        t = clock.now() - t0
+        drone.pilot.follow(FullState.at([0.5 * t, 0.0, 1.0], [0.5, 0.0, 0.0]))
+        if drone.pilot._obeyed is Action.BRAKE:
+            plans.append(drone.pilot._plan)
+
+    await drone.fly(6.5, each=out)
+    way = [plans[0].sample(t) for t in np.linspace(0.0, plans[0].duration, 100)]
+    assert max(flown.p[0] for flown in way) <= stopping(way[0], 2.0).goal[0] + 1e-9
+    assert way[-1].p[0] == pytest.approx(3.0 - INSET)
 
 
 # Without cameras ----------------------------------------------------------------------------------------------------
