@@ -339,7 +339,7 @@ class Pilot(Actor):
         self._say("guidance", f"guidance failed ({reason}): hovering, then landing")
         self.hover()
         due_ns = self.clock.now_ns() + round(GIVE_UP_HOVER * SECOND)
-        self.clock.call_at(due_ns, self.land, "guidance has failed", drone=self.drone)
+        self.clock.call_at(due_ns, self.land, f"guidance failed ({reason}): landing", drone=self.drone)
 
     def remaining(self) -> float:
         """s until the flight that is planned is over."""
