@@ -27,6 +27,7 @@ R = TypeVar("R")
 SETTLE = 0.05
 LAW_MODES = (Mode.HOVER, Mode.FOLLOW)
 TAKEOFF = Mode.TAKEOFF
+FLYING = (TAKEOFF, *LAW_MODES)
 ARRIVED = 0.2
 """m from a goal that counts as there."""
 ATTEMPTS = 5
@@ -148,8 +149,14 @@ class CFGuidance:
         raise Interrupted(f"drone {self.id}: does not reach {place}: {self.member.pilot.note}")
 
     async def land(self) -> None:
-        """Come down and stop the motors; raises Interrupted unless it ends on the ground, as when they were cut."""
+        """Come down and stop the motors; a drone that its operator holds waits in the air, at most PATIENCE s.
+
+        Raises Interrupted unless it ends on the ground, as when its motors were cut.
+        """
         pilot = self.member.pilot
+        ends = self.member.clock.now() + PATIENCE
+        while pilot.held and pilot.mode in FLYING and self.member.clock.now() < ends:
+            await self.sleep(SETTLE)
         pilot.land()
         await touch_down(pilot, TOUCHDOWN)
         if pilot.mode is not Mode.GROUND:

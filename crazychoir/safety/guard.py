@@ -16,12 +16,14 @@ class Action(IntEnum):
     """What the drone does, the worse the larger."""
 
     NOMINAL = 0  # fly the reference
-    HOVER = 1  # brake and hold, on the prediction if there is no pose
+    BRAKE = 1  # come to rest and stay, on the prediction if there is no pose
     LAND = 2  # descend where it is
     CUT = 3  # stop the motors
 
 
-DOING = {Action.HOVER: "braking", Action.LAND: "landing", Action.CUT: "motors cut"}
+INSET = 0.1
+"""m from the sides of the fence where a drone comes to rest that would leave it."""
+DOING = {Action.BRAKE: "braking", Action.LAND: "landing", Action.CUT: "motors cut"}
 
 
 @dataclass(frozen=True)
@@ -30,8 +32,8 @@ class Rule:
 
     measure: "pose" (s since the last pose), "reference" (s since the last one), "fence" (m outside the fence), "stop"
     (m outside the fence, there or where it comes to rest if it brakes now, the worse) or "broken" (1 if the state is
-    not finite);  limit: exceeded, the rule acts;  clear: it acts until the measure has
-    been at or below this for `settle` seconds;  latched: it acts for good.
+    not finite);  limit: exceeded, the rule acts;  clear: it acts until the measure has been at or below this for
+    `settle` seconds;  latched: it acts for good.
     """
 
     measure: str
@@ -46,12 +48,12 @@ class Rule:
 # without commands the firmware cuts by itself. Fence: it brakes while it can still stop inside; like the paper's
 # keep-out zone it ends in a shut-down.
 TABLE = (
-    Rule("pose", 0.10, Action.HOVER, clear=0.05),
+    Rule("pose", 0.10, Action.BRAKE, clear=0.05),
     Rule("pose", 0.50, Action.LAND, clear=0.05, settle=1.0),
     Rule("pose", 2.00, Action.CUT, latched=True),
-    Rule("reference", 0.30, Action.HOVER, clear=0.15),
+    Rule("reference", 0.30, Action.BRAKE, clear=0.15),
     Rule("reference", 5.00, Action.LAND, clear=0.15, settle=1.0),
-    Rule("stop", 0.00, Action.HOVER, clear=-0.05),
+    Rule("stop", 0.00, Action.BRAKE, clear=-0.05),
     Rule("fence", 0.25, Action.LAND, latched=True),
     Rule("fence", 0.50, Action.CUT, latched=True),
     Rule("broken", 0.00, Action.CUT, latched=True),
@@ -82,16 +84,24 @@ class Fence:
         (a, b, c), (d, e, f) = corners.tolist()
         return cls((a, b, c), (d, e, f))
 
+    def with_floor(self, z: float) -> "Fence":
+        """The same box from the height z m upwards."""
+        return Fence.box((*self.low[:2], z), self.high)
+
     def outside(self, x: float, y: float, z: float) -> float:
         """m by which a position is outside, the largest over the six sides; negative inside."""
         a, b = self.low, self.high
         return max(a[0] - x, x - b[0], a[1] - y, y - b[1], a[2] - z, z - b[2])
 
-    def nearest(self, p: Vec, inset: float = 0.1) -> Vec:
+    def nearest(self, p: Vec, inset: float = INSET) -> Vec:
         """The place inside, `inset` m from the sides, that is nearest to p (3,): where to hold."""
         return np.clip(p, np.array(self.low) + inset, np.array(self.high) - inset)
 
 
+BELOW_GROUND = 0.2
+"""m below the ground where the fence of a drone that takes off or lands begins: cameras and floors are not exact."""
+REACTION = 0.1
+"""s for which a drone that is told to brake flies on at its speed: delays of filter, commands and attitude."""
 ROOM = Fence.box((-3.0, -3.0, -0.2), (3.0, 3.0, 2.5))
 
 
@@ -110,11 +120,11 @@ ALL_WELL = Verdict(Action.NOMINAL)
 def _outside(x: Vec, box: Vec, reach: float) -> float:
     """The measure "stop": m by which the place of x (13,), or where it comes to rest, is outside the box (6,).
 
-        p + reach |v| v
+        p + (reach |v| + REACTION) v
 
-    box: low, high;  reach: s2/m.  Negative inside; not finite if x is not.
+    box: low, high;  reach: s2/m, 0 for one that ends inside by its own plan.  Negative inside; not finite if x is not.
     """
-    far = reach * math.sqrt(x[3] * x[3] + x[4] * x[4] + x[5] * x[5])
+    far = reach * math.sqrt(x[3] * x[3] + x[4] * x[4] + x[5] * x[5]) + REACTION if reach > 0.0 else 0.0
     furthest, finite = -math.inf, 0.0
     for c in range(3):
         ahead = far * x[3 + c]
@@ -130,36 +140,46 @@ class Guard:
     A rule starts to act when its measure exceeds its limit and stops after `settle` seconds at or below `clear`;
     a latched one never stops: an operator looks at the drone and starts its agent again.
 
+    fence: where it flies;  ground: m. To take off and to land it leaves the fence downwards, and so far no rule but
+    "stop" knows its floor.
     a_max: m/s2, with which it brakes. It brakes at the distance STOP |v|^2 / a_max from the fence that `stopping`
-    needs, so a drone that follows references comes to rest at the fence; one that flies a plan of its own, which ends
-    inside, at the fence itself.
+    needs, REACTION s before, so a drone that follows references comes to rest at the fence; one that flies a plan of
+    its own, which ends inside, at the fence itself.
     """
 
-    def __init__(self, fence: Fence = ROOM, table: tuple[Rule, ...] = TABLE, a_max: float = 2.0) -> None:
+    def __init__(
+        self, fence: Fence = ROOM, table: tuple[Rule, ...] = TABLE, a_max: float = 2.0, ground: float = 0.0
+    ) -> None:
         for rule in table:
             if rule.measure not in TEXT or (rule.clear > rule.limit and not rule.latched):
                 raise ConfigError("Guard: table", rule, f"a measure of {', '.join(TEXT)}; clear at or below limit")
-        self.fence, self.table = fence, table
-        self._acting: dict[Rule, float] = {}  # a rule that acts, and since when its measure has been calm
+        self.table = table
+        self._acting: dict[Rule, float] = {}  # a rule that acts, and since when its measure has been clear
         self._found: dict[Rule, float] = {}  # the last value for which it did
         self._latched: dict[Rule, str] = {}  # a latched one, and why it began to act
         least = {m: min((r.limit for r in table if r.measure == m), default=math.inf) for m in TEXT}
-        self._quiet_pose, self._quiet_reference = least["pose"], least["reference"]
-        self._quiet_stop = min(least["fence"], least["stop"])
+        self._least_pose, self._least_reference = least["pose"], least["reference"]
+        self._least_stop = min(least["fence"], least["stop"])
         self._reach = STOP / a_max
-        self._box = np.array([*fence.low, *fence.high])
+        self._whole = fence.with_floor(min(fence.low[2], ground - BELOW_GROUND))
+        self._flying, self._low = (np.array([*box.low, *box.high]) for box in (fence, self._whole))
 
     @property
     def latched(self) -> str:
         """Why this drone must not fly again: the reason of the first latched rule that acted; empty if none has."""
         return next(iter(self._latched.values()), "")
 
-    def check(self, now: float, state: State | None, pose_age: float, reference_age: float | None = None) -> Verdict:
-        """The verdict at `now` (s); ages in s;  state None: nothing was ever seen;  reference_age None: none needed."""
+    def check(
+        self, now: float, state: State | None, pose_age: float, reference_age: float | None = None, low: bool = False
+    ) -> Verdict:
+        """The verdict at `now` (s); ages in s.
+
+        state None: nothing was ever seen;  reference_age None: none needed;  low: it takes off or lands.
+        """
         age, reach = (0.0, 0.0) if reference_age is None else (reference_age, self._reach)
-        stop = -math.inf if state is None else _outside(state.flat, self._box, reach)
-        calm = pose_age <= self._quiet_pose and age <= self._quiet_reference and stop <= self._quiet_stop
-        return ALL_WELL if calm and not self._acting else self._judge(now, self._measured(state, pose_age, age, stop))
+        stop = -math.inf if state is None else _outside(state.flat, self._low if low else self._flying, reach)
+        well = pose_age <= self._least_pose and age <= self._least_reference and stop <= self._least_stop
+        return ALL_WELL if well and not self._acting else self._judge(now, self._measured(state, pose_age, age, stop))
 
     @property
     def acts(self) -> bool:
@@ -175,7 +195,7 @@ class Guard:
         outside, broken = -math.inf, 0.0
         if state is not None:
             x, y, z, *rest = state.flat.tolist()
-            outside = self.fence.outside(x, y, z)
+            outside = self._whole.outside(x, y, z)
             broken = 0.0 if math.isfinite(x + y + z + sum(rest)) else 1.0
         return {"pose": pose_age, "reference": reference_age, "fence": outside, "stop": stop, "broken": broken}
 
@@ -188,14 +208,14 @@ class Guard:
                 if rule.latched:
                     self._latched.setdefault(rule, _reason(rule, value))
             elif rule in self._acting:
-                self._calm(rule, value, now)
+                self._settle(rule, value, now)
         worst = max(self._acting, key=lambda rule: rule.action, default=None)
         if worst is None:
             return ALL_WELL
         return Verdict(worst.action, self._latched.get(worst) or _reason(worst, self._found[worst]))
 
-    def _calm(self, rule: Rule, value: float, now: float) -> None:
-        """Stop a rule that has been calm for long enough."""
+    def _settle(self, rule: Rule, value: float, now: float) -> None:
+        """Stop a rule whose measure has been clear for long enough."""
         if rule.latched:
             return
         since = min(self._acting[rule], now) if value <= rule.clear else math.inf

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from crazychoir.control.gains import Gains
-from crazychoir.math3d import Triple, Vec, clip, kernel, memory, saturate, vector
+from crazychoir.math3d import Triple, Vec, clip, dot, kernel, memory, real, vector
 from crazychoir.swarm.tables import Flight
 from crazychoir.types import Acceleration, FullState, State
 
@@ -18,7 +18,7 @@ def _share(a: Triple, limit: float) -> float:
 
 
 @kernel(vector, vector, vector, vector, memory)
-def _cut(x: Vec, ref: Vec, gains: Vec, limits: Vec, out: Vec) -> bool:
+def _cut_full_state(x: Vec, ref: Vec, gains: Vec, limits: Vec, out: Vec) -> bool:
     """The law of ReferenceLimits for a reference (14,), into out (14,); False, and out is no good: nothing to cut."""
     v_max, a_max, j_max, w_max = limits[0], limits[1], limits[2], limits[3]
     speed = _share((ref[3], ref[4], ref[5]), v_max)
@@ -41,10 +41,24 @@ def _cut(x: Vec, ref: Vec, gains: Vec, limits: Vec, out: Vec) -> bool:
     return min(speed, lead, far, hard, turn) < 1.0 or abs(ref[13]) > w_max
 
 
+@kernel(vector, vector, vector, real, memory)
+def _cut_acceleration(x: Vec, wanted: Vec, limits: Vec, kv: float, out: Vec) -> None:
+    """The law of ReferenceLimits for an acceleration `wanted` (3,), into out (3,)."""
+    v_max, a_max = limits[0], limits[1]
+    hard = _share((wanted[0], wanted[1], wanted[2]), a_max)
+    a, v = (hard * wanted[0], hard * wanted[1], hard * wanted[2]), (x[3], x[4], x[5])
+    speed = math.sqrt(dot(v, v))
+    excess = max(dot(a, v) / speed - kv * (v_max - speed), 0.0) / speed if speed > 0.0 else 0.0
+    a = (a[0] - excess * v[0], a[1] - excess * v[1], a[2] - excess * v[2])
+    hard = _share(a, a_max)
+    for c in range(3):
+        out[c] = hard * a[c]
+
+
 class ReferenceLimits:
     """Cuts a reference to v_max, a_max of [flight] and what follows from them; one within stays as it is, to the bit.
 
-        Acceleration:  |a| <= a_max
+        Acceleration:  a . v / |v| <= kv (v_max - |v|),  |a| <= a_max
         FullState:     |v_d| <= v_max (a cut one without acceleration),  |a_d| <= a_max (a cut one without jerk),
                        |(kp / kv) (p_d - p)| <= v_max,  |kp (p_d - p) + kv (v_d - v)| <= a_max,
                        |j_d| <= kr a_max,  |yaw_d'| <= kr_yaw (1 rad)
@@ -59,25 +73,28 @@ class ReferenceLimits:
     def __init__(self, flight: Flight, gains: Gains) -> None:
         self.a_max = flight.acceleration_limit
         self._a_max_squared = self.a_max**2
-        self._gains = gains.position
+        self._gains, self._kv, self._v_max = gains.position, min(gains.kv), flight.speed_limit
         roll, pitch, yaw = gains.kr
         self._limits = np.array([flight.speed_limit, self.a_max, min(roll, pitch) * self.a_max, yaw * 1.0])
 
-    def acceleration(self, reference: Acceleration) -> Acceleration | None:
-        """At most a_max, in the same direction; None if it has another shape or is not finite."""
+    def acceleration(self, reference: Acceleration, state: State, speed: float) -> Acceleration | None:
+        """What of it the limits leave to a drone in `state`, |v| = speed; None: of another shape, or not finite."""
         wanted = np.asarray(reference.a)
         if wanted.shape != (3,):
             return None
         x, y, z = wanted.tolist()
         squared = x * x + y * y + z * z + 0.0 * reference.yaw
-        if squared <= self._a_max_squared:
+        room = self._kv * (self._v_max - speed)
+        if squared <= self._a_max_squared and room > 0.0 and squared <= room * room:
             return reference
         if not math.isfinite(x + y + z + reference.yaw):
             return None
-        return Acceleration(saturate(wanted, self.a_max), reference.yaw)
+        out = np.empty(3)
+        _cut_acceleration(state.flat, np.array([x, y, z]), self._limits, self._kv, out)
+        return Acceleration(out, reference.yaw)
 
     def full_state(self, reference: FullState, state: State) -> FullState:
         """A reference that pulls the drone in `state` no harder than the limits allow."""
         out = np.empty(14)
-        hard = _cut(state.flat, reference.flat, self._gains, self._limits, out)
-        return FullState(out) if hard else reference
+        is_cut = _cut_full_state(state.flat, reference.flat, self._gains, self._limits, out)
+        return FullState(out) if is_cut else reference

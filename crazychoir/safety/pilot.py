@@ -19,15 +19,16 @@ from crazychoir.control.controller import HierarchicalController
 from crazychoir.control.gains import FORMATION, STANDARD
 from crazychoir.control.handlers import AccelerationTraj, FPQRSender, FullStateTraj
 from crazychoir.control.platform import PAPER
-from crazychoir.control.position import FlatnessAccelerationCtrl, FlatnessPositionCtrl
+from crazychoir.control.position import HEADROOM, HEIGHT_SHARE, FlatnessAccelerationCtrl, FlatnessPositionCtrl
+from crazychoir.filters.motion import Commanded
 from crazychoir.filters.velocity import VelocityFilter
-from crazychoir.math3d import yaw_of
-from crazychoir.planning.landing import Landing
+from crazychoir.math3d import GRAVITY, yaw_of
+from crazychoir.planning.landing import Landing, Legs
 from crazychoir.planning.point_to_point import PEAK_SPEED, PointToPoint, duration_for, stopping
 from crazychoir.runtime.actor import Actor, Restart
 from crazychoir.runtime.clock import SECOND
 from crazychoir.runtime.mailbox import Call, Latest
-from crazychoir.safety.guard import Action, Fence, Guard, Throttle, Verdict
+from crazychoir.safety.guard import INSET, Action, Fence, Guard, Throttle, Verdict
 from crazychoir.safety.limits import ReferenceLimits
 from crazychoir.swarm.tables import Flight
 from crazychoir.types import FPQR, Acceleration, FullState, Goto, Point, Pose, Reference, State
@@ -38,10 +39,15 @@ ON_THE_FLOOR = 0.04
 TOUCHDOWN_LATE = 2.0
 """s after the planned touch-down when a drone at rest (below AT_REST m/s) counts as landed."""
 AT_REST = 0.05
+LIFT = HEIGHT_SHARE * HEADROOM * PAPER.max_thrust / PAPER.mass - GRAVITY
+"""m/s2, with which the controllers can stop a fall."""
 GIVE_UP_HOVER = 2.0
 """s of hovering after guidance has failed, before the landing."""
 GIVE_UP_TICKS = 0.5
 """s of failed ticks, within 10 s, after which the pilot is given up: as long as it flies on without a pose."""
+
+BLIND = 2.0
+"""s, how far it predicts its own motion without a pose: as long as the safety table lets it fly so."""
 
 
 class Mode(Enum):
@@ -56,9 +62,9 @@ class Mode(Enum):
 
 
 # Members of an enumeration are slow to look up, in Python 3.11 above all; a tick needs these.
-FOLLOW, LAND, NOMINAL = Mode.FOLLOW, Mode.LAND, Action.NOMINAL
+HOVER, FOLLOW, LAND, NOMINAL = Mode.HOVER, Mode.FOLLOW, Mode.LAND, Action.NOMINAL
 DOWN = (Mode.GROUND, Mode.CUT)
-GUIDED = (Mode.HOVER, Mode.TAKEOFF, Mode.FOLLOW)
+GUIDED = (Mode.FOLLOW, Mode.HOVER, Mode.TAKEOFF)
 
 
 class Link(Protocol):
@@ -89,12 +95,16 @@ def flyable(reference: object) -> bool:
 
 
 class Pilot(Actor):
-    """Flies one drone; guidance calls `take_off`, `follow`, `hover`, `land`."""
+    """Flies one drone; guidance calls `take_off`, `go_to`, `follow`, `hover`, `land`, its operator `hold` too.
+
+    limits: [flight];  fence: where it flies, from the ground up at most;  rate: Hz, of its poses.
+    """
 
     name = "pilot"
 
     def __init__(self, port: Port, link: Link, limits: Flight, fence: Fence, rate: float = 100.0) -> None:
-        self.port, self.link, self.limits, self.fence = port, link, limits, fence
+        self.port, self.link, self.limits = port, link, limits
+        self.fence = fence.with_floor(max(fence.low[2], limits.ground))
         self.reference_limits = ReferenceLimits(limits, STANDARD)
         self.clock, self._stages = port.bus.clock, port.bus.stages
         self.drone = port.address
@@ -108,16 +118,19 @@ class Pilot(Actor):
         self.follower = HierarchicalController(
             FlatnessAccelerationCtrl(FORMATION), GeometryAttitudeCtrl(FORMATION), FPQRSender(), AccelerationTraj()
         )
-        self.filter = VelocityFilter(period=1.0 / rate)
-        self.guard = Guard(fence, a_max=limits.acceleration_limit)
+        self.filter = VelocityFilter(horizon=BLIND, period=1.0 / rate, motion=Commanded(PAPER.flat, limits.ground))
+        self._braking = min(limits.acceleration_limit, LIFT)  # m/s2, with which it comes to rest, from any direction
+        self.guard = Guard(self.fence, a_max=self._braking, ground=limits.ground)
         self.references: Latest[Reference] = Latest(self.clock, f"drone {self.drone} reference", REFERENCE.max_age)
         port.bus.subscribe(POSE, self.drone, self.drone, Call(self.clock, self._posed, f"drone {self.drone} pose"))
         self.period_ns = round(SECOND / rate)
         self.restart = Restart(limit=max(5, round(GIVE_UP_TICKS * rate)), backoff=0.0)  # a drone in flight cannot wait
-        self._plan: PointToPoint | Landing | None = None
+        self._plan: PointToPoint | Legs | None = None
         self._plan_start = 0.0
-        self._last: FullState | None = None
-        self._braking = Action.NOMINAL
+        self._goto: tuple[float, ...] = ()  # the last Goto that was flown, and its plan
+        self._goto_plan: PointToPoint | Legs | None = None
+        self._flown: FullState | None = None  # in the last tick, if it was a FullState
+        self._obeyed = Action.NOMINAL  # the last verdict
         self._ticked_ns = 0
         self._cut_for = ""
         self._said = Throttle(1.0)
@@ -153,13 +166,14 @@ class Pilot(Actor):
             return
         try:
             self.link.send(self._level)
+            self.filter.commanded = self._level.flat
         except Exception as error:  # noqa: BLE001 - it may be the link that has failed
             self._say("link", f"no command reaches the drone: {type(error).__name__}: {error}")
 
     def on_restart(self) -> None:
         """Whatever made a tick fail is forgotten: it comes to rest and hovers, or goes on landing, from where it is."""
         self.references.clear()
-        self._plan = self._last = None
+        self._plan = self._flown = None
         if self.mode is Mode.LAND:
             self._descend()
         elif self.mode in GUIDED:
@@ -208,9 +222,10 @@ class Pilot(Actor):
         try:
             command = self._command(state, self._ticked_ns / SECOND)
             self.link.send(command)
+            self.filter.commanded = command.flat
             self.port.publish(COMMAND, command)
-            if self._last is not None:
-                self.port.publish(REFERENCE, self._last)
+            if self._flown is not None:
+                self.port.publish(REFERENCE, self._flown)
         except BaseException as error:  # noqa: BLE001 - see _fail
             self._fail(error)
 
@@ -256,31 +271,42 @@ class Pilot(Actor):
         self.guard.excuse("reference")
         if self.guard.acts:
             return 0.0
-        start = self._now_flown()
+        start = self._departure()
         goal = self.fence.nearest(np.asarray(p, dtype=float), inset=0.0)
         seconds = self._fly_to(start, goal, start.yaw if yaw is None else yaw, duration)
-        self.mode, self._braking = Mode.HOVER, NOMINAL
+        self.mode, self._obeyed = Mode.HOVER, NOMINAL
         return seconds
 
     def follow(self, reference: Reference) -> None:
         """Fly this reference from the next tick on; it must be renewed before it is stale.
 
         One that is not a reference, has another shape or is not finite counts as none; one that asks for more than
-        [flight] allows is cut to that, see ReferenceLimits. A held drone follows nothing.
+        [flight] allows is cut to that, see ReferenceLimits. The same Goto again lets its flight go on. A held drone
+        follows nothing.
         """
+        state = self.state
+        if state is None or self.mode not in GUIDED or self.held:
+            return
         if isinstance(reference, Acceleration):
-            wanted: Reference | None = self.reference_limits.acceleration(reference)
+            wanted: Reference | None = self.reference_limits.acceleration(reference, state, self.filter.speed)
         else:
             wanted = reference if flyable(reference) else None
         if wanted is None:
             self._say("reference", f"{type(reference).__name__} is no finite reference of its shape: not flown")
-        elif self.mode not in GUIDED or self.held:
-            return
         elif isinstance(wanted, Goto):
-            self.go_to(wanted.p, wanted.yaw, wanted.duration)
+            self._fly_goto(wanted)
         else:
             self.references.put(wanted)
             self.mode = FOLLOW
+
+    def _fly_goto(self, wanted: Goto) -> None:
+        """Begin the flight that a Goto wants, unless it has begun: a law may want the same in each of its steps."""
+        asked = (*np.asarray(wanted.p, dtype=float).tolist(), wanted.yaw, wanted.duration)
+        begun = self.mode is not FOLLOW and self._plan is self._goto_plan and self._plan is not None
+        if begun and asked == self._goto:
+            return
+        if self.go_to(wanted.p, wanted.yaw, wanted.duration):
+            self._goto, self._goto_plan = asked, self._plan
 
     def hover(self) -> None:
         """Come to rest, at the shortest distance that the limits allow, and stay; one that does stays where it is."""
@@ -291,8 +317,11 @@ class Pilot(Actor):
         self.mode = Mode.HOVER
 
     def land(self, reason: str = "") -> float:
-        """Come to rest, then straight down, inside the fence, and stop the motors; returns the time it will take."""
-        if self.mode not in GUIDED or self.state is None:
+        """Come to rest, then straight down, inside the fence, and stop the motors; returns the time it will take.
+
+        Without a reason it is guidance that wants it: a held drone stays where it is, and 0 is returned.
+        """
+        if self.mode not in GUIDED or self.state is None or (self.held and not reason):
             return 0.0
         if reason:
             self._say("land", reason)
@@ -310,7 +339,7 @@ class Pilot(Actor):
         self._say("guidance", f"guidance failed ({reason}): hovering, then landing")
         self.hover()
         due_ns = self.clock.now_ns() + round(GIVE_UP_HOVER * SECOND)
-        self.clock.call_at(due_ns, self.land, drone=self.drone)
+        self.clock.call_at(due_ns, self.land, f"guidance failed ({reason}): landing", drone=self.drone)
 
     def remaining(self) -> float:
         """s until the flight that is planned is over."""
@@ -324,11 +353,14 @@ class Pilot(Actor):
     # The chain ------------------------------------------------------------------------------------------------
 
     def _command(self, state: State, now: float) -> FPQR:
-        if self.mode in DOWN:
+        mode = self.mode
+        if mode is FOLLOW:
+            verdict = self.guard.check(now, state, state.age, self.references.age())
+        elif mode in DOWN:
             return self._idle
-        reference_age = self.references.age() if self.mode is FOLLOW else None
-        verdict = self.guard.check(now, state, state.age, reference_age)
-        if verdict.action is not NOMINAL or self._braking is not NOMINAL:
+        else:
+            verdict = self.guard.check(now, state, state.age, None, mode is not HOVER)
+        if verdict.action is not NOMINAL or self._obeyed is not NOMINAL:
             self._obey(verdict)
             if not self.airborne:
                 return self._idle
@@ -345,68 +377,67 @@ class Pilot(Actor):
         return bool(low or (over and np.linalg.norm(state.v) < AT_REST))
 
     def _follow(self, state: State, now: float) -> FPQR:
-        if self.mode is FOLLOW and self._braking is NOMINAL:
+        if self.mode is FOLLOW and self._obeyed is NOMINAL:
             reference = self.references.peek()
             if isinstance(reference, Acceleration):
-                self._last, self._plan = None, None
+                self._flown, self._plan = None, None
                 return self.follower.command(state, reference, now)
             if isinstance(reference, FullState):
-                self._last, self._plan = self.reference_limits.full_state(reference, state), None
-                return self.controller.command(state, self._last, now)
+                self._flown, self._plan = self.reference_limits.full_state(reference, state), None
+                return self.controller.command(state, self._flown, now)
         if self._plan is None:
             self._brake()
         assert self._plan is not None  # noqa: S101 - _brake has set it
-        self._last = self._plan.sample(now - self._plan_start)
+        self._flown = self._plan.sample(now - self._plan_start)
         if self.mode is Mode.TAKEOFF and self._plan.done(now - self._plan_start):
             self.mode = Mode.HOVER
-        return self.controller.command(state, self._last, now)
+        return self.controller.command(state, self._flown, now)
 
     def _obey(self, verdict: Verdict) -> None:
         """Do what the safety table says, on its edges."""
         if verdict.action is not Action.NOMINAL:
             self._say(verdict.action.name, verdict.reason)
-        if verdict.action is self._braking:
+        if verdict.action is self._obeyed:
             return
-        self._braking = verdict.action
+        self._obeyed = verdict.action
         if verdict.action is Action.CUT:
             self.cut(verdict.reason)
         elif verdict.action is Action.LAND:
             self.land(verdict.reason)
-        elif verdict.action is Action.HOVER and self.mode is not Mode.LAND:
+        elif verdict.action is Action.BRAKE and self.mode is not Mode.LAND:
             self._brake()
 
     def _brake(self) -> None:
-        start = self._now_flown()
-        self._fly(start, self._stop(start))
+        start = self._departure()
+        self._fly(start, Legs(*self._stop(start, self.fence)))
 
     def _descend(self) -> float:
         """Land from where it is; s until its motors stop."""
-        start, limits = self._now_flown(), self.limits
-        stop = self._stop(start)
-        above, floor = FullState.at(stop.goal, yaw=start.yaw), stop.goal.copy()
+        start, limits = self._departure(), self.limits
+        stop = self._stop(start, self.fence.with_floor(limits.ground - INSET))
+        above, floor = FullState.at(stop[-1].goal, yaw=start.yaw), stop[-1].goal.copy()
         floor[2] = limits.ground - 0.05
         fastest = duration_for(above, floor, start.yaw, limits.speed_limit, limits.acceleration_limit)
         slow = PEAK_SPEED * (above.p[2] - floor[2]) / limits.landing_speed
-        landing = Landing(stop, PointToPoint(above, floor, start.yaw, max(slow, fastest)))
+        landing = Landing(*stop, PointToPoint(above, floor, start.yaw, max(slow, fastest)))
         self._fly(start, landing)
         self.mode = LAND
         return landing.reaches(limits.ground + ON_THE_FLOOR)
 
-    def _stop(self, start: FullState) -> PointToPoint:
-        """To rest, the shortest way; where that ends outside the fence or in the floor, to the nearest place inside."""
-        limits = self.limits
-        stop = stopping(start, limits.acceleration_limit)
-        goal = self.fence.nearest(stop.goal)
-        goal[2] = max(goal[2], limits.ground)
-        if np.array_equal(goal, stop.goal):
-            return stop
-        duration = duration_for(start, goal, start.yaw, limits.speed_limit, limits.acceleration_limit)
-        return PointToPoint(start, goal, start.yaw, duration)
+    def _stop(self, start: FullState, fence: Fence) -> list[PointToPoint]:
+        """To rest, the shortest way; where that ends outside a fence, from there to the nearest place inside."""
+        stop = stopping(start, self._braking)
+        inside = fence.nearest(stop.goal)
+        if np.array_equal(inside, stop.goal):
+            return [stop]
+        outside = FullState.at(stop.goal, yaw=start.yaw)
+        duration = duration_for(outside, inside, start.yaw, self.limits.speed_limit, self._braking)
+        return [stop, PointToPoint(outside, inside, start.yaw, duration)]
 
-    def _now_flown(self) -> FullState:
+    def _departure(self) -> FullState:
         """Where a new plan begins: on its own plan if it flies one, else at the state, with the speed it has."""
-        if self._last is not None and self._plan is not None:
-            return self._last
+        if self._plan is not None:
+            return self._plan.sample(self.clock.now() - self._plan_start)
         state = self.state
         assert state is not None  # noqa: S101 - callers fly, and who flies has a state
         return FullState.at(state.p, state.v, yaw=yaw_of(state.q))
@@ -416,14 +447,14 @@ class Pilot(Actor):
         fastest = duration_for(start, goal, yaw, limits.speed_limit, limits.acceleration_limit)
         return self._fly(start, PointToPoint(start, goal, yaw, max(duration, fastest)))
 
-    def _fly(self, start: FullState, plan: PointToPoint | Landing) -> float:
-        self._plan, self._plan_start, self._last = plan, self.clock.now(), start
+    def _fly(self, start: FullState, plan: PointToPoint | Legs) -> float:
+        self._plan, self._plan_start, self._flown = plan, self.clock.now(), start
         return plan.duration
 
     def _landed(self) -> None:
         self.mode = Mode.GROUND
-        self._plan = self._last = None
-        self._braking = Action.NOMINAL
+        self._plan = self._flown = None
+        self._obeyed = Action.NOMINAL
 
     def _say(self, topic: str, text: str) -> None:
         self.note = text

@@ -1,6 +1,10 @@
+import math
+
 import numpy as np
 import pytest
 
+from crazychoir.control.platform import PAPER
+from crazychoir.filters.motion import Commanded
 from crazychoir.filters.velocity import VelocityFilter
 from crazychoir.types import Pose
 
@@ -94,3 +98,35 @@ def test_a_very_late_pose_is_not_taken_for_two():
     for k in range(10):
         motion.update(Pose(np.array([0.01 * k, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0])), 1.0 + 0.01 * k + 0.007 * (k == 5))
     assert motion.measured == pytest.approx(1.09, abs=1e-4)
+
+
+@pytest.mark.parametrize("size", [0.0, 0.49, 2.1, 1e200])
+def test_a_pose_whose_quaternion_is_none_counts_as_missing(size):
+    bad = lambda x: Pose(np.array([x, 0.0, 1.0, 0.0, 0.0, 0.0, size]))  # noqa: E731
+    f = VelocityFilter()
+    assert f.update(bad(0.0), -1.0) is None
+    flying(f, 100)
+    state = f.update(bad(1.01), 1.01)
+    assert np.all(np.isfinite(state.flat))
+    assert state.age == pytest.approx(0.01)
+    assert f.refused == 2
+    assert f.update(pose(1.02), 1.02).age == 0.0
+
+
+def test_nobody_writes_into_a_state():
+    f = VelocityFilter()
+    for state in (f.update(pose(0.0), 0.0), f.update(pose(0.1), 0.01), f.predict(0.02), f.update(pose(np.nan), 0.03)):
+        with pytest.raises(ValueError, match="read-only"):
+            state.p[0] = 1.0
+
+
+def test_the_speed_is_that_of_the_newest_state():
+    f = VelocityFilter(motion=Commanded(PAPER.flat, -math.inf))
+    assert f.speed == 0.0
+    for k in range(5):
+        state = f.update(pose(0.01 * k), 0.01 * k)
+        assert f.speed == pytest.approx(np.linalg.norm(state.v))
+    f.update(pose(np.nan), 0.05)
+    falling = f.predict(0.35)
+    assert f.speed == pytest.approx(np.linalg.norm(falling.v))
+    assert falling.v[2] < -2.0

@@ -132,6 +132,26 @@ async def test_a_flight_that_is_held_for_ever_is_given_up(clock):
 
 
 @virtual
+async def test_a_landing_waits_while_an_operator_holds_the_drone_but_not_for_safety(clock):
+    async with in_the_air(clock) as (guidance, pilot):
+        pilot.hold()
+        landing = asyncio.create_task(guidance.land())
+        await clock.sleep(20.0)
+        assert guidance.state.p == pytest.approx([0.0, 0.0, 1.0], abs=0.02)
+        pilot.hold(False)
+        await landing
+        assert pilot.mode is Mode.GROUND
+    async with in_the_air(clock) as (guidance, pilot):
+        pilot.hold()
+        landing = asyncio.create_task(guidance.land())
+        await clock.sleep(1.0)
+        pilot.land("pose 0.51 s old")
+        await clock.sleep(pilot.remaining() + 1.0)
+        assert landing.done()
+        assert pilot.mode is Mode.GROUND
+
+
+@virtual
 async def test_a_drone_that_nobody_sees_does_not_wait_for_ever_to_take_off(clock):
     a, _ = pair(clock)
     with pytest.raises(Interrupted, match="drone 0: no pose within 300 s"):

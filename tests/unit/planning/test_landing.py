@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from crazychoir.planning.landing import Landing
+from crazychoir.planning.landing import Landing, Legs
 from crazychoir.planning.point_to_point import PointToPoint, stopping
 from crazychoir.types import FullState
 
@@ -18,3 +18,17 @@ def test_a_landing_comes_to_rest_and_then_goes_straight_down():
     assert landing.sample(landing.reaches(0.04)).p[2] == pytest.approx(0.04, abs=1e-3)
     assert landing.done(landing.duration)
     assert not landing.done(landing.duration - 0.01)
+
+
+def test_the_legs_of_a_flight_follow_each_other_and_it_stays_at_the_end_of_the_last():
+    there, back = np.array([1.0, 0.0, 1.0]), np.array([0.0, 0.5, 1.0])
+    first = PointToPoint(FullState.at((0.0, 0.0, 1.0)), there, 0.0, 2.0)
+    second, third = PointToPoint(FullState.at(there), back, 0.0, 3.0), PointToPoint(FullState.at(back), there, 0.0, 1.0)
+    legs = Legs(first, second, third)
+    assert legs.duration == pytest.approx(6.0)
+    assert legs.sample(1.2).flat == pytest.approx(first.sample(1.2).flat)
+    for t, place in ((2.0, there), (5.0, back), (6.0, there), (9.0, there)):
+        assert legs.sample(t).p == pytest.approx(place)
+        assert legs.sample(t).v == pytest.approx(np.zeros(3))
+    assert not legs.done(5.9)
+    assert legs.done(6.0)

@@ -15,19 +15,19 @@ def test_all_is_well():
 
 @pytest.mark.parametrize(
     ("age", "action"),
-    [(0.10, Action.NOMINAL), (0.11, Action.HOVER), (0.6, Action.LAND), (2.1, Action.CUT), (np.nan, Action.CUT)],
+    [(0.10, Action.NOMINAL), (0.11, Action.BRAKE), (0.6, Action.LAND), (2.1, Action.CUT), (np.nan, Action.CUT)],
 )
 def test_an_old_pose_brakes_then_lands_then_cuts(age, action):
     assert Guard().check(0.0, HERE, age, 0.0).action == action
 
 
-@pytest.mark.parametrize(("age", "action"), [(0.3, Action.NOMINAL), (0.31, Action.HOVER), (5.1, Action.LAND)])
+@pytest.mark.parametrize(("age", "action"), [(0.3, Action.NOMINAL), (0.31, Action.BRAKE), (5.1, Action.LAND)])
 def test_an_old_reference_hovers_then_lands(age, action):
     assert Guard().check(0.0, HERE, 0.0, age).action == action
 
 
 @pytest.mark.parametrize(
-    ("x", "action"), [(3.0, Action.NOMINAL), (3.1, Action.HOVER), (-3.3, Action.LAND), (3.6, Action.CUT)]
+    ("x", "action"), [(3.0, Action.NOMINAL), (3.1, Action.BRAKE), (-3.3, Action.LAND), (3.6, Action.CUT)]
 )
 def test_the_fence(x, action):
     assert Guard().check(0.0, State.at((x, 0.0, 1.0)), 0.0, 0.0).action == action
@@ -56,7 +56,7 @@ def test_recovery_waits_until_all_has_been_calm_for_a_while():
     for k in range(200):
         age = 0.2 if k < 10 else (0.08 if k < 60 else 0.01)  # below the limit but not yet below `clear` until tick 60
         actions.append(guard.check(0.01 * k, HERE, age, 0.0).action)
-    assert set(actions[:110]) == {Action.HOVER}
+    assert set(actions[:110]) == {Action.BRAKE}
     assert set(actions[111:]) == {Action.NOMINAL}
 
 
@@ -65,26 +65,36 @@ def test_a_relapse_starts_the_wait_anew():
     guard.check(0.0, HERE, 0.2, 0.0)
     guard.check(0.1, HERE, 0.0, 0.0)
     guard.check(0.4, HERE, 0.2, 0.0)
-    assert guard.check(0.7, HERE, 0.0, 0.0).action == Action.HOVER
-    assert guard.check(1.1, HERE, 0.0, 0.0).action == Action.HOVER
+    assert guard.check(0.7, HERE, 0.0, 0.0).action == Action.BRAKE
+    assert guard.check(1.1, HERE, 0.0, 0.0).action == Action.BRAKE
     assert guard.check(1.3, HERE, 0.0, 0.0).action == Action.NOMINAL
 
 
 @pytest.mark.parametrize(("x", "v", "action"), [
-    (2.5, 1.0, Action.NOMINAL), (2.6, 1.0, Action.HOVER), (2.6, 0.9, Action.NOMINAL), (1.2, 2.0, Action.HOVER),
-    (-2.6, -1.0, Action.HOVER), (2.9, -1.0, Action.NOMINAL), (3.2, -2.0, Action.HOVER), (3.3, -2.0, Action.LAND),
+    (2.4, 1.0, Action.NOMINAL), (2.5, 1.0, Action.BRAKE), (2.5, 0.9, Action.NOMINAL), (1.0, 2.0, Action.BRAKE),
+    (-2.5, -1.0, Action.BRAKE), (2.9, -1.0, Action.NOMINAL), (3.2, -2.0, Action.BRAKE), (3.3, -2.0, Action.LAND),
 ])  # fmt: skip
 def test_it_brakes_before_the_fence_at_the_distance_in_which_it_stops(x, v, action):
-    """p + 15/16 |v| v / a_max, a_max = 2 m/s2; what is outside already counts as it is, however it comes back."""
+    """p + (15/16 |v| / a_max + 0.1 s) v, a_max = 2 m/s2; what is outside counts as it is, however it comes back."""
     assert Guard().check(0.0, State.at((x, 0.0, 1.0), (v, 0.0, 0.0)), 0.0, 0.0).action == action
 
 
 def test_the_distance_grows_as_the_acceleration_shrinks_and_a_plan_of_its_own_needs_none():
-    state = State.at((2.0, 0.0, 1.0), (1.0, 0.0, 0.0))
+    state = State.at((2.005, 0.0, 1.0), (1.0, 0.0, 0.0))
     assert Guard(a_max=2.0).check(0.0, state, 0.0, 0.0) is ALL_WELL
     verdict = Guard(a_max=0.5).check(0.0, state, 0.0, 0.0)
-    assert verdict.reason == "comes to rest 0.88 m outside the fence, limit 0.00 m: braking"
+    assert verdict.reason == "comes to rest 0.98 m outside the fence, limit 0.00 m: braking"
     assert Guard(a_max=0.5).check(0.0, state, 0.0, None) is ALL_WELL
+
+
+def test_it_brakes_before_the_floor_of_its_fence_and_takes_off_and_lands_through_it():
+    guard = Guard(Fence.box((-3.0, -3.0, 0.5), (3.0, 3.0, 2.5)), ground=0.3)
+    falling = State.at((0.0, 0.0, 0.9), (0.0, 0.0, -1.0))
+    assert guard.check(0.0, falling, 0.0, 0.0).reason.startswith("comes to rest 0.17 m outside the fence")
+    for z, action in ((0.49, Action.NOMINAL), (0.11, Action.NOMINAL), (0.05, Action.BRAKE), (-0.2, Action.LAND)):
+        guard = Guard(Fence.box((-3.0, -3.0, 0.5), (3.0, 3.0, 2.5)), ground=0.3)
+        assert guard.check(0.0, State.at((0.0, 0.0, z)), 0.0, None, True).action == action
+    assert guard.latched.startswith("0.30 m outside the fence, limit 0.25 m"), "0.2 m below the ground"
 
 
 def test_a_reason_keeps_the_value_for_which_the_rule_acted():

@@ -1,6 +1,7 @@
 """The pilot with a simulated drone beneath it, tick by tick, in virtual time."""
 
 import asyncio
+import itertools
 
 import numpy as np
 import pytest
@@ -8,11 +9,13 @@ from virtual_time import virtual
 
 from crazychoir.bus.local import Bus
 from crazychoir.bus.topics import POSE
+from crazychoir.control.gains import STANDARD
 from crazychoir.control.platform import PAPER
 from crazychoir.errors import ConfigError
-from crazychoir.planning.point_to_point import STOP
+from crazychoir.planning.point_to_point import STOP, stopping
 from crazychoir.runtime.supervisor import Supervisor
-from crazychoir.safety.guard import Action, Fence
+from crazychoir.safety.guard import INSET, Action, Fence
+from crazychoir.safety.limits import ReferenceLimits
 from crazychoir.safety.pilot import GIVE_UP_HOVER, TOUCHDOWN_LATE, Mode, Pilot
 from crazychoir.simulation.integrator import CFIntegrator
 from crazychoir.simulation.owner import SimulatedLink
@@ -25,10 +28,11 @@ TICK = 0.01
 class Flown:
     """One drone, its pilot, and what both did: positions, references, modes, notes."""
 
-    def __init__(self, clock, fence=((-3.0, -3.0, -0.2), (3.0, 3.0, 2.5))):
+    def __init__(self, clock, fence=((-3.0, -3.0, -0.2), (3.0, 3.0, 2.5)), plant=None, noise=0.0):
         self.clock = clock
         self.bus = Bus(clock)
-        self.world = CFIntegrator((0,), np.zeros((1, 3)), np.zeros(1))
+        self.world = CFIntegrator((0,), np.zeros((1, 3)), np.zeros(1), **(plant or {}))
+        self.draw, self.noise = np.random.default_rng(5), noise
         self.pilot = Pilot(self.bus.port(0), SimulatedLink(self.world, 0), Flight(), Fence.box(*fence))
         self.track, self.references = [], []
 
@@ -47,10 +51,11 @@ class Flown:
             truth = self.world.state(0)
             seen = truth.flat[[0, 1, 2, 6, 7, 8, 9]]
             seen[0] += drift()
+            seen += self.noise * self.draw.standard_normal(7)
             self.pilot.tick(Pose(seen, 0.0) if poses else None)
             self.bus.stages.run()
             self.track.append(truth.p)
-            self.references.append(self.pilot._last)
+            self.references.append(self.pilot._flown)
 
     async def hovering(self):
         """Take off and wait until it hovers."""
@@ -193,10 +198,10 @@ async def led_out(clock, reference):
 
     def out():
         drone.pilot.follow(reference(clock.now() - t0))
-        actions.add(drone.pilot._braking)
+        actions.add(drone.pilot._obeyed)
 
     await drone.fly(8.0, each=out)
-    assert actions == {Action.NOMINAL, Action.HOVER}
+    assert actions == {Action.NOMINAL, Action.BRAKE}
     assert 2.7 < max(p[0] for p in drone.track) < 3.2
     assert drone.pilot.mode is Mode.FOLLOW
     assert drone.pilot.note.endswith("m outside the fence, limit 0.00 m: braking")
@@ -272,8 +277,8 @@ async def test_after_a_law_the_plan_begins_at_the_drone_with_its_speed(clock):
     await drone.fly(1.0, each=lambda: drone.pilot.follow(Acceleration([0.5, 0.0, 0.0])))
     state = drone.pilot.state
     drone.pilot.hover()
-    assert drone.pilot._last.p == pytest.approx(state.p)
-    assert drone.pilot._last.v == pytest.approx(state.v)
+    assert drone.pilot._flown.p == pytest.approx(state.p)
+    assert drone.pilot._flown.v == pytest.approx(state.v)
     await drone.fly(3.0)
     assert np.linalg.norm(drone.world.state(0).v) < 0.02
 
@@ -310,6 +315,23 @@ async def test_a_held_drone_follows_nothing_until_it_is_let_go(clock):
     drone.pilot.hold(on=False)
     await drone.fly(2.0, each=lambda: drone.pilot.follow(away))
     assert np.linalg.norm(drone.p - [1.0, 0.0, 1.0]) < 0.1
+
+
+@virtual
+async def test_a_held_drone_lands_for_its_operator_and_for_safety_but_not_for_guidance(clock):
+    for why in ("landing on command", "pose"):
+        drone = Flown(clock)
+        await drone.hovering()
+        drone.pilot.hold()
+        assert drone.pilot.land() == 0.0
+        await drone.fly(0.5)
+        assert drone.pilot.mode is Mode.HOVER
+        if why == "pose":
+            await drone.fly(0.8, poses=False)
+        else:
+            assert drone.pilot.land(why) > 0.0
+        assert drone.pilot.mode is Mode.LAND
+        assert why in drone.pilot.note
 
 
 @virtual
@@ -369,11 +391,238 @@ async def test_a_full_state_that_runs_away_is_followed_within_the_limits(clock):
 async def test_an_acceleration_beyond_the_limit_is_cut_to_it(clock):
     drone = Flown(clock)
     await drone.hovering()
+    drone.pilot.reference_limits = ReferenceLimits(Flight(speed_limit=20.0), STANDARD)
     since = len(drone.track)
     await drone.fly(1.5, each=lambda: drone.pilot.follow(Acceleration([5.0, 5.0, 0.0])))
     _, acceleration = fastest(drone, since)
     assert acceleration == pytest.approx(Flight().acceleration_limit, rel=0.15)
     assert drone.p[0] == pytest.approx(drone.p[1], abs=0.01), "its direction stays"
+
+
+async def accelerated(clock, period):
+    """Wants 2 m/s2 for 6 s, in every `period`-th tick."""
+    drone = Flown(clock, fence=((-3.0, -3.0, 0.0), (30.0, 3.0, 2.5)))
+    await drone.hovering()
+    since, ticks = len(drone.track), iter(range(10**6))
+    wanted = lambda: next(ticks) % period or drone.pilot.follow(Acceleration([2.0, 0.0, 0.0]))  # noqa: E731
+    await drone.fly(6.0, each=wanted)
+    speed, _ = fastest(drone, since)
+    assert 0.95 * Flight().speed_limit < speed < 1.2 * Flight().speed_limit
+    assert drone.p[0] > 4.0
+    assert drone.p[2] == pytest.approx(1.0, abs=0.1)
+
+
+@virtual
+async def test_an_acceleration_that_goes_on_leads_to_the_speed_limit_and_no_further(clock):
+    for period in (1, 25):
+        await accelerated(clock, period)
+
+
+# The floor ----------------------------------------------------------------------------------------------------------
+
+
+DOWNWARDS = (
+    Acceleration([0.0, 0.0, -2.0]), Acceleration([1.0, 0.0, -1.0]),
+    FullState.at((0.0, 0.0, -3.0), (0.0, 0.0, -1.0)), Goto((0.0, 0.0, -3.0)),
+)  # fmt: skip
+
+
+async def led_down(clock, reference):
+    """Follows a reference towards the floor for 4 s."""
+    drone = Flown(clock, fence=((-3.0, -3.0, -1.0), (9.0, 3.0, 2.5)))
+    await drone.hovering()
+    await drone.fly(4.0, each=lambda: drone.pilot.follow(reference))
+    assert drone.world.impact[0] < 0.05
+    assert drone.pilot.airborne
+
+
+@virtual
+async def test_what_leads_into_the_floor_is_stopped_above_it(clock):
+    for reference in DOWNWARDS:
+        await led_down(clock, reference)
+
+
+@virtual
+async def test_the_fence_has_its_floor_where_that_is_above_the_ground(clock):
+    drone = Flown(clock, fence=((-3.0, -3.0, 0.5), (3.0, 3.0, 2.5)))
+    await drone.hovering()
+    since = len(drone.track)
+    await drone.fly(4.0, each=lambda: drone.pilot.follow(Acceleration([0.0, 0.0, -1.0])))
+    assert 0.45 < min(p[2] for p in drone.track[since:]) < 0.6
+    await drone.fly(drone.pilot.go_to([0.0, 0.0, 0.0]) + 1.0)
+    assert 0.48 < drone.p[2] < 0.62
+    await drone.fly(drone.pilot.land() + 1.0)
+    assert drone.pilot.mode is Mode.GROUND
+    assert drone.world.impact[0] < 1.0
+    assert not drone.pilot.guard.latched
+
+
+@virtual
+async def test_a_fall_is_stopped_with_what_the_motors_can(clock):
+    drone = Flown(clock)
+    limits, fence = Flight(speed_limit=3.0, acceleration_limit=20.0), Fence.box((-3.0, -3.0, 0.0), (3.0, 3.0, 4.5))
+    drone.pilot = Pilot(drone.bus.port(1), SimulatedLink(drone.world, 0), limits, fence)
+    await drone.fly(0.05)
+    await drone.fly(drone.pilot.take_off(4.0) + 0.5)
+    since = len(drone.track)
+    await drone.fly(3.0, each=lambda: drone.pilot.follow(Acceleration([0.0, 0.0, -9.0])))
+    speed, _ = fastest(drone, since)
+    assert speed > 2.5
+    assert drone.world.impact[0] < 0.5
+
+
+@virtual
+async def test_whoever_brakes_at_the_fence_comes_to_rest_first_and_then_goes_inside(clock):
+    drone = Flown(clock)
+    await drone.hovering()
+    t0, plans = clock.now(), []
+
+    def out():
+        t = clock.now() - t0
+        drone.pilot.follow(FullState.at([0.5 * t, 0.0, 1.0], [0.5, 0.0, 0.0]))
+        if drone.pilot._obeyed is Action.BRAKE:
+            plans.append(drone.pilot._plan)
+
+    await drone.fly(6.5, each=out)
+    way = [plans[0].sample(t) for t in np.linspace(0.0, plans[0].duration, 100)]
+    assert max(flown.p[0] for flown in way) <= stopping(way[0], 2.0).goal[0] + 1e-9
+    assert way[-1].p[0] == pytest.approx(3.0 - INSET)
+
+
+# Without cameras ----------------------------------------------------------------------------------------------------
+
+
+def tilt(drone):
+    """Degrees from upright, the truth."""
+    x, y, *_ = drone.world.state(0).q
+    return np.degrees(np.arccos(np.clip(1.0 - 2.0 * (x**2 + y**2), -1.0, 1.0)))
+
+
+LIVELY = {
+    "hovering": None,
+    "a FullState": lambda t: FullState.at((np.sin(t), 0.0, 1.0), (np.cos(t), 0.0, 0.0), (-np.sin(t), 0.0, 0.0)),
+    "an Acceleration": lambda t: Acceleration([1.5 * np.sin(2.5 * t), 1.5 * np.cos(2.5 * t), 0.0]),
+}
+PLANTS = ({}, {"rate_lag": 0.03, "command_delay": 0.02}, {"rate_lag": 0.086})
+
+
+async def unseen(clock, reference, plant):
+    """Loses its poses for 1.9 s while it follows `reference(t)`."""
+    drone = Flown(clock, plant=plant, noise=0.0005)
+    await drone.hovering()
+    t0, lean = clock.now(), []
+
+    def fly():
+        if reference is not None:
+            drone.pilot.follow(reference(clock.now() - t0))
+
+    await drone.fly(2.3, each=fly)
+    await drone.fly(1.9, poses=False, each=lambda: (fly(), lean.append(tilt(drone))))
+    assert drone.pilot.mode is Mode.LAND
+    assert max(lean) < 20.0
+    assert max(lean[120:]) < 5.0
+    assert drone.p[2] > 0.3
+    assert np.linalg.norm(drone.world.state(0).v[:2]) < 0.25
+    assert np.linalg.norm(drone.pilot.state.p - drone.p) < 0.25
+    await drone.fly(drone.pilot.remaining() + 1.0)
+    assert drone.pilot.mode is Mode.GROUND
+    assert drone.world.impact[0] < 1.0
+
+
+@virtual
+async def test_a_drone_that_is_not_seen_comes_to_rest_level_and_lands(clock):
+    for what, plant in itertools.product(LIVELY, PLANTS):
+        await unseen(clock, LIVELY[what], plant)
+
+
+async def unseen_take_off(clock, after):
+    """Loses its poses for 1.5 s, `after` s of its take-off."""
+    drone = Flown(clock, plant={"rate_lag": 0.03, "command_delay": 0.02}, noise=0.0005)
+    await drone.fly(0.05)
+    drone.pilot.take_off()
+    await drone.fly(after)
+    lean = []
+    await drone.fly(1.5, poses=False, each=lambda: lean.append(tilt(drone)))
+    assert max(lean) < 10.0
+    assert drone.p[2] < 1.2
+    await drone.fly(drone.pilot.remaining() + 1.0)
+    assert drone.pilot.mode is Mode.GROUND
+    assert drone.world.impact[0] < 1.0
+    assert not drone.pilot.guard.latched
+
+
+@virtual
+async def test_a_take_off_that_is_not_seen_ends_in_a_soft_landing(clock):
+    for after in (0.2, 0.6, 1.2):
+        await unseen_take_off(clock, after)
+
+
+@virtual
+async def test_a_drone_on_the_ground_stands_there_while_it_is_not_seen(clock):
+    drone = Flown(clock, noise=0.0005)
+    await drone.fly(0.5)
+    for _ in range(30):
+        await drone.fly(0.1, poses=False)
+        assert np.linalg.norm(drone.pilot.state.p) < 0.005
+    assert drone.pilot.state.v == pytest.approx(np.zeros(3))
+    assert drone.pilot.take_off() > 0.0
+
+
+# Goals again and again ----------------------------------------------------------------------------------------------
+
+
+async def gone_to(clock, duration):
+    """Wants the same place in every tick, then another."""
+    drone = Flown(clock)
+    await drone.hovering()
+    place, plans = np.array([1.0, 0.5, 1.2]), set()
+
+    def again():
+        drone.pilot.follow(Goto(place, 0.3, duration))
+        plans.add(id(drone.pilot._plan))
+
+    await drone.fly(1.5, each=again)
+    assert drone.p[0] > 0.1
+    await drone.fly(3.0, each=again)
+    assert drone.p == pytest.approx(place, abs=0.03)
+    assert len(plans) == 1
+    place[:] = (0.0, 0.0, 1.0)
+    await drone.fly(5.0, each=again)
+    assert drone.p == pytest.approx(place, abs=0.03), "the same array, another place"
+
+
+@virtual
+async def test_a_goto_in_every_step_is_one_flight(clock):
+    for duration in (0.0, 4.0):
+        await gone_to(clock, duration)
+
+
+@virtual
+async def test_a_goto_that_moves_is_flown_after(clock):
+    drone = Flown(clock)
+    await drone.hovering()
+    t0 = clock.now()
+    await drone.fly(4.0, each=lambda: drone.pilot.follow(Goto([0.3 * (clock.now() - t0), 0.0, 1.0])))
+    assert drone.p[0] > 0.4
+    here = Goto([1.2, 0.0, 1.0])
+    await drone.fly(4.0, each=lambda: drone.pilot.follow(here))
+    assert drone.p == pytest.approx(here.p, abs=0.03)
+
+
+@virtual
+async def test_the_same_goto_is_flown_anew_after_something_else(clock):
+    drone = Flown(clock)
+    await drone.hovering()
+    goal = Goto([1.0, 0.0, 1.0])
+    drone.pilot.follow(goal)
+    await drone.fly(1.0)
+    for otherwise in (drone.pilot.hover, lambda: drone.pilot.follow(Acceleration([-1.0, 0.0, 0.0]))):
+        otherwise()
+        await drone.fly(0.2)
+        otherwise()
+        drone.pilot.follow(goal)
+        await drone.fly(4.0)
+        assert drone.p == pytest.approx(goal.p, abs=0.03)
 
 
 # For good -----------------------------------------------------------------------------------------------------------
@@ -413,12 +662,12 @@ async def test_an_emergency_stop_that_is_cleared_does_not_start_motors_that_it_c
 
 
 @virtual
-async def test_a_height_of_zero_is_a_height(clock):
+async def test_a_height_of_zero_is_a_height_and_flown_as_low_as_the_fence_allows(clock):
     drone = Flown(clock)
     await drone.fly(0.05)
     assert drone.pilot.take_off(0.0) < drone.pilot.limits.takeoff_height
     await drone.fly(3.0)
-    assert drone.p[2] < 0.02
+    assert drone.p[2] == pytest.approx(INSET, abs=0.01)
 
 
 @virtual
@@ -484,7 +733,7 @@ async def test_a_landing_near_the_fence_stays_inside(clock):
     await drone.hovering()
     t0 = clock.now()
     path = lambda: FullState.at([clock.now() - t0, 0.0, 1.0], [1.0, 0.0, 0.0])  # noqa: E731
-    await drone.fly(2.45, each=lambda: drone.pilot.follow(path()))
+    await drone.fly(2.4, each=lambda: drone.pilot.follow(path()))
     drone.pilot.land("landing on command")
     await drone.fly(11.0)
     assert drone.pilot.mode is Mode.GROUND
@@ -562,7 +811,7 @@ async def test_a_flight_may_begin_where_references_were_missing_and_a_lost_pose_
     await drone.hovering()
     drone.pilot.follow(Acceleration([0.0, 0.0, 0.0]))
     await drone.fly(1.0)
-    assert drone.pilot._braking is Action.HOVER
+    assert drone.pilot._obeyed is Action.BRAKE
     assert drone.pilot.go_to([2.0, 0.0, 1.0]) > 0.0
     plan = drone.pilot._plan
     await drone.fly(0.2)

@@ -1,0 +1,104 @@
+"""Where a drone goes while the cameras do not see it."""
+
+import math
+from typing import Protocol
+
+import numpy as np
+
+from crazychoir.math3d import GRAVITY, Vec, columns, dot, exponential, kernel, memory, product, real, unit, vector
+
+STEP = 0.01  # s, of the integration at most
+RATE_LAG = 0.05  # s, from a commanded body rate to that of the drone, delays of command and measurement included
+STANDING = 0.01  # m above the floor that still count as standing on it: the noise of the cameras
+
+
+class Motion(Protocol):
+    """How a state goes on."""
+
+    def after(self, x: Vec, u: Vec, t: float) -> Vec:
+        """A new state (13,), t s after x (13,) under the command u (4,) = thrust N, body rates rad/s."""
+        ...
+
+
+@kernel(vector, real, memory)
+def coast(x: Vec, t: float, out: Vec) -> None:
+    """The state t seconds after x at constant velocity and body rate, into out (13,)."""
+    out[:] = x
+    for c in range(3):
+        out[c] += t * x[3 + c]
+    q = product((x[6], x[7], x[8], x[9]), exponential(t * x[10], t * x[11], t * x[12]))
+    out[6], out[7], out[8], out[9] = q
+
+
+class ConstantVelocity:
+    """Velocity and body rates stay as they are, whatever is commanded."""
+
+    def after(self, x: Vec, u: Vec, t: float) -> Vec:
+        """A new state (13,)."""
+        out = np.empty(13)
+        coast(x, t, out)
+        return out
+
+
+@kernel()
+def _stand(x: Vec) -> None:
+    """Neither velocity nor rates."""
+    for c in range(3):
+        x[3 + c] = x[10 + c] = 0.0
+
+
+@kernel()
+def _turn(x: Vec, u: Vec, h: float) -> None:
+    """Attitude and body rates of x, h s later: the lag of the rates is exact, and they turn about their mean axis."""
+    keep = math.exp(-h / RATE_LAG)
+    mean = RATE_LAG * (1.0 - keep)
+    turn = exponential(
+        h * u[1] + mean * (x[10] - u[1]), h * u[2] + mean * (x[11] - u[2]), h * u[3] + mean * (x[12] - u[3])
+    )
+    x[6], x[7], x[8], x[9] = unit(product((x[6], x[7], x[8], x[9]), turn))
+    for c in range(3):
+        x[10 + c] = u[1 + c] + keep * (x[10 + c] - u[1 + c])
+
+
+@kernel(vector, vector, vector, real, real, memory)
+def _fly(x: Vec, u: Vec, platform: Vec, floor: float, t: float, out: Vec) -> None:
+    """The law of Commanded, t s on from x, into out (13,)."""
+    out[:] = x
+    steps = math.ceil(t / STEP)
+    for _ in range(steps):
+        h = t / steps
+        _turn(out, u, 0.5 * h)
+        bx, by, bz = columns((out[6], out[7], out[8], out[9]))
+        if out[2] < floor + STANDING and u[0] * bz[2] <= platform[0] * GRAVITY:
+            _stand(out)
+            continue
+        v = (out[3], out[4], out[5])
+        drag = (platform[1] * dot(bx, v), platform[2] * dot(by, v), platform[3] * dot(bz, v) - u[0])
+        for c in range(3):
+            a = -(drag[0] * bx[c] + drag[1] * by[c] + drag[2] * bz[c]) / platform[0] - (GRAVITY if c == 2 else 0.0)
+            out[c] += h * (v[c] + 0.5 * h * a)
+            out[3 + c] += h * a
+        _turn(out, u, 0.5 * h)
+        if out[2] < floor:
+            out[2] = floor
+            _stand(out)
+
+
+class Commanded:
+    """The paper's dynamics under the command that the drone obeys, and a first-order lag of its body rates.
+
+        p' = v,  v' = -g e3 + (u_1 / m) R e3 - (1/m) R A R^T v,  q' = 1/2 q (w, 0),  w' = (u_2..4 - w) / RATE_LAG
+
+    in steps of at most STEP s, the acceleration taken at their middle. Who stands on the floor stays there until its
+    thrust outweighs it.
+    platform: (9,), Platform.flat, whose A = diag is the drag;  floor: m, height of the ground.
+    """
+
+    def __init__(self, platform: Vec, floor: float) -> None:
+        self.platform, self.floor = platform, floor
+
+    def after(self, x: Vec, u: Vec, t: float) -> Vec:
+        """A new state (13,)."""
+        out = np.empty(13)
+        _fly(x, u, self.platform, self.floor, t, out)
+        return out
