@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.distance import pdist
 
-from crazychoir.agent import VERSION, Agent, Trace
+from crazychoir.agent import VERSION, Agent
 from crazychoir.bus.local import OBSERVER, Bus
 from crazychoir.bus.topics import LOG, STATUS, TRUTH, Topic
 from crazychoir.bus.zenoh import ZenohLink
@@ -32,6 +32,7 @@ from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import Clock, run_virtual, run_wall
 from crazychoir.runtime.mailbox import Call
 from crazychoir.runtime.supervisor import Supervisor
+from crazychoir.simulation.trace import Trace
 from crazychoir.swarm.config import SwarmConfig
 from crazychoir.types import State, Status
 

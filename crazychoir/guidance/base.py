@@ -183,7 +183,7 @@ class CFGuidance:
             raise Interrupted(f"drone {self.id}: its mission is over: {self.member.ended}")
 
     async def _while(self, seconds: float, *modes: Mode) -> None:
-        """Wait for a flight of `seconds`, in these modes or hovering; another one (landing, stopped) raises Interrupted."""
+        """Wait for a flight of `seconds`; raises Interrupted in other modes than these and hovering, as landing."""
         pilot, flying = self.member.pilot, (*modes, Mode.HOVER)
         ends = self.member.clock.now() + seconds
         while pilot.mode in flying and self.member.clock.now() < ends:

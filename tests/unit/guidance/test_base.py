@@ -165,7 +165,7 @@ async def test_a_flight_that_is_held_for_ever_is_given_up(clock):
     async with in_the_air(clock) as (guidance, pilot):
         pilot.hold()
         began = clock.now()
-        with pytest.raises(Interrupted, match="does not reach.*held by its operator"):
+        with pytest.raises(Interrupted, match=r"does not reach.*held by its operator"):
             await guidance.go_to([1.0, 0.0, 1.0])
         assert clock.now() - began == pytest.approx(base.PATIENCE, abs=0.1)
 
