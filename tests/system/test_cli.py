@@ -151,7 +151,8 @@ def test_a_mission_that_fails_lands_its_drone_and_the_others_go_on(tmp_path):
 def test_a_report_gets_the_same_results_in_both_worlds_whatever_a_mission_prints(tmp_path, fast):
     path = tmp_path / "telling.py"
     path.write_text(TELLING)
-    said = call("crazychoir", "run", path, "--drones", 2, "--json", *(["--fast"] if fast else []))
+    words = ("run", path, "--drones", 2, "--json", *(["--fast"] if fast else []))
+    said = call("crazychoir", *words, PYTHONUNBUFFERED="")  # prints late, if it can
     assert said.code == 1, said.err
     assert said.json["types"] == {i: ["bool", "float", "ndarray", [1]] for i in "01"}
     assert said.json["reasons"] == {"1": NO_REASON}

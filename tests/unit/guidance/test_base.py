@@ -114,7 +114,7 @@ async def test_a_rise_that_the_safety_table_has_stopped_goes_on(clock):
 @virtual
 async def test_a_low_rise_is_not_over_because_the_floor_is_near_it(clock):
     began = clock.now()
-    async with in_the_world(clock, lambda: not 0.2 < clock.now() - began < 0.35) as (guidance, pilot):
+    async with in_the_world(clock, lambda: not 0.05 < clock.now() - began < 0.2) as (guidance, pilot):
         await guidance.take_off(0.15)
         assert "pose" in pilot.note, "it was stopped"
         assert guidance.state.p[2] == pytest.approx(0.15, abs=0.02)
