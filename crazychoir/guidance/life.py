@@ -163,13 +163,14 @@ class GuidanceActor(Actor):
 
     def _judged(self, result: Result) -> Result:
         """The result, now that the drone is down: a success only if nobody had to bring it down, and it is whole."""
-        drone, pilot = self.drone, self.drone.pilot
+        pilot, harm = self.drone.pilot, self.drone.harm()
         cut = pilot.note if pilot.mode is Mode.CUT else ""
         brought_down = self._aborted or cut or pilot.guard.latched or pilot.brought_down
-        reasons = [text for text in (brought_down, drone.harm()) if text]
         if result.get("success"):
-            return failure(f"drone {drone.id}: {'; '.join(reasons)}", result) if reasons else result
-        return failure(f"{result['reason']}; {drone.harm()}", result) if drone.harm() else result
+            reasons = [text for text in (brought_down, harm) if text]
+            return failure(f"drone {self.drone.id}: {'; '.join(reasons)}", result) if reasons else result
+        reasons = [str(text) for text in (result.get("reason"), harm) if text]
+        return failure("; ".join(reasons), result) if harm else result
 
 
 def checked(returned: object) -> Result:

@@ -2,6 +2,7 @@
 
 import asyncio
 import re
+from functools import partial
 from types import SimpleNamespace
 
 import pytest
@@ -370,6 +371,12 @@ def test_a_drone_that_crashed_is_no_success():
     assert (results[0]["success"], results[0]["answer"]) == (False, 42)
     assert re.fullmatch(r"drone 0: crashed: hit the floor at \d\.\d\d m/s, allowed 1 m/s", results[0]["reason"])
     assert ended(hovers, 5.0, gust(1.0))[0][0] == {"success": True, "answer": 42}
+
+    async def knows(guidance, **told):
+        return {**await hovers(guidance), "success": False, **told}
+
+    for does, begins in ((knows, "crashed: hit"), (partial(knows, reason="a gust"), "a gust; crashed: hit")):
+        assert ended(does, 5.0, gust(6.0))[0][0]["reason"].startswith(begins)
 
 
 def test_a_descent_may_take_as_long_as_it_is_planned():
