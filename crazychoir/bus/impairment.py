@@ -72,10 +72,6 @@ class Impairment:
         """s since GO; 0 before."""
         return max(0.0, now - self.began)
 
-    def affects(self, source: int, destination: int) -> bool:
-        """Whether anything is set for this edge."""
-        return self.active and self._edge(source, destination).affected
-
     def verdict(
         self, source: int, destination: int, channel: int | str, number: int, attempt: int, size: int, now: float
     ) -> Verdict:

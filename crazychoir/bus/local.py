@@ -224,7 +224,10 @@ class Port:
         bus, ports, sent = self.bus, self.bus.ports, 0
         impaired = topic.impaired and bus.impairment.active
         if bus.forwarder is not None:  # what leaves this process goes first: the others work meanwhile
-            far = [j for j in to if j not in ports and not (impaired and j < OBSERVER)]
+            far = []
+            for j in to:  # a loop: a comprehension would make a function for each message
+                if j not in ports and not (impaired and j < OBSERVER):
+                    far.append(j)
             if far:
                 self._forward(topic, far, payload, number, channel, flags, age)
         for j in to:

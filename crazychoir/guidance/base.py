@@ -14,7 +14,6 @@ from crazychoir.errors import CrazyChoirError
 from crazychoir.guidance.hearing import Hearing
 from crazychoir.runtime.clock import SECOND, Clock, wake
 from crazychoir.runtime.mailbox import Call, Latest
-from crazychoir.runtime.stages import DECIDE
 from crazychoir.runtime.watchdog import Watchdog
 from crazychoir.safety.pilot import Mode, Pilot
 from crazychoir.swarm.communicator import Communicator, run_rounds
@@ -282,7 +281,8 @@ class CFDistributedFeedback(CFGuidance):
         """A new state: decide when all drones of this process have said theirs."""
         if self._law is not None:
             self._me = me
-            self._stages.add(DECIDE, self._decide)
+            self._stages.decide.append(self._decide)
+            self._stages.due()
 
     def _decide(self) -> None:
         """Call `step` if it is due. Its errors end the law, not the tick, which is not its alone."""

@@ -14,7 +14,7 @@ import selectors
 import sys
 import time
 from collections import deque
-from collections.abc import Awaitable, Callable, Coroutine, Generator, Iterator
+from collections.abc import Callable, Coroutine, Generator, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextvars import Context
 from types import FrameType
@@ -61,6 +61,10 @@ class Clock:
         alarm = Alarm(callback, args, self._loop)
         self.push(when_ns, alarm, priority, drone)
         return alarm
+
+    def future(self) -> "asyncio.Future[None]":
+        """Something to wait for, in the loop of this clock."""
+        return asyncio.Future(loop=self._loop)
 
     def soon(self, callback: Callable[[], object]) -> None:
         """Call it in the next pass of the loop."""
@@ -420,9 +424,3 @@ def prompt() -> Iterator[None]:
     finally:
         gc.unfreeze()
         sys.setswitchinterval(before)
-
-
-async def within(seconds: float, awaitable: Awaitable[T]) -> T:
-    """Await with a deadline; raises TimeoutError."""
-    async with asyncio.timeout(seconds):
-        return await awaitable

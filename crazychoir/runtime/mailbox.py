@@ -5,6 +5,7 @@ of time stamps: a message arrives with its age, and grows older by the receiver'
 """
 
 import asyncio
+import sys
 from collections import deque
 from collections.abc import Callable
 from math import inf
@@ -13,6 +14,8 @@ from typing import Any, Generic, TypeVar
 from crazychoir.runtime.clock import SECOND, Clock, wake
 
 T = TypeVar("T")
+SAME_TIME = 1_000
+"""ns by which two ages may be wrong: they are rounded."""
 
 
 class Mailbox(Generic[T]):
@@ -44,7 +47,7 @@ class Mailbox(Generic[T]):
 
 
 class Latest(Mailbox[T]):
-    """One slot: a newer message replaces the older; `dropped` counts those that nobody read."""
+    """One slot: a message replaces an older one; `dropped` counts those that nobody read, and those that came late."""
 
     def __init__(self, clock: Clock, name: str = "", max_age: float | None = None) -> None:
         super().__init__(clock, name)
@@ -53,16 +56,20 @@ class Latest(Mailbox[T]):
         self.version = 0
         self._seen = 0
         self._value: T | None = None
-        self._born_ns = 0
+        self._born_ns = -sys.maxsize
 
     def put(self, value: T, age: float = 0.0) -> None:
-        """Replace the content."""
+        """Replace the content, unless that is newer: on the way one message may overtake another."""
         self.received += 1
+        born_ns = self._now_ns() - round(age * SECOND) if age else self._now_ns()
+        if born_ns < self._born_ns - SAME_TIME:
+            self.dropped += 1
+            return
         if self.version > self._seen:
             self.dropped += 1
         self.version += 1
         self._value = value
-        self._born_ns = self._now_ns() - (round(age * SECOND) if age else 0)
+        self._born_ns = born_ns
         if self._waiter is not None:
             self._wake()
 
@@ -72,11 +79,6 @@ class Latest(Mailbox[T]):
             await self._wait()
         self._seen = self.version
         return self._value  # type: ignore[return-value]
-
-    @property
-    def unread(self) -> bool:
-        """Whether there is a message that nobody has read."""
-        return self.version > self._seen
 
     def peek(self) -> T | None:
         """The content, however old; None before the first message."""
@@ -103,7 +105,7 @@ class Latest(Mailbox[T]):
     def clear(self) -> None:
         """Back to before the first message."""
         self.version = self._seen = 0
-        self._value = None
+        self._value, self._born_ns = None, -sys.maxsize
 
 
 class DropOldest(Mailbox[T]):

@@ -27,7 +27,6 @@ from crazychoir.planning.point_to_point import PEAK_SPEED, PointToPoint, duratio
 from crazychoir.runtime.actor import Actor, Restart
 from crazychoir.runtime.clock import SECOND
 from crazychoir.runtime.mailbox import Call, Latest
-from crazychoir.runtime.stages import ACT, SAY
 from crazychoir.safety.guard import Action, Fence, Guard, Throttle, Verdict
 from crazychoir.safety.limits import ReferenceLimits
 from crazychoir.swarm.tables import Flight
@@ -189,8 +188,10 @@ class Pilot(Actor):
             self._fail(error)
         else:
             if self.state is not None:
-                self._stages.add(SAY, self._say_state)
-                self._stages.add(ACT, self._act)
+                stages = self._stages
+                stages.say.append(self._say_state)
+                stages.act.append(self._act)
+                stages.due()
 
     def _say_state(self) -> None:
         """Guidance decides when all have said theirs."""

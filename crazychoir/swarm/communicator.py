@@ -189,7 +189,9 @@ class Communicator(Rounds):
         box = ch.inbox.get(k)
         if box is None:
             box = ch.inbox[k] = {}
-        missing = wanted if not box else [j for j in wanted if j not in box]
+        missing = dict.fromkeys(wanted)
+        for j in box:
+            missing.pop(j, None)
         if missing:
             waiter = self._expect(ch, missing, self.deadline if deadline is None else deadline)
             try:

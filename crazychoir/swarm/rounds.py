@@ -8,7 +8,6 @@ further ahead than its history. So the answer of a round algorithm does not depe
 
 import asyncio
 from collections import deque
-from collections.abc import Sequence
 from math import inf
 from typing import Final, Protocol
 
@@ -70,10 +69,9 @@ class Rounds:
         self._flags = 0
         self._known = self._epochs.known
         self._clock = port.bus.clock
-        self._now_ns = self._clock.now_ns
+        self._now_ns, self._heard_ns = self._clock.now_ns, port.heard_ns
         self._channels: dict[str, Channel] = {}
         self._early: deque[tuple[int, bytes, int, str, int, int]] = deque(maxlen=MAX_EARLY)
-        self._waiting: dict[Channel, None] = {}
         self._alarm: Alarm | None = None
         self._due_ns = 0
         port.handlers[ROUND.number] = self._arrived
@@ -215,31 +213,33 @@ class Rounds:
 
     def _arrived(self, source: int, payload: bytes, number: int, channel: str, flags: int, age: float) -> None:
         ch = self._channels.get(channel)
-        kind = flags & KINDS
-        if ch is None or flags ^ kind != self._flags or number >= MAX_ROUND or source not in self._known:
+        kind = DATA
+        if ch is None or flags != self._flags or number >= MAX_ROUND or source not in self._known:
             if not self._counts(ch, source, payload, number, channel, flags, age):
                 return
-            ch = self._channels[channel]
-        if kind > AHEAD:
-            self._controlled(ch, kind, source, number)
-            return
+            ch, kind = self._channels[channel], flags & KINDS
+            if kind > AHEAD:
+                self._controlled(ch, kind, source, number)
+                return
         latest = ch.latest.get(source)
         if latest is None or number >= latest[0]:
-            ch.latest[source] = (number, payload, self.port.heard_ns[source] - (int(age * SECOND) if age else 0))
+            heard_ns = self._heard_ns[source]
+            ch.latest[source] = (number, payload, heard_ns - int(age * SECOND) if age else heard_ns)
             if kind != AHEAD:
                 ch.progress[source] = number
         if kind == REPEAT and number < ch.sending:
             self._answer(ch, number, source)
-        k = ch.receiving
+        k, inbox = ch.receiving, ch.inbox
         if k <= number < k + HISTORY:
-            box = ch.inbox.get(number)
+            box = inbox.get(number)
             if box is None:
-                box = ch.inbox[number] = {}
+                box = inbox[number] = {}
             if source not in box:
                 box[source] = payload
-                if number == k and source in ch.missing:
-                    del ch.missing[source]
-                    if not ch.missing:
+                missing = ch.missing
+                if number == k and source in missing:
+                    del missing[source]
+                    if not missing:
                         wake_if(ch.waiter)
         elif number >= k:
             self.ahead += 1
@@ -247,7 +247,7 @@ class Rounds:
     def _counts(
         self, ch: Channel | None, source: int, payload: bytes, number: int, channel: str, flags: int, age: float
     ) -> bool:
-        """Whether a message counts that is not of our epoch, or of nobody or of a channel that we know.
+        """Whether a message counts that is no plain message of our epoch, or of nobody or no channel that we know.
 
         One of a channel or an epoch that may be ours soon is kept; one of an earlier epoch never will.
         """
@@ -293,30 +293,28 @@ class Rounds:
 
     # Looking after those who wait -----------------------------------------------------------------------------
 
-    def _expect(self, ch: Channel, missing: Sequence[int], seconds: float) -> "asyncio.Future[None]":
+    def _expect(self, ch: Channel, missing: dict[int, None], seconds: float) -> "asyncio.Future[None]":
         """Wait for the messages of these; `_expected` ends it."""
         if ch.waiter is not None:
             where = f"drone {self.id}: channel {ch.name!r}"
             raise ConfigError(where, "two who wait on it", "one", "Give each algorithm a channel of its own.")
-        waiter = ch.waiter = asyncio.get_running_loop().create_future()
+        waiter = ch.waiter = self._clock.future()
         epochs = self._epochs
         if epochs.gaps:
             k = ch.receiving if ch.joinable else inf
-            missing = [j for j in missing if not epochs.silent(j, k)]
-        ch.missing = dict.fromkeys(missing)
-        if not ch.missing:
-            waiter.set_result(None)
+            missing = {j: None for j in missing if not epochs.silent(j, k)}
+            if not missing:
+                waiter.set_result(None)
+        ch.missing = missing
         now_ns = ch.since_ns = self._now_ns()
         ch.attempt = ch.resend_ns = 0
-        ch.deadline_ns = now_ns + int(SECOND * seconds)
-        self._waiting[ch] = None
-        if self._alarm is None or ch.deadline_ns < self._due_ns:
+        due_ns = ch.deadline_ns = now_ns + int(SECOND * seconds)
+        if self._alarm is None or due_ns < self._due_ns:
             self._schedule(now_ns)
         return waiter
 
     def _expected(self, ch: Channel) -> None:
         ch.waiter = None
-        self._waiting.pop(ch, None)
         if not ch.resend_ns:
             ch.round_time *= 0.875  # quicker than a look
         elif ch.attempt == 0:
@@ -325,14 +323,13 @@ class Rounds:
     def _schedule(self, now_ns: int) -> None:
         if self._alarm is not None:
             self._alarm.cancel()
-        waiting = [ch for ch in self._waiting if ch.waiter is not None and not ch.waiter.done()]
-        self._due_ns = min([now_ns - now_ns % SWEEP + SWEEP, *(ch.deadline_ns for ch in waiting)])
+        self._due_ns = min([now_ns - now_ns % SWEEP + SWEEP, *(ch.deadline_ns for ch in self._waiting())])
         self._alarm = self._clock.call_at(self._due_ns, self._sweep, drone=self.id)
 
     def _sweep(self) -> None:
         self._alarm = None
         now_ns = self._clock.now_ns()
-        for ch in list(self._waiting):
+        for ch in self._waiting():
             lost = () if ch.joinable else tuple(j for j in ch.missing if self.membership.lost(j))
             if lost:
                 fail(ch, PeerLost(self.id, lost, (now_ns - ch.since_ns) / SECOND))
@@ -343,8 +340,12 @@ class Rounds:
                 ch.resend_ns = ch.since_ns + int(SECOND * ch.rto(0))
             elif now_ns >= ch.resend_ns:
                 self._resend(ch, now_ns)
-        if any(ch.waiter is not None and not ch.waiter.done() for ch in self._waiting):
+        if self._waiting():
             self._schedule(now_ns)
+
+    def _waiting(self) -> list[Channel]:
+        """The channels on which somebody waits."""
+        return [ch for ch in self._channels.values() if ch.waiter is not None and not ch.waiter.done()]
 
     def _resend(self, ch: Channel, now_ns: int) -> None:
         """Whoever is missing may have sent and lost its message of this round, or may lack ours of the one before."""

@@ -82,7 +82,6 @@ def test_attempts_and_numbers_do_not_share_draws():
 def test_nothing_set_is_inactive():
     impairment = Impairment(1)
     assert not impairment.active
-    assert not impairment.affects(1, 2)
     assert one(impairment) is AT_ONCE
     assert impaired(loss=0.1).active
 
@@ -197,7 +196,6 @@ def test_partitions_cut_both_ways_while_they_last():
             (0.0,), (), (), (0.0,),
         ]  # fmt: skip
     for i, j in ((0, 1), (0, 3), (2, 3)):
-        assert not impairment.affects(i, j)
         assert one(impairment, source=i, destination=j, now=6.0) is AT_ONCE
 
 

@@ -8,7 +8,7 @@ from virtual_time import virtual
 
 from crazychoir.errors import Deadlock, Livelock
 from crazychoir.runtime import clock as clock_module
-from crazychoir.runtime.clock import MESSAGE, SECOND, TICK, TIMEOUT, WORLD, run_virtual, run_wall, within
+from crazychoir.runtime.clock import MESSAGE, SECOND, TICK, TIMEOUT, WORLD, run_virtual, run_wall
 from crazychoir.runtime.mailbox import Latest
 
 MS = 1_000_000
@@ -149,7 +149,7 @@ async def test_timeouts_of_asyncio_are_in_virtual_time(clock):
             await clock.sleep(2.0)
     assert clock.now() == 1.5
     with pytest.raises(TimeoutError):
-        await within(0.25, asyncio.Event().wait())
+        await asyncio.wait_for(timeout=0.25, fut=asyncio.Event().wait())
     assert clock.now() == 1.75
     _, pending = await asyncio.wait([asyncio.create_task(clock.sleep(9.0))], timeout=0.25)
     assert (len(pending), clock.now()) == (1, 2.0)
@@ -193,7 +193,7 @@ def test_a_virtual_run_repeats():
                 seen.append((due, i))
 
         with pytest.raises(TimeoutError):
-            await within(0.5, asyncio.gather(*(actor(i) for i in (4, 2, 0, 3, 1))))
+            await asyncio.wait_for(timeout=0.5, fut=asyncio.gather(*(actor(i) for i in (4, 2, 0, 3, 1))))
         return seen
 
     first = run_virtual(main)

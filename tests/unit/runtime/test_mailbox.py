@@ -67,6 +67,20 @@ async def test_a_fresh_message_that_was_looked_at_is_not_dropped(clock):
 
 
 @virtual
+async def test_a_message_that_was_overtaken_does_not_replace_the_newer_one(clock):
+    box = Latest(clock)
+    await clock.sleep(1.0)
+    box.put("newer", age=0.01)
+    box.put("older", age=0.03)
+    assert (box.peek(), box.version, box.dropped) == ("newer", 1, 1)
+    box.put("as old", age=0.01 + 1e-10)
+    assert box.peek() == "as old"
+    box.clear()
+    box.put("older", age=0.5)
+    assert box.peek() == "older"
+
+
+@virtual
 async def test_latest_forgets(clock):
     box = Latest(clock, max_age=1.0)
     box.put("a")

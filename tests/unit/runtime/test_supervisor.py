@@ -5,7 +5,7 @@ import pytest
 from virtual_time import virtual
 
 from crazychoir.runtime.actor import NEVER, ON_FAILURE, Actor, Restart
-from crazychoir.runtime.clock import run_virtual, run_wall, within
+from crazychoir.runtime.clock import run_virtual, run_wall
 from crazychoir.runtime.supervisor import STOP_DEADLINE, Supervisor
 
 
@@ -106,9 +106,9 @@ async def test_stopping_runs_even_for_what_was_never_started(clock):
 async def test_it_ends_when_all_have_ended(clock):
     diary = []
     parts = [Part(clock, diary, name, work=lambda run, s=s: clock.sleep(s)) for name, s in [("a", 1.0), ("b", 2.0)]]
-    await within(3.0, Supervisor(clock, "drone 3").run(parts))
+    await asyncio.wait_for(timeout=3.0, fut=Supervisor(clock, "drone 3").run(parts))
     assert [entry for entry in diary if entry[2] == "stopped"] == [(1.0, "a", "stopped"), (2.0, "b", "stopped")]
-    await within(3.0, Supervisor(clock, "drone 3").run([]))
+    await asyncio.wait_for(timeout=3.0, fut=Supervisor(clock, "drone 3").run([]))
     assert clock.now() == 2.0
 
 
