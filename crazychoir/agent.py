@@ -1,254 +1,39 @@
 """One process of a swarm: its drones, each a small set of actors, wired; and its world."""
 
 import asyncio
-import hashlib
 import logging
 import socket
-import struct
-import traceback
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from functools import partial
 from importlib.metadata import version
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from crazychoir.bus.commands import CommandServer
-from crazychoir.bus.local import OBSERVER, Bus, Port
-from crazychoir.bus.presence import Presence
+from crazychoir.bus.local import Bus
 from crazychoir.bus.topics import LOG, RESULT, STATUS
-from crazychoir.errors import CrazyChoirError, Hung, Refused
-from crazychoir.guidance.base import CFGuidance, Member, raisable, touch_down
-from crazychoir.guidance.mission import Mission
+from crazychoir.errors import Refused
+from crazychoir.guidance.drone import Drone
+from crazychoir.guidance.life import GuidanceActor
+from crazychoir.guidance.mission import Mission, mission_hash
 from crazychoir.mocap.simulated import SimulatedMocap
 from crazychoir.runtime.actor import Actor
-from crazychoir.runtime.clock import Clock, wake
+from crazychoir.runtime.clock import Clock
 from crazychoir.runtime.supervisor import Supervisor
 from crazychoir.runtime.watchdog import Stall, Watchdog
 from crazychoir.safety.guard import Fence
-from crazychoir.safety.pilot import Mode, Pilot
+from crazychoir.safety.pilot import Pilot
 from crazychoir.simulation.integrator import CFIntegrator
 from crazychoir.simulation.owner import EulerRatesLink, SimulatedLink, WorldOwner
+from crazychoir.simulation.trace import Trace
 from crazychoir.swarm.communicator import Communicator
 from crazychoir.swarm.config import SwarmConfig
 from crazychoir.swarm.impairment import impairment_of
 from crazychoir.swarm.roster import Barrier
-from crazychoir.types import Status
 
 log = logging.getLogger(__name__)
 VERSION = version("crazychoir")
-LANDING_DEADLINE = 30.0
-"""s, beyond the planned time of the descent, after which a drone that is still up has its motors cut."""
-LAST_WORDS = 1.0
-"""s after its drone is down that a mission which was ended has for its last messages, before it is cancelled again."""
-FAREWELL = 1.5
-"""s that a drone whose mission is over stays: others may lack its last messages, or the next roster from it."""
-_HEAD = struct.Struct("<iiiq")
-STOPPED = "emergency stop in force: it does not take off until `crazychoir stop --clear`"
-
-
-class Trace:
-    """Digest of a run in virtual time: every trajectory and every message between drones."""
-
-    def __init__(self) -> None:
-        self._hash = hashlib.blake2b(digest_size=16)
-        self._parts: list[bytes] = []
-
-    def message(self, destination: int, topic: int, source: int, number: int, payload: bytes) -> None:
-        """One message as it arrives; observers are no part of the run."""
-        if destination < OBSERVER:
-            self._parts += (_HEAD.pack(destination, topic, source, number), payload)
-
-    def update(self, part: bytes) -> None:
-        """One step of the world; all that was heard since the last one goes into the hash in one call."""
-        self._parts.append(part)
-        self._take()
-
-    def digest(self) -> str:
-        """Hex digits."""
-        self._take()
-        return self._hash.hexdigest()
-
-    def _take(self) -> None:
-        self._hash.update(b"".join(self._parts))
-        self._parts.clear()
-
-
-def mission_hash(config: SwarmConfig, mission: Mission) -> str:
-    """What all hosts must have in common: the swarm file, and the text of the mission."""
-    text = Path(getattr(mission, "__file__", None) or "")
-    code = text.read_bytes() if text.is_file() else b""
-    return hashlib.blake2b(config.digest().encode() + code, digest_size=8).hexdigest()
-
-
-@dataclass
-class Drone:
-    """The parts of one drone."""
-
-    id: int
-    port: Port
-    barrier: Barrier
-    communicator: Communicator
-    pilot: Pilot
-    guidance: CFGuidance
-    supervisor: Supervisor
-    result: dict[str, Any] = field(default_factory=dict)
-
-    def status(self) -> Status:
-        """What others see of it."""
-        counters, monitor = self.port.counters, self.barrier.monitor
-        news = self.guidance.member.report() if hasattr(self.guidance, "member") else {}
-        cost = news.get("cost")
-        return Status(
-            phase=self.pilot.mode.value,
-            task=str(news.get("task", "waiting for the others" if self.barrier.roster is None else "")),
-            round=int(news.get("round", self.communicator.rounds)),
-            cost=float("nan") if cost is None else float(cost),
-            sent=counters.sent,
-            lost=counters.lost,
-            resent=counters.resent,
-            dropped=counters.malformed + self.communicator.ahead,
-            suspect=monitor.those(Presence.SUSPECT),
-            gone=monitor.those(Presence.LOST),
-            process=self.port.bus.process,
-            host=self.port.bus.host,
-            note=self.pilot.note,
-        )
-
-
-class GuidanceActor(Actor):
-    """Waits for the team, runs the mission, and leaves the drone on the ground."""
-
-    name = "guidance"
-
-    def __init__(self, drone: Drone, config: SwarmConfig, watchdog: Watchdog | None) -> None:
-        self.drone, self.config, self.watchdog = drone, config, watchdog
-        self._life: asyncio.Task[dict[str, Any]] | None = None
-        self._ended: asyncio.Future[None] | None = None
-        self._member: Member | None = None
-        self._aborted = ""
-
-    async def run(self) -> None:
-        """GO, mission, result; whatever ends the mission is a result, and the drone ends on the ground."""
-        drone = self.drone
-        self._ended = asyncio.get_running_loop().create_future()
-        self._life = asyncio.create_task(self._mission(), name=f"drone {drone.id} guidance")
-        try:
-            ends: list[asyncio.Future[Any]] = [self._life, self._ended]
-            await asyncio.wait(ends, return_when=asyncio.FIRST_COMPLETED)
-            if not self._life.done():
-                await self._end(self._life)
-            drone.result = self._outcome(self._life)
-        except asyncio.CancelledError:
-            drone.result = {"success": False, "reason": "the mission was cancelled"}
-            drone.pilot.land("the mission was cancelled")
-            raise
-        finally:
-            self._life.cancel()
-            self._forbid("the mission has ended")
-            await self._down()
-            drone.result = self._judged(drone.result)
-            drone.port.publish(RESULT, drone.result)
-        await drone.port.bus.clock.sleep(FAREWELL, drone=drone.id)
-        await self._until_cleared()
-
-    async def _end(self, life: asyncio.Task[dict[str, Any]]) -> None:
-        """An aborted mission may say its last words while its drone lands; then it is cancelled until it obeys."""
-        clock, i = self.drone.port.bus.clock, self.drone.id
-        await self._down()
-        patient = clock.now() + LAST_WORDS
-        while not life.done() and clock.now() < patient + LAST_WORDS:
-            if clock.now() >= patient:
-                life.cancel()
-            await clock.sleep(0.05, drone=i)
-        if not life.done():
-            log.error("drone %d: its mission does not end when it is cancelled; left behind", i)
-
-    def _outcome(self, life: asyncio.Task[dict[str, Any]]) -> dict[str, Any]:
-        """What the mission has come to; an aborted one has failed, whatever it says."""
-        pilot = self.drone.pilot
-        error = life.exception() if life.done() and not life.cancelled() else None
-        if self._aborted:
-            return {"success": False, "reason": self._aborted}
-        if error is None:
-            pilot.land("the mission has ended in the air")
-            return {"success": True, **life.result()}
-        if isinstance(error, CrazyChoirError) and not isinstance(error, Hung):  # somebody lost, a refusal
-            log.warning("drone %d: %s", self.drone.id, error)
-            pilot.land(str(error))
-            return {"success": False, "reason": str(error)}
-        return {"success": False, "reason": self._broken(error)}
-
-    def _judged(self, result: dict[str, Any]) -> dict[str, Any]:
-        """The result, now that the drone is down: a success only if nobody had to bring it down."""
-        pilot = self.drone.pilot
-        reason = self._aborted or (pilot.note if pilot.mode is Mode.CUT else pilot.guard.latched)
-        if not reason or not result.get("success"):
-            return result
-        return {**result, "success": False, "reason": f"drone {self.drone.id}: {reason}"}
-
-    def _broken(self, error: BaseException) -> str:
-        """The mission's own code has failed: the pilot hovers, then lands; the observers hear why."""
-        at = traceback.extract_tb(error.__traceback__)[-1]
-        cause = f"{type(error).__name__}: {error} ({at.filename}:{at.lineno} {at.name})"
-        text = f"drone {self.drone.id}: guidance failed: {cause}"
-        log.error("%s", text, exc_info=error)
-        self.drone.port.publish(LOG, text)
-        self.drone.pilot.guidance_failed(cause)
-        return text
-
-    def abort(self, reason: str) -> None:
-        """End the mission where it is, for good."""
-        self._aborted = self._aborted or reason
-        self._forbid(reason)
-        if self._life is not None:
-            self._life.cancel()
-        if self._ended is not None:
-            wake(self._ended)
-
-    def _forbid(self, reason: str) -> None:
-        """Nothing that the mission leaves behind flies the drone again."""
-        if self._member is not None:
-            self._member.ended = self._member.ended or reason
-
-    async def _mission(self) -> dict[str, Any]:
-        drone = self.drone
-        await self._until_cleared()
-        await drone.barrier.go()
-        if drone.port.bus.stopped:
-            raise Refused(f"drone {drone.id}", STOPPED)
-        member = Member(drone.id, self.config, drone.port.bus.clock, drone.communicator, drone.pilot, self.watchdog)
-        member.announce = lambda: drone.port.publish(STATUS, drone.status())
-        self._member = member
-        drone.guidance.bind(member)
-        try:
-            result: object = await drone.guidance.mission()
-        except SystemExit as end:
-            raise RuntimeError(f"the mission called sys.exit({end.code!r})") from end
-        except asyncio.CancelledError as cancelled:
-            if self._life is not None and self._life.cancelling():
-                raise
-            raise raisable(cancelled, "the mission") from cancelled
-        if result is not None and not isinstance(result, dict):
-            raise TypeError(f"mission() returned a {type(result).__name__}; allowed: a dictionary, or nothing")
-        return result or {}
-
-    async def _down(self) -> None:
-        """Wait until it is on the ground; a mission that was aborted has a pilot that lands already."""
-        pilot = self.drone.pilot
-        await touch_down(pilot, LANDING_DEADLINE)
-        if pilot.airborne:
-            pilot.cut("does not come down")
-
-    async def _until_cleared(self) -> None:
-        """An emergency stop outlives its mission: who starts, or restarts, hears of it from those who stay."""
-        bus = self.drone.port.bus
-        if bus.stopped and not self._aborted:
-            log.warning("drone %d: %s", self.drone.id, STOPPED)
-        while bus.stopped and not self._aborted:
-            await bus.clock.sleep(0.1, drone=self.drone.id)
 
 
 class StatusActor(Actor):
@@ -341,12 +126,20 @@ class Agent:
         fence = Fence.box(config.fence.min, config.fence.max)
         pilot = Pilot(port, self._link(i), config.flight, fence, config.mocap.rate)
         supervisor = self._supervisor(i)
-        drone = Drone(i, port, barrier, communicator, pilot, self.mission.guidance(i, config), supervisor)
+        guidance = self.mission.guidance(i, config)
+        drone = Drone(i, port, barrier, communicator, pilot, guidance, supervisor, partial(self._harm, i))
         CommandServer(port, partial(self._execute, drone), partial(self._stop, drone))
         return drone
 
     def _supervisor(self, i: int) -> Supervisor:
         return Supervisor(self.clock, f"drone {i}", lambda actor, error, again: self._failed(i, actor, error, again))
+
+    def _harm(self, i: int) -> str:
+        """A drone that the simulated floor has broken."""
+        if i not in self.world.crashed:
+            return ""
+        impact, allowed = self.world.impact[self.world.row[i]], self.world.platform.max_landing_speed
+        return f"crashed: hit the floor at {impact:.2f} m/s, allowed {allowed:g} m/s"
 
     def _link(self, i: int) -> SimulatedLink:
         return (EulerRatesLink if self.config.plant.inputs == "euler" else SimulatedLink)(self.world, i)

@@ -1,15 +1,14 @@
 """crazychoir-agent: one drone of a swarm, or a few, in this process."""
 
 import ctypes
-import json
 import logging
 import signal
-import sys
-from typing import Annotated, Any
+from pathlib import Path
+from typing import Annotated
 
 import typer
 
-from crazychoir.cli.show import STDERR, fail, result_table, set_up_logging
+from crazychoir.cli.show import STDERR, fail, prints_aside, result_table, set_up_logging, write_json
 from crazychoir.errors import CrazyChoirError
 
 log = logging.getLogger(__name__)
@@ -28,38 +27,38 @@ def agent(
     listen: Annotated[str | None, typer.Option(help="Zenoh endpoint to listen on.")] = None,
     connect: Annotated[list[str] | None, typer.Option(help="Zenoh endpoint to connect to; several times.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
-    child: Annotated[bool, typer.Option(hidden=True)] = False,
+    child: Annotated[Path | None, typer.Option(hidden=True, help="Results go there; it lands without parent.")] = None,
 ) -> None:
     """Fly drones of a swarm; Ctrl-C lands them."""
-    if child:
+    if child is not None:
         ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGHUP)
     set_up_logging()
     from crazychoir.cli.chosen import configured  # kernels and network: 1 s that --help does not need
     from crazychoir.cli.process import run_agent
     from crazychoir.guidance.mission import has, load
+    from crazychoir.launch.processes import write_results
 
     try:
-        config, which = configured(swarm, mission, loss, seed)
-        flown = load(str(config.mission))
-        members = tuple(sorted({config.drone(i).id: None for i in ids}))
-        warned = flown.check(config, force) if has(flown, "check") else []
-        if not as_json:
-            STDERR.print(f"swarm {config.name} ({which}), mission {config.mission}, drone(s) {ids}")
-        for text in warned:
-            log.warning("%s", text)
-        results = run_agent(config, flown, members, listen, connect)
+        with prints_aside():
+            config, which = configured(swarm, mission, loss, seed)
+            flown = load(str(config.mission))
+            members = tuple(sorted({config.drone(i).id: None for i in ids}))
+            warned = flown.check(config, force) if has(flown, "check") else []
+            if not as_json and child is None:
+                STDERR.print(f"swarm {config.name} ({which}), mission {config.mission}, drone(s) {ids}")
+            for text in warned:
+                log.warning("%s", text)
+            flight = run_agent(config, flown, members, listen, connect)
     except CrazyChoirError as error:
         fail(error, as_json)
-    show(results, as_json)
-    raise typer.Exit(0 if all(r.get("success") for r in results["results"].values()) else 1)
-
-
-def show(results: dict[str, Any], as_json: bool) -> None:
-    """The result of this process."""
-    if as_json:
-        sys.stdout.write(json.dumps(results, default=str) + "\n")
+    results = flight["results"]
+    if child is not None:
+        write_results(child, results)
+    elif as_json:
+        write_json(flight)
     else:
-        STDERR.print(result_table(results["results"]))
+        STDERR.print(result_table(results))
+    raise typer.Exit(0 if all(result.get("success") for result in results.values()) else 1)
 
 
 def main() -> None:

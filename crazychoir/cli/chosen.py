@@ -63,16 +63,30 @@ def to_run(
     return (scatter(config) if scatter else config), mission
 
 
-def check_only(only: str, what: str, swarm: str | None, others: dict[str, Any]) -> None:
-    """Who starts some drones meets those that start the rest by the name and the ports of one swarm file.
+def check_options(what: str, swarm: str | None, only: str | None, given: dict[str, Any]) -> None:
+    """Refuse options of `crazychoir run` that would say nothing beside the others.
 
-    others: options of a whole swarm on this machine, and their values, which must be empty.
+    given: options of a whole swarm on this machine, and their values.
     """
-    if swarm is None and not what.endswith(SWARM_FILES):
+    own_file = swarm is not None or what.endswith(SWARM_FILES)
+    if swarm is not None and what.endswith(SWARM_FILES):
+        raise ConfigError("--swarm", f"{swarm} beside {what}", "one swarm file")
+    if own_file and given["--drones"]:
+        do = "Change the [[drones]] of the file."
+        raise ConfigError("--drones", f"{given['--drones']} beside a swarm file", "the drones of that file", do)
+    if given["--fast"] and given["--processes"]:
+        raise ConfigError("--processes", "--fast beside it", "no --fast: virtual time is one process")
+    if only is not None:
+        _check_only(only, what, own_file, given)
+
+
+def _check_only(only: str, what: str, own_file: bool, given: dict[str, Any]) -> None:
+    """Who starts some drones meets those that start the rest by the name and the ports of one swarm file."""
+    if not own_file:
         allowed = "a swarm file that all share who start its drones"
         do = f"For example `crazychoir run swarm.toml --only {only}`, or `crazychoir run {what} --swarm ...`."
         raise ConfigError("--only", f"{only} without a swarm file", allowed, do)
-    for option, value in others.items():
+    for option, value in given.items():
         if value:
             raise ConfigError("--only", f"{option} beside it", f"no {option}: it is for a whole swarm on this machine")
 

@@ -1,14 +1,21 @@
 """crazychoir: run missions, solve instances, look into a running swarm."""
 
-import json
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from crazychoir.cli import look, solve
-from crazychoir.cli.show import STDERR, Progress, fail, set_up_logging, status_table, summary_table
+from crazychoir.cli.show import (
+    STDERR,
+    Progress,
+    fail,
+    prints_aside,
+    set_up_logging,
+    status_table,
+    summary_table,
+    write_json,
+)
 from crazychoir.errors import CrazyChoirError
 
 if TYPE_CHECKING:
@@ -47,28 +54,34 @@ def run(
 ) -> None:
     """Fly a mission on this machine; Ctrl-C lands the drones."""
     set_up_logging()
-    from crazychoir.cli.chosen import check_only, to_run, to_start  # kernels and network: 1 s that --help does not need
+    from crazychoir.cli.chosen import (  # kernels and network: 1 s that --help does not need
+        check_options,
+        to_run,
+        to_start,
+    )
     from crazychoir.guidance.mission import has
-    from crazychoir.launch import apart, fly_fast, fly_real, swarm_file
+    from crazychoir.launch.flight import fly_fast, fly_real
+    from crazychoir.launch.network import apart, swarm_file
 
+    given = {"--fast": fast, "--processes": processes, "--picture": picture, "--drones": drones}
     try:
-        config, mission = to_run(what, drones, swarm, loss, seed)
-        if only is not None:
-            check_only(only, what, swarm, {"--fast": fast, "--processes": processes, "--picture": picture})
-        here = to_start(only, config)
-        warned = mission.check(config, force) if has(mission, "check") else []
-        with Progress(status_table, enabled=not as_json) as progress:
-            for text in warned:
-                progress.say(text)
-            if fast:
-                result = fly_fast(config, mission, progress)
-            else:
-                config = config if only is not None else apart(config, processes)
-                with swarm_file(config) as path:
-                    progress.say(f"Look into it (or echo, hz, impair, stop): crazychoir status --swarm {path}")
-                    flags = ["--force"] if force else []
-                    result = fly_real(path, config, mission, flags, progress, progress.say, here)
-        result["picture"] = _drawn(mission, config, result, picture)
+        check_options(what, swarm, only, given)
+        with prints_aside():
+            config, mission = to_run(what, drones, swarm, loss, seed)
+            started = to_start(only, config)
+            warned = mission.check(config, force) if has(mission, "check") else []
+            with Progress(status_table, enabled=not as_json) as progress:
+                for text in warned:
+                    progress.say(text)
+                if fast:
+                    result = fly_fast(config, mission, progress)
+                else:
+                    config = config if only is not None else apart(config, processes)
+                    with swarm_file(config) as path:
+                        progress.say(f"Look into it (or echo, hz, impair, stop): crazychoir status --swarm {path}")
+                        flags = ["--force"] if force else []
+                        result = fly_real(path, config, mission, flags, progress, progress.say, started)
+            result["picture"] = _drawn(mission, config, result, picture)
     except CrazyChoirError as error:
         fail(error, as_json)
     _show(result, as_json)
@@ -87,7 +100,7 @@ def _drawn(mission: "Mission", config: "SwarmConfig", result: dict[str, Any], pa
 
 def _show(result: dict[str, Any], as_json: bool) -> None:
     if as_json:
-        sys.stdout.write(json.dumps(result, default=str) + "\n")
+        write_json(result)
     else:
         STDERR.print(summary_table(result))
 

@@ -1,20 +1,18 @@
 """Look into a running swarm, and change its simulated network: topics, echo, hz, status, impair, stop."""
 
-import json
-import sys
 from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.table import Table
 
-from crazychoir.cli.show import STDERR, fail, set_up_logging, status_table
+from crazychoir.cli.show import STDERR, fail, plain, set_up_logging, status_table, write_json
 from crazychoir.errors import ConfigError, CrazyChoirError
 
 if TYPE_CHECKING:
     from crazychoir.bus.topics import Topic
     from crazychoir.cli.window import Answers, Window, Work
-    from crazychoir.launch import Score
+    from crazychoir.launch.score import Score
 
 SwarmOption = Annotated[str | None, typer.Option(help="Swarm file; else ./swarm.toml, else the demo swarm.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON on standard output, nothing else.")]
@@ -45,7 +43,7 @@ def topics(as_json: JsonOption = False) -> None:
         for topic in TOPICS
     ]  # fmt: skip
     if as_json:
-        sys.stdout.write(json.dumps(rows, default=str).replace("Infinity", "null") + "\n")
+        write_json(rows)
         return
     table = Table(*rows[0])
     for row in rows:
@@ -111,10 +109,7 @@ def status(
 
     score = looking(swarm, work, as_json)
     if as_json:
-        import msgspec
-
-        rows = {i: msgspec.structs.asdict(status) for i, status in sorted(score.statuses.items())}
-        sys.stdout.write(json.dumps(_plain(rows)) + "\n")
+        write_json(dict(sorted(score.statuses.items())))
     else:
         STDERR.print(status_table(score))
 
@@ -181,24 +176,13 @@ def _topic(name: str) -> "Topic":
 
 
 def _print_value(i: int, value: Any, age: float) -> None:
-    import msgspec
-
-    fields = msgspec.structs.asdict(value) if isinstance(value, msgspec.Struct) else {"value": value}
-    sys.stdout.write(json.dumps(_plain({"drone": i, "age": round(age, 4), **fields})) + "\n")
-    sys.stdout.flush()
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
-    if hasattr(value, "tolist"):  # an array
-        return value.tolist()
-    return None if isinstance(value, float) and value != value else value
+    fields = plain(value) if hasattr(value, "__struct_fields__") else {"value": value}
+    write_json({"drone": i, "age": round(age, 4), **fields})
 
 
 def _print_pairs(pairs: dict[int, Any], heads: tuple[str, str], as_json: bool) -> None:
     if as_json:
-        sys.stdout.write(json.dumps({str(i): value for i, value in pairs.items()}) + "\n")
+        write_json(pairs)
         return
     table = Table(*heads)
     for i, value in pairs.items():

@@ -1,10 +1,13 @@
 """What people see: tables, live progress, errors."""
 
+import contextlib
 import json
 import logging
+import math
+import os
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any, Generic, NoReturn, Self, TypeVar
 
 import typer
@@ -14,7 +17,7 @@ from rich.table import Table
 from crazychoir.errors import CrazyChoirError
 
 if TYPE_CHECKING:
-    from crazychoir.launch import Score
+    from crazychoir.launch.score import Score
 
 T = TypeVar("T")
 STDERR = Console(stderr=True)
@@ -33,10 +36,44 @@ def set_up_logging(level: int = logging.WARNING) -> None:
     logging.basicConfig(level=level, format="%(message)s", handlers=[handler], force=True)
 
 
+@contextlib.contextmanager
+def prints_aside() -> Iterator[None]:
+    """Standard output is for what a command answers: what missions, and programs that they start, print goes aside,
+    to standard error.
+    """
+    output = os.dup(1)
+    os.dup2(2, 1)
+    try:
+        with contextlib.redirect_stdout(sys.stderr):
+            yield
+    finally:
+        os.dup2(output, 1)
+        os.close(output)
+
+
+def write_json(value: Any) -> None:
+    """One line of JSON on standard output, at once."""
+    sys.stdout.write(json.dumps(plain(value), default=str) + "\n")
+    sys.stdout.flush()
+
+
+def plain(value: Any) -> Any:
+    """What JSON has for any value that travels: lists for arrays, fields by name, null for what is not finite."""
+    if isinstance(value, dict):
+        return {key if isinstance(key, str | int) else str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    if hasattr(value, "tolist"):  # an array
+        return plain(value.tolist())
+    if hasattr(value, "__struct_fields__"):  # a wire type
+        return {name: plain(getattr(value, name)) for name in value.__struct_fields__}
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
 def fail(error: CrazyChoirError, as_json: bool) -> NoReturn:
     """Say what is wrong, and end with exit code 2."""
     if as_json:
-        sys.stdout.write(json.dumps({"success": False, "error": str(error), "kind": type(error).__name__}) + "\n")
+        write_json({"success": False, "error": str(error), "kind": type(error).__name__})
     STDERR.print(f"[bold red]{type(error).__name__}[/]: ", end="")
     STDERR.print(str(error), markup=False, highlight=False, soft_wrap=True)
     raise typer.Exit(2)

@@ -1,7 +1,5 @@
 """crazychoir solve: a pickup-and-delivery instance by its robots, without flying."""
 
-import json
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -9,7 +7,7 @@ import typer
 from rich.console import Group
 from rich.table import Table
 
-from crazychoir.cli.show import STDERR, Progress, fail, set_up_logging
+from crazychoir.cli.show import STDERR, Progress, fail, set_up_logging, write_json
 from crazychoir.errors import CrazyChoirError
 
 if TYPE_CHECKING:
@@ -44,7 +42,7 @@ def solve(
     except CrazyChoirError as error:
         fail(error, as_json)
     if as_json:
-        sys.stdout.write(json.dumps(result) + "\n")
+        write_json(result)
     else:
         STDERR.print(_tables(result))
     raise typer.Exit(0 if result["feasible"] else 1)

@@ -10,7 +10,8 @@ from crazychoir.bus.topics import Topic
 from crazychoir.bus.zenoh import ZenohLink
 from crazychoir.cli.chosen import chosen_swarm
 from crazychoir.errors import Refused
-from crazychoir.launch import Score, attached, observer
+from crazychoir.launch.network import attached, observer
+from crazychoir.launch.score import Score
 from crazychoir.runtime.clock import Clock, run_wall
 from crazychoir.runtime.mailbox import Call
 from crazychoir.swarm.config import SwarmConfig

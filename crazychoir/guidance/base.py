@@ -121,15 +121,26 @@ class CFGuidance:
     # Flying ---------------------------------------------------------------------------------------------------
 
     async def take_off(self, height: float | None = None) -> None:
-        """Rise and hover; a drone that is held, or not seen yet, waits on the ground."""
-        pilot = self.member.pilot
+        """Rise to `height` m above the ground (None: that of the swarm file), inside the fence, and be there.
+
+        A drone that is held, or not seen yet, waits on the ground; a rise that the safety table or an operator has
+        stopped goes on as in `go_to`, which is also how a drone in the air gets to the height.
+        Raises Interrupted when it may not rise, and as `go_to`.
+        """
+        pilot, limits = self.member.pilot, self.member.config.flight
         ends = self.member.clock.now() + PATIENCE
         while (pilot.state is None or pilot.held) and self.member.clock.now() < ends:
             await self.sleep(SETTLE)
         self._may_fly()
         if pilot.state is None:
             raise Interrupted(f"drone {self.id}: no pose within {PATIENCE:g} s")
+        start = self.state.p
+        goal = start.copy()
+        goal[2] = limits.ground + (limits.takeoff_height if height is None else height)
+        goal[2] = pilot.fence.nearest(goal)[2]
         await self._while(pilot.take_off(height), Mode.TAKEOFF)
+        if abs(goal[2] - self.state.p[2]) > min(ARRIVED, 0.5 * abs(goal[2] - start[2])):
+            await self.go_to(goal)
 
     async def go_to(self, p: Point, duration: float = 0.0) -> None:
         """Fly to p (3,) m, world, and be there: a flight that the safety table has stopped is flown again.
@@ -142,11 +153,12 @@ class CFGuidance:
             self._may_fly()
             seconds = self.member.pilot.go_to(p, duration=duration)
             attempts += seconds > 0.0
-            await self._while(seconds or SETTLE, Mode.HOVER, Mode.TAKEOFF, Mode.FOLLOW)
+            await self._while(seconds or SETTLE, Mode.TAKEOFF, Mode.FOLLOW)
             if np.linalg.norm(self.state.p - np.asarray(p)) < ARRIVED:
                 return
         place = np.round(np.asarray(p), 2).tolist()
-        raise Interrupted(f"drone {self.id}: does not reach {place}: {self.member.pilot.note}")
+        why = "held by its operator" if self.member.pilot.held else self.member.pilot.note
+        raise Interrupted(f"drone {self.id}: does not reach {place}: {why}")
 
     async def land(self) -> None:
         """Come down and stop the motors; a drone that its operator holds waits in the air, at most PATIENCE s.
@@ -177,12 +189,12 @@ class CFGuidance:
             raise Interrupted(f"drone {self.id}: its mission is over: {self.member.ended}")
 
     async def _while(self, seconds: float, *modes: Mode) -> None:
-        """Wait for a flight of `seconds`; an interrupted one (landing, stopped) raises Interrupted."""
-        pilot = self.member.pilot
+        """Wait for a flight of `seconds`; raises Interrupted in other modes than these and hovering, as landing."""
+        pilot, flying = self.member.pilot, (*modes, Mode.HOVER)
         ends = self.member.clock.now() + seconds
-        while pilot.mode in (*modes, Mode.HOVER) and self.member.clock.now() < ends:
+        while pilot.mode in flying and self.member.clock.now() < ends:
             await self.sleep(min(SETTLE, max(ends - self.member.clock.now(), 1e-3)))
-        if pilot.mode not in (*modes, Mode.HOVER):
+        if pilot.mode not in flying:
             raise Interrupted(f"drone {self.id}: {pilot.mode.value}: {pilot.note}")
 
 

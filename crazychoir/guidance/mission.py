@@ -1,5 +1,6 @@
 """A mission is one Python file: in agents/, or anywhere. What it may define, and how it is found."""
 
+import hashlib
 import importlib
 import importlib.util
 import pkgutil
@@ -58,6 +59,13 @@ def load(name: str) -> Mission:
 def has(mission: Mission, what: str) -> bool:
     """Whether the mission file defines one of the optional functions."""
     return callable(getattr(mission, what, None))
+
+
+def mission_hash(config: SwarmConfig, mission: Mission) -> str:
+    """What all hosts must have in common: the swarm file, and the text of the mission."""
+    text = Path(getattr(mission, "__file__", None) or "")
+    code = text.read_bytes() if text.is_file() else b""
+    return hashlib.blake2b(config.digest().encode() + code, digest_size=8).hexdigest()
 
 
 def names() -> list[str]:

@@ -4,10 +4,12 @@ Every robot computes the same answer from the same timed paths: the lower id goe
 shortest time after which it keeps clear of all before it, of those that wait and of those that have landed.
 """
 
+import math
 from collections.abc import Mapping
 
 import numpy as np
 
+from crazychoir.errors import Refused
 from crazychoir.math3d import Mat
 
 STEP = 0.1
@@ -22,14 +24,21 @@ def start_delays(paths: Mapping[int, Mat], clearance: float, slack: float = 0.3,
     paths: {id: (T_i, 3) m, sampled every STEP s, from the floor to the floor};  clearance: m to keep, vertical
     distances halved;  slack: s that any two drones may be out of step;  wait: s, granularity of the delays.
     A drone at its home or back there counts as an obstacle too, by its true distance.
+    Raises Refused if a flight comes too near to the home of another drone, however long it waits.
     """
     delays: dict[int, float] = {}
     for i in sorted(paths):
-        longest = sum(len(paths[j]) for j in delays) * STEP
-        for n in range(int(longest / wait) + 2):
+        before = list(delays)
+        all_down = max((delays[j] + len(paths[j]) * STEP for j in before), default=0.0) + slack
+        for n in range(math.ceil(all_down / wait) + 1):
             delays[i] = n * wait
-            if all(_clear(paths, delays, i, j, clearance, slack) for j in delays if j != i):
+            near = [j for j in before if not _clear(paths, delays, i, j, clearance, slack)]
+            if not near:
                 break
+        else:
+            others = ", ".join(map(str, near))
+            reason = f"within {clearance:g} m of drone(s) {others} however long it waits: move their homes apart"
+            raise Refused(f"the flight of drone {i}", reason)
     return delays
 
 

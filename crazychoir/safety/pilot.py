@@ -111,6 +111,8 @@ class Pilot(Actor):
         self.mode = Mode.GROUND
         self.state: State | None = None
         self.note = ""
+        self.brought_down = ""
+        """Why the safety table has first ended a flight by landing it; empty if it never did."""
         self.held = False
         self.controller = HierarchicalController(
             FlatnessPositionCtrl(STANDARD), GeometryAttitudeCtrl(STANDARD), FPQRSender(), FullStateTraj()
@@ -403,7 +405,8 @@ class Pilot(Actor):
         if verdict.action is Action.CUT:
             self.cut(verdict.reason)
         elif verdict.action is Action.LAND:
-            self.land(verdict.reason)
+            if self.land(verdict.reason) > 0.0:
+                self.brought_down = self.brought_down or verdict.reason
         elif verdict.action is Action.BRAKE and self.mode is not Mode.LAND:
             self._brake()
 

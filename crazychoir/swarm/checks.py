@@ -12,14 +12,17 @@ from crazychoir.swarm.tables import Position, Swarm
 
 FLOWN = ("sim",)
 PLANNED = ("udp", "radio", "mujoco")
-TOUCHING = 0.15
-"""m: two Crazyflies nearer than this, centre to centre, touch."""
+TOUCHING = 0.137
+"""m: two Crazyflies nearer than this, centre to centre, may touch: 92 mm from motor to motor along the diagonal (data
+sheet of the Crazyflie 2.1, Bitcraze), and half a propeller of 45 mm beyond each end."""
+OLDEST_POSE = 0.10
+"""s: a drone whose pose is older brakes, see safety/guard.py; one that always is never flies."""
 
 
 def check(swarm: Swarm, where: str) -> None:
     """Raise ConfigError for the first rule that does not hold; `where` is the file's name."""
     _ids(swarm, where)
-    for rule in (_uris, _box, _homes, _hosts, _placement, _processes, _start, _ports, _links, _partitions):
+    for rule in (_uris, _box, _homes, _cameras, _hosts, _placement, _processes, _start, _ports, _links, _partitions):
         rule(swarm, where)
     graph_of(swarm, where)
 
@@ -166,6 +169,20 @@ def _apart(swarm: Swarm, where: str) -> None:
                     "Move one of them.",
                     f"{d:.2g} m from the home of drone {other.id}",
                 )
+
+
+def _cameras(swarm: Swarm, where: str) -> None:
+    """Just before the next pose comes, the last one is latency + 1 / rate old."""
+    mocap = swarm.mocap
+    oldest = mocap.latency + 1.0 / mocap.rate
+    if oldest > OLDEST_POSE:
+        raise ConfigError(
+            f"{where}: mocap",
+            f"latency {mocap.latency:g} s, rate {mocap.rate:g} Hz",
+            f"at most {OLDEST_POSE:g} s: a drone whose pose is older brakes",
+            "Lower the latency, or raise the rate.",
+            f"poses get {oldest:.3g} s old before the next one comes",
+        )
 
 
 def _between(low: Position, high: Position) -> str:

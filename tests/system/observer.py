@@ -12,8 +12,9 @@ import msgspec
 
 from crazychoir.bus.local import OBSERVER, Bus
 from crazychoir.bus.topics import LOG, STATUS
-from crazychoir.launch import Call, observer_link
+from crazychoir.launch.network import observer_link
 from crazychoir.runtime.clock import Clock, run_wall
+from crazychoir.runtime.mailbox import Call
 from crazychoir.runtime.supervisor import Supervisor
 from crazychoir.swarm.config import SwarmConfig
 

@@ -17,7 +17,8 @@ from typer.testing import CliRunner
 
 from crazychoir.cli import agent, crazychoir, window
 from crazychoir.guidance.mission import load
-from crazychoir.launch import apart, fly_fast
+from crazychoir.launch.flight import NO_REASON, fly_fast
+from crazychoir.launch.network import apart
 from crazychoir.swarm.config import SwarmConfig
 
 pytestmark = pytest.mark.system
@@ -39,6 +40,26 @@ def guidance(i, config):
 
 def swarm(drones=None):
     return SwarmConfig.of({"name": "raising", "drones": [{"id": i, "home": [float(i), 0.0, 0.0]} for i in range(3)]})
+"""
+TELLING = """
+import numpy as np
+from crazychoir import CFGuidance
+
+class Goes(CFGuidance):
+    async def mission(self):
+        await self.take_off(0.2)
+        print("hovering", self.id)
+        await self.land()
+        far = np.linalg.norm(self.state.p - np.array([9.0, 9.0, 9.0]))
+        there = far < (0.1 if self.id == 1 else 99.0)
+        return {"success": there, "far": np.float32(9.0), "at": self.state.p, "by": {1: 2}}
+
+def guidance(i, config):
+    return Goes()
+
+def report(config, results):
+    return {"types": {i: [type(result[key]).__name__ for key in ("success", "far", "at")] + [list(result["by"])]
+                      for i, result in results.items()}}
 """
 DRONE = "[[drones]]\nid = 0\nhome = [0.0, 0.0, 0.0]\n"
 
@@ -68,6 +89,8 @@ def here(monkeypatch):
         (["deploy/lab6.toml", "--only", "17"], ["--only: found 17", "0 to 5"]),
         (["deploy/lab6.toml", "--only", "2", "--fast"], ["--only", "--fast"]),
         (["bearing_formation", "--fast", "--drones", "30"], ["--drones", "30"]),
+        (["deploy/lab6.toml", "--fast", "--drones", "3"], ["--drones", "3 beside a swarm file"]),
+        (["bearing_formation", "--fast", "--processes", "2"], ["--processes", "--fast beside it"]),
         (["bearing_formation", "--fast", "--loss", "2"], ["loss", "probability"]),
     ],
 )
@@ -122,6 +145,20 @@ def test_a_mission_that_fails_lands_its_drone_and_the_others_go_on(tmp_path):
     assert list(result["reasons"]) == ["1"]
     assert result["results"]["0"]["law_s"] == pytest.approx(2.0, abs=0.02)
     assert result["flown_m"]["1"] == pytest.approx(2.0, abs=0.1), "up, and down again"
+
+
+@pytest.mark.parametrize("fast", [True, pytest.param(False, marks=pytest.mark.real_time)], ids=["fast", "real time"])
+def test_a_report_gets_the_same_results_in_both_worlds_whatever_a_mission_prints(tmp_path, fast):
+    path = tmp_path / "telling.py"
+    path.write_text(TELLING)
+    words = ("run", path, "--drones", 2, "--json", *(["--fast"] if fast else []))
+    said = call("crazychoir", *words, PYTHONUNBUFFERED="")  # prints late, if it can
+    assert said.code == 1, said.err
+    assert said.json["types"] == {i: ["bool", "float", "ndarray", [1]] for i in "01"}
+    assert said.json["reasons"] == {"1": NO_REASON}
+    assert said.json["results"]["0"]["far"] == 9.0
+    assert len(said.json["results"]["0"]["at"]) == 3
+    assert sorted(line for line in said.err.splitlines() if "hovering" in line) == ["hovering 0", "hovering 1"]
 
 
 def test_the_live_table_shows_a_drone_flying_only_when_it_flies():

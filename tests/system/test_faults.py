@@ -19,7 +19,7 @@ from crazychoir.bus.codec import encode
 from crazychoir.bus.frames import Envelope, Frame, encode_frame
 from crazychoir.bus.topics import ESTOP, HEARTBEAT, HELLO, ROSTER, ROUND, STATE, Class
 from crazychoir.guidance.mission import load
-from crazychoir.launch import apart
+from crazychoir.launch.network import apart
 from crazychoir.swarm.config import SwarmConfig
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(300), pytest.mark.usefixtures("compiled")]

@@ -7,7 +7,8 @@ from system.agents import BRISK
 from system.commands import call, fly, run
 
 from crazychoir.guidance.mission import load
-from crazychoir.launch import Score, fly_fast
+from crazychoir.launch.flight import fly_fast
+from crazychoir.launch.score import Score
 from crazychoir.swarm.config import SwarmConfig
 from crazychoir.types import Status
 

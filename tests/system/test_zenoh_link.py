@@ -25,7 +25,7 @@ from crazychoir.bus.local import Bus
 from crazychoir.bus.topics import HELLO, LOG, RESULT, ROUND, STATE, STATUS
 from crazychoir.bus.zenoh import ZenohLink
 from crazychoir.errors import ConfigError, Refused
-from crazychoir.launch import free_ports
+from crazychoir.launch.network import free_ports
 from crazychoir.swarm.communicator import Communicator
 from crazychoir.swarm.graph import Graph
 from crazychoir.types import State, Status

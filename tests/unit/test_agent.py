@@ -1,20 +1,24 @@
 """Agents in virtual time: results, what all hosts must have in common, and an agent that comes back."""
 
 import asyncio
+import re
+from functools import partial
 from types import SimpleNamespace
 
 import pytest
 
-from crazychoir.agent import Agent, Trace, mission_hash
+from crazychoir.agent import Agent
 from crazychoir.bus.local import OBSERVER
 from crazychoir.bus.topics import LOG, RESULT
 from crazychoir.errors import Refused
 from crazychoir.guidance.base import CFDistributedFeedback, CFGuidance
-from crazychoir.guidance.mission import load
+from crazychoir.guidance.life import STAYS
+from crazychoir.guidance.mission import load, mission_hash
 from crazychoir.runtime.clock import SECOND, run_virtual
 from crazychoir.runtime.mailbox import Call
 from crazychoir.safety.guard import Fence, Guard
 from crazychoir.safety.pilot import Mode
+from crazychoir.simulation.trace import Trace
 from crazychoir.swarm.config import default_swarm
 from crazychoir.types import Acceleration
 
@@ -107,7 +111,25 @@ def test_however_a_mission_ends_its_drone_lands_and_says_the_result(does, result
     else:
         assert not found["success"]
         assert result in found["reason"]
-        assert "test_agent.py" in found["reason"] or "agent.py" in found["reason"]
+        assert "test_agent.py" in found["reason"] or "life.py" in found["reason"]
+
+
+async def returns_a_set(guidance):
+    await guidance.take_off()
+    return {"seen": {1, 2}}
+
+
+@pytest.mark.parametrize("watched", [False, True])
+def test_a_result_is_the_same_whether_anybody_looks_on_or_not(watched):
+    async def main(clock):
+        agent = Agent(clock, swarm(1), mission_of(returns_a_set), (0,))
+        if watched:
+            await observe(agent, RESULT)
+        return (await agent.run())[0]
+
+    result = run_virtual(main)
+    assert result["success"] is False
+    assert "mission() returned what cannot travel: value['seen']: found a set" in result["reason"]
 
 
 def test_an_observer_that_comes_when_the_mission_is_over_still_gets_the_result_once():
@@ -140,6 +162,23 @@ def test_an_operators_landing_is_the_result():
     run_virtual(main)
 
 
+def test_after_an_emergency_stop_the_agent_says_what_it_waits_for_and_an_operator_may_end_it(caplog):
+    async def main(clock):
+        agent = Agent(clock, swarm(1), mission_of(stays), (0,))
+        running = asyncio.create_task(agent.run())
+        await clock.sleep(3.0)
+        agent.bus.stopped = True
+        agent._stop(agent.drones[0], True)
+        await clock.sleep(60.0)
+        assert agent.drones[0].status().note == STAYS
+        assert [r.message for r in caplog.records].count(f"drone 0: {STAYS}") == 1
+        agent.land_all("SIGINT: landing")
+        await clock.sleep(1.0)
+        assert running.done()
+
+    run_virtual(main)
+
+
 @pytest.mark.parametrize(
     ("pause", "why"),
     [
@@ -165,7 +204,7 @@ def test_an_emergency_stop_cuts_for_good_and_its_clearing_only_ends_the_agent(pa
         agent.bus.stopped = False
         result = (await running)[0]
         assert not result["success"]
-        assert result["reason"] == f"drone 0: stopped: {why}"
+        assert result["reason"].startswith(f"drone 0: stopped: {why}; crashed: hit the floor at 2.4")
         assert agent.drones[0].pilot.mode is Mode.CUT
 
     run_virtual(main)
@@ -288,6 +327,56 @@ def test_a_drone_that_its_guard_has_landed_for_good_is_no_success():
     assert not results[0]["success"]
     assert results[0]["reason"].startswith("drone 0: 0.3")
     assert "outside the fence" in results[0]["reason"]
+
+
+def blind(at, until):
+    """The cameras see nothing from `at` to `until` s."""
+
+    def close(agent):
+        sample = agent.owner.cameras.sample
+        agent.owner.cameras.sample = lambda x, k: [None] * len(x) if agent.clock.now() < until else sample(x, k)
+
+    return at, close
+
+
+@pytest.mark.parametrize("lands", [False, True], ids=["after its mission", "in its mission"])
+def test_a_drone_that_was_landed_for_lack_of_poses_is_no_success_though_its_mission_slept_through_it(lands):
+    async def sleeps(guidance):
+        await guidance.take_off()
+        await guidance.sleep(6.0)
+        if lands:
+            await guidance.land()
+        return {"photo": "taken"}
+
+    results, _, phases = ended(sleeps, *blind(4.0, 4.8))
+    assert phases[-3:] == [Mode.HOVER, Mode.LAND, Mode.GROUND]
+    assert (results[0]["success"], results[0]["photo"]) == (False, "taken")
+    assert results[0]["reason"] == "drone 0: pose 0.52 s old, limit 0.50 s: landing"
+
+
+def test_a_drone_that_crashed_is_no_success():
+    """A gust throws it to the floor, whence it rises again."""
+
+    async def hovers(guidance):
+        await guidance.take_off(1.0)
+        await guidance.sleep(6.0)
+        await guidance.land()
+        return {"answer": 42}
+
+    def gust(speed):
+        return lambda agent: agent.world.states.__setitem__((0, 5), -speed)
+
+    results, _, phases = ended(hovers, 5.0, gust(6.0))
+    assert phases == [Mode.GROUND, Mode.TAKEOFF, Mode.HOVER, Mode.LAND, Mode.GROUND], "its mission saw nothing of it"
+    assert (results[0]["success"], results[0]["answer"]) == (False, 42)
+    assert re.fullmatch(r"drone 0: crashed: hit the floor at \d\.\d\d m/s, allowed 1 m/s", results[0]["reason"])
+    assert ended(hovers, 5.0, gust(1.0))[0][0] == {"success": True, "answer": 42}
+
+    async def knows(guidance, **told):
+        return {**await hovers(guidance), "success": False, **told}
+
+    for does, begins in ((knows, "crashed: hit"), (partial(knows, reason="a gust"), "a gust; crashed: hit")):
+        assert ended(does, 5.0, gust(6.0))[0][0]["reason"].startswith(begins)
 
 
 def test_a_descent_may_take_as_long_as_it_is_planned():

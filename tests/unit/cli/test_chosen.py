@@ -1,6 +1,6 @@
 import pytest
 
-from crazychoir.cli.chosen import changed, check_only, to_run, to_start
+from crazychoir.cli.chosen import changed, check_options, to_run, to_start
 from crazychoir.errors import ConfigError
 from crazychoir.swarm.config import SwarmConfig, default_swarm
 
@@ -27,17 +27,36 @@ def test_a_process_starts_whole_or_not():
         to_start("1,2", PAIRS)
 
 
+NOTHING = {"--fast": False, "--processes": None, "--picture": None, "--drones": None}
+
+
 def test_only_wants_a_swarm_file():
     with pytest.raises(ConfigError, match=r"--only.*2 without a swarm file.*--swarm"):
-        check_only("2", "bearing_formation", None, {})
-    check_only("2", "bearing_formation", "swarm.toml", {})
-    check_only("2", "swarm.toml", None, {"--fast": False, "--processes": None})
+        check_options("bearing_formation", None, "2", NOTHING)
+    check_options("bearing_formation", "swarm.toml", "2", NOTHING)
+    check_options("swarm.toml", None, "2", NOTHING)
 
 
-@pytest.mark.parametrize("option", ["--fast", "--processes"])
+@pytest.mark.parametrize("option", ["--fast", "--processes", "--picture"])
 def test_only_goes_with_nothing_of_a_whole_swarm(option):
     with pytest.raises(ConfigError, match=f"--only: found {option}"):
-        check_only("2", "swarm.toml", None, {"--fast": False, "--processes": None} | {option: 2})
+        check_options("swarm.toml", None, "2", NOTHING | {option: 2})
+
+
+@pytest.mark.parametrize(
+    ("what", "swarm", "given", "said"),
+    [
+        ("swarm.toml", None, {"--drones": 6}, "--drones: found 6 beside a swarm file"),
+        ("bearing_formation", "swarm.toml", {"--drones": 6}, "--drones: found 6 beside a swarm file"),
+        ("a.toml", "b.toml", {}, "--swarm: found b.toml beside a.toml"),
+        ("bearing_formation", None, {"--fast": True, "--processes": 2}, "--processes: found --fast beside it"),
+    ],
+)
+def test_an_option_that_would_say_nothing_is_refused(what, swarm, given, said):
+    with pytest.raises(ConfigError, match=said):
+        check_options(what, swarm, None, NOTHING | given)
+    check_options("bearing_formation", None, None, NOTHING | {"--drones": 6, "--processes": 2})
+    check_options("bearing_formation", None, None, NOTHING | {"--drones": 6, "--fast": True})
 
 
 def test_the_command_line_changes_what_it_names_and_nothing_else():

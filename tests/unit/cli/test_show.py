@@ -1,7 +1,9 @@
 import io
 import json
+import os
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 import typer
 from rich.console import Console
@@ -9,7 +11,7 @@ from rich.table import Table
 
 from crazychoir.cli import show
 from crazychoir.errors import ConfigError
-from crazychoir.types import Status
+from crazychoir.types import Acceleration, Status
 
 RUN = {
     "mission": "m", "success": True, "drones": 4, "here": [0, 1, 2, 3], "reasons": {}, "absent": [], "wall_s": 2.0,
@@ -38,6 +40,25 @@ def test_an_error_is_one_object_and_a_text(screen, capsys):
     said = {"success": False, "error": "here: found 3; allowed: 4.", "kind": "ConfigError"}
     assert json.loads(capsys.readouterr().out) == said
     assert "here: found 3; allowed: 4." in screen.getvalue()
+
+
+def test_whatever_travels_is_printed_as_json(capsys):
+    value = {1: np.arange(2.0), "me": Acceleration(np.zeros(3)), (0, 1): [np.float32(0.5), float("nan"), float("inf")]}
+    show.write_json(value)
+    assert json.loads(capsys.readouterr().out) == {
+        "1": [0.0, 1.0], "me": {"a": [0.0, 0.0, 0.0], "yaw": 0.0}, "(0, 1)": [0.5, None, None],
+    }  # fmt: skip
+
+
+def test_what_missions_and_their_programs_print_is_not_on_standard_output(capfd):
+    with show.prints_aside():
+        print("of Python", flush=True)  # noqa: T201
+        os.write(1, b"of a program\n")
+    show.write_json({"success": True})
+    said = capfd.readouterr()
+    assert said.out == '{"success": true}\n'
+    assert "of Python\n" in said.err
+    assert "of a program\n" in said.err
 
 
 def test_a_swarm_shows_who_has_not_been_heard_and_who_is_silent():

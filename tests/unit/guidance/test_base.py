@@ -43,8 +43,8 @@ def pair(clock):
 
 
 @contextlib.asynccontextmanager
-async def in_the_air(clock):
-    """A guidance whose drone hovers in a world that goes on; its pilot."""
+async def in_the_world(clock, seen=lambda: True):
+    """A guidance whose drone stands in a world that goes on; its pilot. seen: whether the cameras see it."""
     bus, config, world = Bus(clock), default_swarm(2), CFIntegrator((0,), np.zeros((1, 3)))
     pilot = Pilot(bus.port(0), SimulatedLink(world, 0), config.flight, Fence.box((-3.0, -3.0, -0.2), (3.0, 3.0, 2.5)))
     guidance = CFGuidance()
@@ -54,14 +54,21 @@ async def in_the_air(clock):
         async for _ in clock.ticks(1.0 / TICK):
             for _ in range(round(TICK / world.dt)):
                 world.step()
-            pilot.tick(Pose(world.state(0).flat[[0, 1, 2, 6, 7, 8, 9]]))
+            pilot.tick(Pose(world.state(0).flat[[0, 1, 2, 6, 7, 8, 9]]) if seen() else None)
 
     turning = asyncio.create_task(turn())
-    await guidance.take_off()
     try:
         yield guidance, pilot
     finally:
         turning.cancel()
+
+
+@contextlib.asynccontextmanager
+async def in_the_air(clock):
+    """The same, hovering."""
+    async with in_the_world(clock) as (guidance, pilot):
+        await guidance.take_off()
+        yield guidance, pilot
 
 
 @pytest.mark.parametrize("verb", VERBS)
@@ -96,6 +103,38 @@ async def test_a_take_off_that_is_not_flown_raises_with_the_reason(clock):
 
 
 @virtual
+async def test_a_rise_that_the_safety_table_has_stopped_goes_on(clock):
+    began = clock.now()
+    async with in_the_world(clock, lambda: not 0.6 < clock.now() - began < 0.75) as (guidance, pilot):
+        await guidance.take_off(1.0)
+        assert "pose" in pilot.note, "it was stopped"
+        assert guidance.state.p == pytest.approx([0.0, 0.0, 1.0], abs=0.02)
+
+
+@virtual
+async def test_a_low_rise_is_not_over_because_the_floor_is_near_it(clock):
+    began = clock.now()
+    async with in_the_world(clock, lambda: not 0.05 < clock.now() - began < 0.2) as (guidance, pilot):
+        await guidance.take_off(0.15)
+        assert "pose" in pilot.note, "it was stopped"
+        assert guidance.state.p[2] == pytest.approx(0.15, abs=0.02)
+
+
+@virtual
+async def test_a_rise_waits_while_an_operator_holds_the_drone_and_ends_at_the_fence(clock):
+    async with in_the_world(clock) as (guidance, pilot):
+        rise = asyncio.create_task(guidance.take_off(5.0))
+        await clock.sleep(1.5)
+        pilot.hold()
+        await clock.sleep(20.0)
+        assert not rise.done()
+        assert 0.2 < guidance.state.p[2] < 2.0
+        pilot.hold(False)
+        await rise
+        assert guidance.state.p[2] == pytest.approx(2.4, abs=base.ARRIVED), "inside the fence"
+
+
+@virtual
 async def test_a_flight_waits_while_an_operator_holds_the_drone(clock):
     async with in_the_air(clock) as (guidance, pilot):
         pilot.hold()
@@ -126,7 +165,7 @@ async def test_a_flight_that_is_held_for_ever_is_given_up(clock):
     async with in_the_air(clock) as (guidance, pilot):
         pilot.hold()
         began = clock.now()
-        with pytest.raises(Interrupted, match="does not reach"):
+        with pytest.raises(Interrupted, match=r"does not reach.*held by its operator"):
             await guidance.go_to([1.0, 0.0, 1.0])
         assert clock.now() - began == pytest.approx(base.PATIENCE, abs=0.1)
 

@@ -5,6 +5,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from crazychoir.errors import Refused
 from crazychoir.guidance.separation import STEP, start_delays
 
 CLEARANCE = 0.35
@@ -77,10 +78,17 @@ def test_the_order_of_the_dictionary_does_not_matter():
 
 
 def test_who_stands_on_the_floor_is_an_obstacle_by_its_true_distance():
-    """Drone 0 flies 0.5 m above drone 1, that has landed: halved that would be too near."""
+    """Drone 0 flies 0.5 m above drone 1, that has landed or waits: halved that would be too near."""
     paths = {0: trip((0.0, 0.0), (2.0, 0.0)), 1: trip((1.0, 0.0), (1.0, 0.0))}
     assert start_delays(paths, 0.3)[1] == 0.0
-    assert start_delays(paths, 0.55)[1] > 0.0
+    with pytest.raises(Refused, match=r"the flight of drone 1: .*within 0.55 m of drone\(s\) 0 however long it waits"):
+        start_delays(paths, 0.55)
+
+
+def test_homes_that_are_nearer_than_the_clearance_are_refused():
+    paths = {0: trip((0.0, 0.0), (0.0, 2.0)), 1: trip((0.3, 0.0), (0.3, 2.0))}
+    with pytest.raises(Refused, match="move their homes apart"):
+        start_delays(paths, CLEARANCE)
 
 
 def test_air_above_another_is_rough():

@@ -3,6 +3,7 @@ import pytest
 
 from crazychoir.errors import ConfigError
 from crazychoir.safety.guard import ALL_WELL, TABLE, Action, Fence, Guard, Rule, Throttle
+from crazychoir.swarm.checks import OLDEST_POSE
 from crazychoir.types import State
 
 HERE = State.at((0.0, 0.0, 1.0))
@@ -159,3 +160,7 @@ def test_a_reason_is_said_once_a_second():
     said = [k for k in range(250) if say.due(0.01 * k, "pose")]
     assert said == [0, 100, 200]
     assert say.due(0.5, "fence")
+
+
+def test_a_swarm_file_is_refused_if_its_poses_would_always_be_too_old():
+    assert min(rule.limit for rule in TABLE if rule.measure == "pose") == OLDEST_POSE

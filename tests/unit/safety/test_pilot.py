@@ -114,6 +114,21 @@ async def test_it_follows_accelerations_full_states_and_goals(clock):
 
 
 @virtual
+async def test_it_remembers_why_the_safety_table_has_landed_it_and_no_landing_that_was_asked_for(clock):
+    drone = Flown(clock)
+    await drone.hovering()
+    drone.pilot.land("enough")
+    await drone.fly(0.6, poses=False)
+    await drone.fly(8.0)
+    assert (drone.pilot.mode, drone.pilot.brought_down) == (Mode.GROUND, "")
+    await drone.hovering()
+    await drone.fly(0.6, poses=False)
+    await drone.fly(8.0)
+    assert drone.pilot.mode is Mode.GROUND
+    assert drone.pilot.brought_down == "pose 0.51 s old, limit 0.50 s: landing"
+
+
+@virtual
 async def test_a_reference_that_is_not_renewed_ends_in_hovering_then_in_landing(clock):
     drone = Flown(clock)
     await drone.hovering()

@@ -155,8 +155,20 @@ CASES = {
     "homes that touch": (
         "",
         "[[drones]]\nid = 8\nhome = [0.05, 0, 0]",
-        "x.toml: drones[0].home = [0.0, 0.0, 0.0]: 0.05 m from the home of drone 8; homes are 0.15 m apart or more. "
+        "x.toml: drones[0].home = [0.0, 0.0, 0.0]: 0.05 m from the home of drone 8; homes are 0.137 m apart or more. "
         "Move one of them.",
+    ),
+    "cameras that are late": (
+        "mocap.latency = 0.095",
+        "",
+        "x.toml: mocap = latency 0.095 s, rate 100 Hz: poses get 0.105 s old before the next one comes; "
+        "at most 0.1 s: a drone whose pose is older brakes. Lower the latency, or raise the rate.",
+    ),
+    "cameras that are slow": (
+        "mocap.rate = 8",
+        "",
+        "x.toml: mocap = latency 0.005 s, rate 8 Hz: poses get 0.13 s old before the next one comes; "
+        "at most 0.1 s: a drone whose pose is older brakes. Lower the latency, or raise the rate.",
     ),
     "host without a table": (
         "",

@@ -1,0 +1,53 @@
+"""One drone of a process: its parts, and how it is."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+from crazychoir.bus.local import Port
+from crazychoir.bus.presence import Presence
+from crazychoir.guidance.base import CFGuidance
+from crazychoir.runtime.supervisor import Supervisor
+from crazychoir.safety.pilot import Pilot
+from crazychoir.swarm.communicator import Communicator
+from crazychoir.swarm.roster import Barrier
+from crazychoir.types import Status
+
+
+@dataclass
+class Drone:
+    """The parts of one drone."""
+
+    id: int
+    port: Port
+    barrier: Barrier
+    communicator: Communicator
+    pilot: Pilot
+    guidance: CFGuidance
+    supervisor: Supervisor
+    harm: Callable[[], str] = str
+    """Says what has happened to its body; empty if nothing has, or nobody knows."""
+    result: dict[str, Any] = field(default_factory=dict)
+    waits: str = ""
+    """What it waits for now that its mission is over."""
+
+    def status(self) -> Status:
+        """What others see of it."""
+        counters, monitor = self.port.counters, self.barrier.monitor
+        news = self.guidance.member.report() if hasattr(self.guidance, "member") else {}
+        cost = news.get("cost")
+        return Status(
+            phase=self.pilot.mode.value,
+            task=str(news.get("task", "waiting for the others" if self.barrier.roster is None else "")),
+            round=int(news.get("round", self.communicator.rounds)),
+            cost=float("nan") if cost is None else float(cost),
+            sent=counters.sent,
+            lost=counters.lost,
+            resent=counters.resent,
+            dropped=counters.malformed + self.communicator.ahead,
+            suspect=monitor.those(Presence.SUSPECT),
+            gone=monitor.those(Presence.LOST),
+            process=self.port.bus.process,
+            host=self.port.bus.host,
+            note=self.waits or self.pilot.note,
+        )

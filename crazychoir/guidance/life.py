@@ -1,0 +1,197 @@
+"""The life of a mission at one drone: GO, the mission, its end; the drone is judged when it is on the ground."""
+
+import asyncio
+import logging
+import traceback
+from typing import Any
+
+from crazychoir.bus.codec import decode, encode
+from crazychoir.bus.topics import LOG, RESULT, STATUS
+from crazychoir.errors import CodecError, CrazyChoirError, Hung, Refused
+from crazychoir.guidance.base import Member, raisable, touch_down
+from crazychoir.guidance.drone import Drone
+from crazychoir.runtime.actor import Actor
+from crazychoir.runtime.watchdog import Watchdog
+from crazychoir.safety.pilot import Mode
+from crazychoir.swarm.config import SwarmConfig
+
+log = logging.getLogger(__name__)
+LANDING_DEADLINE = 30.0
+"""s, beyond the planned time of the descent, after which a drone that is still up has its motors cut."""
+LAST_WORDS = 1.0
+"""s after its drone is down that an aborted mission has for its last messages, before it is cancelled again."""
+FAREWELL = 1.5
+"""s that a drone whose mission is over stays: others may lack its last messages, or the next roster from it."""
+STOPPED = "emergency stop in force: it does not take off until `crazychoir stop --clear`"
+STAYS = "emergency stop in force: stays, to tell who starts, until `crazychoir stop --clear` or Ctrl-C"
+
+Result = dict[str, Any]
+
+
+class GuidanceActor(Actor):
+    """Waits for the team, runs the mission, and leaves the drone on the ground, with the result.
+
+    The mission ends by itself, or somebody aborts it.
+    """
+
+    name = "guidance"
+
+    def __init__(self, drone: Drone, config: SwarmConfig, watchdog: Watchdog | None) -> None:
+        self.drone, self.config, self.watchdog = drone, config, watchdog
+        self._life: asyncio.Task[Result] | None = None
+        self._member: Member | None = None
+        self._abort: asyncio.Future[str] = asyncio.get_running_loop().create_future()
+
+    async def run(self) -> None:
+        """The whole life; afterwards the drone stays for a while, for the others."""
+        drone = self.drone
+        life = self._life = asyncio.create_task(self._mission(), name=f"drone {drone.id} guidance")
+        try:
+            ends: list[asyncio.Future[Any]] = [life, self._abort]
+            await asyncio.wait(ends, return_when=asyncio.FIRST_COMPLETED)
+            if not life.done():
+                await self._last_words(life)
+            drone.result = self._outcome(life)
+        except asyncio.CancelledError:
+            drone.result = failure("the mission was cancelled")
+            drone.pilot.land("the mission was cancelled")
+            raise
+        finally:
+            life.cancel()
+            self._forbid("the mission has ended")
+            await self._down()
+            drone.result = self._judged(drone.result)
+            drone.port.publish(RESULT, drone.result)
+        await drone.port.bus.clock.sleep(FAREWELL, drone=drone.id)
+        await self._until_cleared(STAYS)
+
+    def abort(self, reason: str) -> None:
+        """End the mission where it is, for good; the first reason stays."""
+        if not self._abort.done():
+            self._abort.set_result(reason)
+        self._forbid(reason)
+        if self._life is not None:
+            self._life.cancel()
+
+    @property
+    def _aborted(self) -> str:
+        """Why the mission was aborted; empty if it was not."""
+        return self._abort.result() if self._abort.done() else ""
+
+    def _forbid(self, reason: str) -> None:
+        """Nothing that the mission leaves behind flies the drone again."""
+        if self._member is not None:
+            self._member.ended = self._member.ended or reason
+
+    # The mission ----------------------------------------------------------------------------------------------
+
+    async def _mission(self) -> Result:
+        """Wait for GO, then run the mission's own code; returns its checked result."""
+        drone = self.drone
+        await self._until_cleared(STOPPED)
+        await drone.barrier.go()
+        if drone.port.bus.stopped:
+            raise Refused(f"drone {drone.id}", STOPPED)
+        member = Member(drone.id, self.config, drone.port.bus.clock, drone.communicator, drone.pilot, self.watchdog)
+        member.announce = lambda: drone.port.publish(STATUS, drone.status())
+        self._member = member
+        drone.guidance.bind(member)
+        try:
+            return checked(await drone.guidance.mission())
+        except SystemExit as end:
+            raise RuntimeError(f"the mission called sys.exit({end.code!r})") from end
+        except asyncio.CancelledError as cancelled:
+            if self._life is not None and self._life.cancelling():
+                raise
+            raise raisable(cancelled, "the mission") from cancelled
+
+    async def _until_cleared(self, why: str) -> None:
+        """An emergency stop outlives its mission: who starts, or restarts, hears of it from those who stay."""
+        drone, bus = self.drone, self.drone.port.bus
+        if bus.stopped and not self._aborted:
+            log.warning("drone %d: %s", drone.id, why)
+            drone.waits = why
+        while bus.stopped and not self._aborted:
+            await bus.clock.sleep(0.1, drone=drone.id)
+        drone.waits = ""
+
+    # Its end --------------------------------------------------------------------------------------------------
+
+    async def _last_words(self, life: asyncio.Task[Result]) -> None:
+        """An aborted mission may go on talking while its drone lands; then it is cancelled until it obeys."""
+        clock, i = self.drone.port.bus.clock, self.drone.id
+        await self._down()
+        patient = clock.now() + LAST_WORDS
+        while not life.done() and clock.now() < patient + LAST_WORDS:
+            if clock.now() >= patient:
+                life.cancel()
+            await clock.sleep(0.05, drone=i)
+        if not life.done():
+            log.error("drone %d: its mission does not end when it is cancelled; left behind", i)
+
+    async def _down(self) -> None:
+        """Wait until it is on the ground; whoever ended the mission has a pilot that lands already."""
+        pilot = self.drone.pilot
+        await touch_down(pilot, LANDING_DEADLINE)
+        if pilot.airborne:
+            pilot.cut("does not come down")
+
+    def _outcome(self, life: asyncio.Task[Result]) -> Result:
+        """What the mission has come to, before its drone is down; an aborted one has failed, whatever it says."""
+        pilot = self.drone.pilot
+        if self._aborted:
+            return failure(self._aborted)
+        error = None if life.cancelled() else life.exception()
+        if error is None:
+            pilot.land("the mission has ended in the air")
+            return life.result()
+        if isinstance(error, CrazyChoirError) and not isinstance(error, Hung):  # somebody lost, a refusal
+            log.warning("drone %d: %s", self.drone.id, error)
+            pilot.land(str(error))
+            return failure(str(error))
+        return failure(self._broken(error))
+
+    def _broken(self, error: BaseException) -> str:
+        """The mission's own code has failed: the pilot hovers, then lands; the observers hear why."""
+        at = traceback.extract_tb(error.__traceback__)[-1]
+        cause = f"{type(error).__name__}: {error} ({at.filename}:{at.lineno} {at.name})"
+        text = f"drone {self.drone.id}: guidance failed: {cause}"
+        log.error("%s", text, exc_info=error)
+        self.drone.port.publish(LOG, text)
+        self.drone.pilot.guidance_failed(cause)
+        return text
+
+    def _judged(self, result: Result) -> Result:
+        """The result, now that the drone is down: a success only if nobody had to bring it down, and it is whole."""
+        pilot, harm = self.drone.pilot, self.drone.harm()
+        cut = pilot.note if pilot.mode is Mode.CUT else ""
+        brought_down = self._aborted or cut or pilot.guard.latched or pilot.brought_down
+        if result.get("success"):
+            reasons = [text for text in (brought_down, harm) if text]
+            return failure(f"drone {self.drone.id}: {'; '.join(reasons)}", result) if reasons else result
+        reasons = [str(text) for text in (result.get("reason"), harm) if text]
+        return failure("; ".join(reasons), result) if harm else result
+
+
+def checked(returned: object) -> Result:
+    """What a mission returned, as every reader gets it in every world: through the codec; its success True or False.
+
+    Raises TypeError, with what is allowed, for anything but a dictionary that can travel, or nothing.
+    """
+    if returned is None:
+        returned = {}
+    if not isinstance(returned, dict):
+        raise TypeError(f"mission() returned a {type(returned).__name__}; allowed: a dictionary, or nothing")
+    try:
+        result: Result = decode(encode(dict(returned)))
+    except CodecError as error:
+        raise TypeError(f"mission() returned what cannot travel: {error}") from error
+    success = result.get("success", True)
+    if not isinstance(success, bool | int):
+        raise TypeError(f"mission() returned success = {success!r}; allowed: True or False")
+    return result | {"success": bool(success)}
+
+
+def failure(reason: str, result: Result | None = None) -> Result:
+    """The result of a mission that has failed, with what is known else."""
+    return {**(result or {}), "success": False, "reason": reason}

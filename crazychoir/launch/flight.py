@@ -1,0 +1,120 @@
+"""A mission flown by all its drones, in virtual time or in real time; and the object that `run --json` prints."""
+
+import time
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from crazychoir.agent import Agent
+from crazychoir.guidance.mission import Mission, has
+from crazychoir.launch.network import attached, observer
+from crazychoir.launch.processes import run_children
+from crazychoir.launch.score import Score, Watch, goal_of
+from crazychoir.runtime.clock import Clock, run_virtual, run_wall
+from crazychoir.simulation.trace import Trace
+from crazychoir.swarm.checks import TOUCHING
+from crazychoir.swarm.config import SwarmConfig
+
+NO_REASON = "its mission returned success = False, without a reason"
+Results = dict[int, dict[str, Any]]
+
+
+def fly_fast(config: SwarmConfig, mission: Mission, watch: Watch | None = None) -> dict[str, Any]:
+    """The whole swarm in this process, in virtual time."""
+    began = time.perf_counter()
+
+    async def main(clock: Clock) -> dict[str, Any]:
+        trace = Trace()
+        agent = Agent(clock, config, mission, config.ids, trace=trace)
+        score = Score(agent.bus, config.ids, goal_of(mission, config), watch or (lambda score: None))
+        agent.services.append(score)
+        results = await agent.run()
+        rounds = max(drone.communicator.rounds for drone in agent.drones.values())
+        counters = [drone.port.counters for drone in agent.drones.values()]
+        messages = {name: sum(getattr(c, name) for c in counters) for name in ("sent", "lost", "resent")}
+        wall = time.perf_counter() - began
+        return summary(config, mission, results, score, clock.now(), wall) | {
+            "messages": messages, "rounds": rounds, "digest": trace.digest(),
+        }  # fmt: skip
+
+    return run_virtual(main)
+
+
+def fly_real(
+    path: Path, config: SwarmConfig, mission: Mission, options: Iterable[str] = (), watch: Watch | None = None,
+    say: Callable[[str], None] = lambda line: None, started: tuple[int, ...] | None = None,
+) -> dict[str, Any]:  # fmt: skip
+    """One process a group of the swarm file, over Zenoh; this process looks on.
+
+    path: the file of `config`, for the processes;  started: the drones to start, None for all: whole groups.
+    """
+    began = time.perf_counter()
+    groups = [group for group in config.groups() if started is None or any(i in started for i in group)]
+
+    async def main(clock: Clock) -> dict[str, Any]:
+        link = observer(clock, config)
+        address = next(iter(link.bus.ports))
+        score = Score(link.bus, config.ids, goal_of(mission, config), watch or (lambda score: None), address=address)
+        async with attached(link, score):
+            results = await run_children(groups, path, config, list(options), say)
+        wall = time.perf_counter() - began
+        return summary(config, mission, results, score, wall, wall, started)
+
+    return run_wall(main)
+
+
+def summary(
+    config: SwarmConfig,
+    mission: Mission,
+    results: Results,
+    score: Score,
+    simulated: float,
+    wall: float,
+    started: tuple[int, ...] | None = None,
+) -> dict[str, Any]:
+    """The object that `run --json` prints; what the mission reports is added to the figures of the run.
+
+    started: the drones that were started here, None for all: they decide on the success. What is measured from outside
+    is of the whole swarm. The mission's own report needs the results of all drones, and is left out without them.
+    """
+    started = config.ids if started is None else started
+    report = mission.report(config, results) if started == config.ids and has(mission, "report") else {}
+    reached, off = bool(report.pop("success", True)), report.pop("reasons", {})
+    failed = failures(results, score.touching, started)
+    absent = [i for i in started if i not in results]
+    separation = score.min_separation
+    return {
+        **report,
+        "mission": config.mission,
+        "success": reached and not failed and not absent,
+        "drones": len(config.ids),
+        "here": list(started),
+        "simulated_s": simulated,
+        "wall_s": wall,
+        "real_time_factor": simulated / wall,
+        "min_separation_m": separation if np.isfinite(separation) else None,
+        "messages": score.messages(),
+        "rounds": max((status.round for status in score.statuses.values()), default=0),
+        "digest": None,
+        "reasons": off | failed,
+        "absent": absent,
+        "flown_m": {i: round(length, 4) for i, length in score.flown.items()},
+        "log": list(score.log),
+        "results": results,
+        **score.formation(),
+    }
+
+
+def failures(
+    results: Results, touching: Mapping[tuple[int, int], float], started: tuple[int, ...]
+) -> dict[int, str]:
+    """Why each drone has failed: by its own result, or because it came near enough to others to touch them."""
+    reasons = {i: [r.get("reason", NO_REASON)] for i, r in sorted(results.items()) if not r.get("success")}
+    for (i, j), gap in touching.items():
+        for one, other in ((i, j), (j, i)):
+            if one in started:
+                text = f"came within {gap:.3f} m of drone {other}, and may have touched it: allowed {TOUCHING:g} m"
+                reasons.setdefault(one, []).append(text)
+    return {i: "; ".join(texts) for i, texts in sorted(reasons.items())}

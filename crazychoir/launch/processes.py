@@ -1,0 +1,126 @@
+"""The agents of a run as processes of this machine: started, listened to, ended; and how their results get here."""
+
+import asyncio
+import contextlib
+import signal
+import sys
+from asyncio.subprocess import DEVNULL, PIPE, STDOUT, Process
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from crazychoir.bus.codec import decode, encode
+from crazychoir.errors import CodecError
+from crazychoir.guidance.life import LANDING_DEADLINE
+from crazychoir.planning.point_to_point import PEAK_SPEED, duration_for
+from crazychoir.swarm.config import SwarmConfig
+from crazychoir.types import FullState
+
+GRACE = 20.0
+"""s that processes get to end after SIGTERM beside the time of their landings, before they are killed."""
+CHUNK = 1 << 16
+"""Bytes read at once of what a process says; a line may be of any length, and is passed on in parts if very long."""
+LONGEST = 1 << 20
+LARGEST = 1 << 30
+"""Bytes of the results of one process: each is limited by the codec, their number by the swarm file."""
+
+Say = Callable[[str], None]
+Results = dict[int, dict[str, Any]]
+
+
+async def run_children(
+    groups: list[tuple[int, ...]], path: Path, config: SwarmConfig, options: list[str], say: Say
+) -> Results:
+    """One process a group, until all have ended; their results, of those that had one.
+
+    path: the swarm file; results lie beside it while this runs.
+    """
+    files = {group: path.with_name(f"result-{group[0]}") for group in groups}
+    children: dict[tuple[int, ...], Process] = {}
+    loop = asyncio.get_running_loop()
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        loop.add_signal_handler(number, _terminate, children.values())
+    try:
+        for group in groups:
+            children[group] = await _spawn(group, path, files[group], options)
+        await asyncio.gather(*(_listen(child, say) for child in children.values()))
+    finally:
+        await _end([child for child in children.values() if child.returncode is None], patience(config))
+    results: Results = {}
+    for group, child in children.items():
+        found = read_results(files[group])
+        results |= found
+        if not found:
+            say(f"drone(s) {', '.join(map(str, group))}: no result: the process ended with code {child.returncode}")
+    return results
+
+
+def write_results(path: Path, results: Results) -> None:
+    """What a process has come to, for who started it: as messages travel, and apart from what its mission prints."""
+    path.write_bytes(encode(results, LARGEST))
+
+
+def read_results(path: Path) -> Results:
+    """The results that a process has left there; none if it has not got so far."""
+    try:
+        results: Results = decode(path.read_bytes(), LARGEST)
+    except (OSError, CodecError):
+        return {}
+    return results
+
+
+def patience(config: SwarmConfig) -> float:
+    """s that processes get to land their drones and end: from the top of the fence down, and what may delay that."""
+    flight = config.flight
+    height = config.fence.max[2] - flight.ground
+    top, floor = FullState.at((0.0, 0.0, height)), np.zeros(3)
+    fastest = duration_for(top, floor, 0.0, flight.speed_limit, flight.acceleration_limit)
+    return max(PEAK_SPEED * height / flight.landing_speed, fastest) + LANDING_DEADLINE + GRACE
+
+
+async def _spawn(group: tuple[int, ...], path: Path, result: Path, options: list[str]) -> Process:
+    ids = [word for i in group for word in ("--id", str(i))]
+    command = [sys.executable, "-m", "crazychoir.cli.agent", "--swarm", str(path), *ids, "--child", str(result)]
+    return await asyncio.create_subprocess_exec(
+        *command, *options,
+        stdin=DEVNULL,
+        stdout=PIPE,
+        stderr=STDOUT,
+        start_new_session=True,  # Ctrl-C reaches this process alone, which passes it on once
+    )  # fmt: skip
+
+
+async def _listen(child: Process, say: Say) -> None:
+    """Pass on what a process says, line by line, until it ends."""
+    assert child.stdout is not None  # noqa: S101 - it was asked for
+    rest = b""
+    while chunk := await child.stdout.read(CHUNK):
+        *lines, rest = (rest + chunk).split(b"\n")
+        if len(rest) > LONGEST:
+            lines, rest = [*lines, rest], b""
+        for line in lines:
+            say(line.decode(errors="replace").rstrip())
+    if rest:
+        say(rest.decode(errors="replace").rstrip())
+    await child.wait()
+
+
+def _terminate(children: Iterable[Process]) -> None:
+    for child in children:
+        with contextlib.suppress(ProcessLookupError):
+            child.terminate()
+
+
+async def _end(children: list[Process], seconds: float) -> None:
+    """Ask every child to land and exit; kill what does not within so long."""
+    if not children:
+        return
+    _terminate(children)
+    waits = [asyncio.create_task(child.wait()) for child in children]
+    _, late = await asyncio.wait(waits, timeout=seconds)
+    for child in children if late else []:
+        with contextlib.suppress(ProcessLookupError):
+            child.kill()
+    await asyncio.wait(waits)

@@ -1,0 +1,106 @@
+"""The object that a run prints."""
+
+import json
+from collections import deque
+from types import SimpleNamespace
+
+from crazychoir.guidance.base import CFGuidance
+from crazychoir.launch.flight import NO_REASON, fly_fast, summary
+from crazychoir.swarm.config import default_swarm
+from crazychoir.types import Status
+
+MISSION = SimpleNamespace(guidance=lambda i, config: None)
+
+
+def result_of(results, here=None, mission=MISSION, touching=None):
+    score = SimpleNamespace(
+        min_separation=0.5, touching=touching or {}, flown={0: 1.23456}, log=deque(["a line"]),
+        statuses={0: Status("on ground", round=7)},
+        messages=lambda: {"sent": 3}, formation=dict,
+    )  # fmt: skip
+    return summary(default_swarm(3), mission, results, score, 10.0, 2.0, here)
+
+
+def test_a_run_succeeds_when_every_drone_does():
+    result = result_of({i: {"success": True} for i in range(3)})
+    assert result["success"] is True
+    assert (result["drones"], result["here"], result["absent"], result["reasons"]) == (3, [0, 1, 2], [], {})
+    assert (result["real_time_factor"], result["rounds"], result["flown_m"]) == (5.0, 7, {0: 1.2346})
+    assert json.loads(json.dumps(result))["log"] == ["a line"]
+
+
+def test_a_drone_that_fails_gives_its_reason():
+    result = result_of({0: {"success": True}, 2: {"success": False}, 1: {"success": False, "reason": "lost"}})
+    assert result["success"] is False
+    assert result["reasons"] == {1: "lost", 2: NO_REASON}
+
+
+def test_a_drone_without_result_is_absent():
+    result = result_of({0: {"success": True}, 2: {"success": True}})
+    assert result["success"] is False
+    assert result["absent"] == [1]
+
+
+def test_the_drones_that_were_started_here_decide():
+    assert result_of({1: {"success": True}}, here=(1,))["success"] is True
+    result = result_of({1: {"success": True}}, here=(1, 2))
+    assert result["success"] is False
+    assert (result["drones"], result["here"], result["absent"]) == (3, [1, 2], [2])
+
+
+def test_a_mission_reports_on_all_or_not_at_all():
+    mission = SimpleNamespace(report=lambda config, results: {"success": False, "cost": 3.0})
+    every = {i: {"success": True} for i in range(3)}
+    whole = result_of(every, mission=mission)
+    assert (whole["success"], whole["cost"]) == (False, 3.0)
+    part = result_of({1: {"success": True}}, here=(1,), mission=mission)
+    assert part["success"] is True
+    assert "cost" not in part
+
+
+def test_a_report_that_is_content_does_not_hide_a_drone_that_failed_and_may_name_others():
+    def report(config, results):
+        return {"success": True, "reasons": {0: "too far", 2: "of the mission"}}
+
+    results = {0: {"success": True}, 1: {"success": True}, 2: {"success": False, "reason": "lost"}}
+    result = result_of(results, mission=SimpleNamespace(report=report))
+    assert result["success"] is False
+    assert result["reasons"] == {0: "too far", 2: "lost"}
+
+
+def test_drones_that_came_near_enough_to_touch_have_failed():
+    every = {i: {"success": True} for i in range(3)}
+    result = result_of(every, touching={(0, 2): 0.002})
+    assert result["success"] is False
+    assert result["reasons"] == {
+        0: "came within 0.002 m of drone 2, and may have touched it: allowed 0.137 m",
+        2: "came within 0.002 m of drone 0, and may have touched it: allowed 0.137 m",
+    }
+    failed = {**every, 2: {"success": False, "reason": "lost"}}
+    assert result_of(failed, touching={(0, 2): 0.002})["reasons"][2].startswith("lost; came within 0.002 m of drone 0")
+    part = result_of({1: {"success": True}, 2: {"success": True}}, here=(1, 2), touching={(0, 2): 0.002})
+    assert list(part["reasons"]) == [2], "of those that were started here"
+    assert result_of({1: {"success": True}}, here=(1,), touching={(0, 2): 0.002})["success"] is True
+
+
+def test_a_report_adds_figures_and_changes_none_of_the_run():
+    report = {"cost": 3.0, "drones": 99, "rounds": 99, "log": [], "results": None}
+    result = result_of({i: {"success": True} for i in range(3)}, mission=SimpleNamespace(report=lambda *_: report))
+    assert (result["success"], result["cost"]) == (True, 3.0)
+    assert (result["drones"], result["rounds"], result["log"], len(result["results"])) == (3, 7, ["a line"], 3)
+
+
+def test_drones_that_swap_places_have_failed_though_nothing_in_their_missions_saw_it():
+    class Swaps(CFGuidance):
+        async def mission(self):
+            await self.take_off()
+            x, y, _ = self.member.config.drone(1 - self.id).home
+            await self.go_to((x, y, 1.0))
+            await self.land()
+
+    mission = SimpleNamespace(guidance=lambda i, config: Swaps())
+    result = fly_fast(default_swarm(2).replace(mission="swap"), mission)
+    assert result["success"] is False
+    assert result["min_separation_m"] < 0.05
+    assert list(result["reasons"]) == [0, 1]
+    assert all("may have touched" in reason for reason in result["reasons"].values())

@@ -1,0 +1,100 @@
+"""How processes are started, listened to and ended; how their results get here."""
+
+import asyncio
+import sys
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from crazychoir.agent import Agent
+from crazychoir.guidance.base import CFGuidance
+from crazychoir.guidance.life import LANDING_DEADLINE
+from crazychoir.launch import processes
+from crazychoir.launch.processes import LONGEST, patience, read_results, run_children, write_results
+from crazychoir.runtime.clock import run_virtual
+from crazychoir.swarm.config import default_swarm
+
+
+async def child(program):
+    process = asyncio.subprocess
+    return await asyncio.create_subprocess_exec(
+        sys.executable, "-c", program, stdout=process.PIPE, stderr=process.STDOUT
+    )
+
+
+async def said_by(program):
+    said = []
+    await processes._listen(await child(program), said.append)
+    return said
+
+
+async def test_what_a_child_prints_and_logs_is_passed_on_line_by_line_however_long():
+    program = "import sys; print('hello', flush=True); print('x' * 200_000, file=sys.stderr); sys.stdout.write('end')"
+    assert await said_by(program) == ["hello", "x" * 200_000, "end"]
+
+
+async def test_a_line_without_end_is_passed_on_in_parts():
+    said = await said_by(f"print('x' * {3 * LONGEST})")
+    assert "".join(said) == "x" * 3 * LONGEST
+    assert all(len(part) <= 2 * LONGEST for part in said)
+
+
+def test_results_arrive_as_they_were(tmp_path):
+    results = {3: {"success": False, "by": {1: 2}, "at": np.arange(3.0)}, 4: {"film": bytes(700_000)}}
+    write_results(tmp_path / "result", results)
+    arrived = read_results(tmp_path / "result")
+    assert arrived[3].pop("at").tolist() == results[3].pop("at").tolist()
+    assert arrived == results
+
+
+def test_a_process_that_did_not_get_so_far_has_no_results(tmp_path):
+    assert read_results(tmp_path / "nothing") == {}
+    write_results(tmp_path / "result", {0: {"success": True}})
+    (tmp_path / "result").write_bytes((tmp_path / "result").read_bytes()[:-3])
+    assert read_results(tmp_path / "result") == {}
+
+
+async def test_what_a_mission_prints_is_no_result_and_who_has_none_is_named(tmp_path, monkeypatch):
+    async def spawn(group, path, result, options):
+        if group == (0, 1):
+            write_results(result, {i: {"success": True} for i in group})
+        return await child("print('{}'); raise SystemExit(3)")
+
+    said = []
+    monkeypatch.setattr(processes, "_spawn", spawn)
+    found = await run_children([(0, 1), (2,)], tmp_path / "swarm.json", default_swarm(3), [], said.append)
+    assert found == {0: {"success": True}, 1: {"success": True}}
+    assert said == ["{}", "{}", "drone(s) 2: no result: the process ended with code 3"]
+
+
+async def test_a_child_that_does_not_end_is_killed():
+    deaf = await child("import signal; signal.signal(15, signal.SIG_IGN); print('on', flush=True); signal.pause()")
+    ready = await child("import signal; signal.signal(15, lambda *_: exit(3)); print('on', flush=True); signal.pause()")
+    for process in (deaf, ready):
+        assert await process.stdout.readline() == b"on\n"
+    await processes._end([deaf, ready], 0.3)
+    assert (deaf.returncode, ready.returncode) == (-9, 3)
+
+
+class Lands(CFGuidance):
+    """From just below the fence."""
+
+    async def mission(self):
+        await self.take_off(2.0)
+        began = self.member.clock.now()
+        await self.land()
+        return {"s": self.member.clock.now() - began}
+
+
+@pytest.mark.parametrize("flight", [{"landing_speed": 0.05}, {"acceleration_limit": 0.02}, {}], ids=str)
+def test_nobody_is_killed_while_it_comes_down(flight):
+    config = default_swarm(1).replace(flight=flight, fence={"min": [-3.0, -3.0, 0.0], "max": [3.0, 3.0, 2.1]})
+
+    async def main(clock):
+        agent = Agent(clock, config, SimpleNamespace(guidance=lambda i, config: Lands()), (0,))
+        return (await agent.run())[0]
+
+    result = run_virtual(main)
+    assert result["success"], result
+    assert patience(config) > result["s"] + LANDING_DEADLINE
