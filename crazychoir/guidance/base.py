@@ -139,7 +139,7 @@ class CFGuidance:
         goal[2] = limits.ground + (limits.takeoff_height if height is None else height)
         goal[2] = pilot.fence.nearest(goal)[2]
         await self._while(pilot.take_off(height), Mode.TAKEOFF)
-        if abs(goal[2] - self.state.p[2]) > min(ARRIVED, 0.5 * abs(goal[2] - start[2])):
+        if abs(goal[2] - self.state.p[2]) > min(ARRIVED, 0.25 * abs(goal[2] - start[2])):
             await self.go_to(goal)
 
     async def go_to(self, p: Point, duration: float = 0.0) -> None:
