@@ -8,7 +8,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
 
-from crazychoir.bus.codec import encode
 from crazychoir.bus.local import Port
 from crazychoir.bus.topics import HEARTBEAT
 from crazychoir.runtime.actor import ON_FAILURE, Actor
@@ -41,14 +40,14 @@ OnChange = Callable[[int, Presence], None]
 class PresenceMonitor(Actor):
     """Sends this drone's heartbeats to those who watch it, and watches others.
 
-    `watched` may be changed at any time; `beat` makes the heartbeat's payload.
+    `watched` may be changed at any time; `beat` makes the heartbeat's payload, of the codec.
     """
 
     name = "presence"
     restart = ON_FAILURE
 
     def __init__(
-        self, port: Port, watched: tuple[int, ...], beat: Callable[[], object], lost_after: float = 5.0
+        self, port: Port, watched: tuple[int, ...], beat: Callable[[], bytes], lost_after: float = 5.0
     ) -> None:
         self.port, self.watched, self.beat, self.lost_after = port, watched, beat, lost_after
         self.listeners: list[OnChange] = []
@@ -64,7 +63,7 @@ class PresenceMonitor(Actor):
     def tick(self) -> None:
         """One heartbeat to everybody watched, and one look at each."""
         self._number += 1
-        self.port.send(HEARTBEAT, self.watched, encode(self.beat()), self._number, "heartbeat")
+        self.port.send(HEARTBEAT, self.watched, self.beat(), self._number, "heartbeat")
         for j in self.watched:
             self._look(j)
 

@@ -322,7 +322,10 @@ class CFDistributedFeedback(CFGuidance):
         poses = round((measured - self._measured) / self._own.h)  # a whole number: clocks jitter, cameras do not
         self._measured = measured
         heard = self.hear(poses)
-        me = self._own.told(me, me.age, poses, poses)
+        if poses == 1 and self._own.even:
+            self._own.last = me
+        else:
+            me = self._own.told(me, me.age, poses, poses)
         if len(heard) < len(self._hearings):
             for j in self._hearings:
                 self._unheard[j] += j not in heard
@@ -339,8 +342,9 @@ class CFDistributedFeedback(CFGuidance):
     def hear(self, held: int) -> Heard:
         """The neighbours' states for this step, those that are not stale; held: poses since the last step."""
         heard: Heard = {}
+        now_ns = self.member.clock.now_ns()
         for j, hearing in self._hearings.items():
-            state = hearing.state(held)
+            state = hearing.state(now_ns, held)
             if state is not None:
                 heard[j] = state
         return heard

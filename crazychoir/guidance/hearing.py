@@ -58,13 +58,15 @@ class VelocitySum:
 
     def __init__(self, cutoff: float, h: float, period: float) -> None:
         self.h, self.reach, self.spread = h, -h / math.expm1(-cutoff * h), SPREAD * period
-        self._last: State | None = None  # what was told last, before its velocity was corrected
-        self._even = True  # nothing is owed
+        self.even = True
+        """Nothing is owed: while each state is told for h, the next may be told as it is; `last` is to know it."""
+        self.last: State | None = None
+        """What was told last, before its velocity was corrected."""
         self._memory = np.zeros(6)
 
     def forget(self) -> None:
         """As before the first state: nothing was told, there is nothing to make up for."""
-        self._last, self._even = None, True
+        self.last, self.even = None, True
 
     def told(self, state: State, age: float, held: int, steps: int) -> State:
         """The state with the velocity that keeps the sum right, and this age.
@@ -72,18 +74,18 @@ class VelocitySum:
         state: its place was moved on from the measurement by its own age, at constant velocity;  held: poses for which
         what was told last was flown;  steps: poses from the measurement before to this one, 0: it is the same.
         """
-        last = self._last
-        if (held == 1 and steps == 1 and self._even) or last is None:  # as a rule: all is as the filter adds it up
-            self._last = state
+        last = self.last
+        if (held == 1 and steps == 1 and self.even) or last is None:
+            self.last = state
             return state if age == state.age else State(state.flat, age)
         memory, out = self._memory, np.empty(13)
-        if self._even:
+        if self.even:
             memory[0:3], memory[3:6] = last.v, 0.0
         before, now, new = self.reach + last.age, self.reach + state.age, float(steps > 0)
         owed = _settle(state.flat, now, last.flat, before, held * self.h, self.spread, new, memory, out)
-        self._even = owed < NOTHING
+        self.even = owed < NOTHING
         if steps > 0:
-            self._last = state
+            self.last = state
         return State(out, age)
 
 
@@ -96,7 +98,7 @@ class Hearing(Latest[State]):
     def __init__(self, clock: Clock, name: str, sums: VelocitySum) -> None:
         super().__init__(clock, name, STATE.max_age)
         self.sums = sums
-        self._h_ns = round(sums.h * SECOND)
+        self._h_ns, self._max_ns = round(sums.h * SECOND), round(STATE.max_age * SECOND)
         self._half_ns = self._h_ns // 2
         self._told_version = self._told_ns = 0
 
@@ -104,21 +106,26 @@ class Hearing(Latest[State]):
         """Steps begin now: there is nothing to make up for."""
         self.sums.forget()
 
-    def state(self, held: int) -> State | None:
+    def state(self, now_ns: int, held: int) -> State | None:
         """The neighbour's state for this step, with the age of the message; None if that is too old.
 
         held: poses for which the last step's reference was flown.
         """
-        state, age = self.fresh_with_age()
-        if state is None:
-            self.sums.forget()
+        born_ns, sums, state = self._born_ns, self.sums, self._value
+        if now_ns - born_ns > self._max_ns or state is None:
+            self.stale += state is not None
+            sums.forget()
             return None
-        version, born_ns = self.version, self._born_ns
+        age, version = (now_ns - born_ns) / SECOND, self.version
+        steps = (born_ns - self._told_ns + self._half_ns) // self._h_ns
+        self._told_ns, self._seen = born_ns, version
+        if steps == 1 == held and sums.even:  # as a rule: all is as the filter adds it up
+            self._told_version, sums.last = version, state
+            return state if age == state.age else State(state.flat, age)
         if version == self._told_version:
             state = State(moved_on(state.flat, age - state.age), age)
-        steps = (born_ns - self._told_ns + self._half_ns) // self._h_ns
-        self._told_version, self._told_ns = version, born_ns
-        return self.sums.told(state, age, held, steps)
+        self._told_version = version
+        return sums.told(state, age, held, steps)
 
 
 def moved_on(flat: Vec, seconds: float) -> Vec:

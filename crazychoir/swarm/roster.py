@@ -8,7 +8,7 @@ counts from a round that nobody has reached. A newer epoch wins.
 """
 
 from collections.abc import Callable
-from typing import Any, Final, Literal
+from typing import Final, Literal
 
 import msgspec
 
@@ -70,6 +70,7 @@ class Barrier:
         self._halves: dict[int, int] = {}
         self._give_up_ns = 0
         self._target = 0
+        self._beaten: tuple[Beat | None, bytes] = (None, b"")
         self.monitor = PresenceMonitor(port, self._others, self._beat, lost_after)
         self.monitor.listeners.append(self._changed)
         self.reliable = Reliable(port)
@@ -202,10 +203,13 @@ class Barrier:
 
     # Keeping --------------------------------------------------------------------------------------------------
 
-    def _beat(self) -> list[Any]:
+    def _beat(self) -> bytes:
         epoch = self.roster.epoch if self.roster else 0
         hears = () if self.roster else tuple(j for j in self.monitor.watched if self._present(j))
-        return Beat(self.port.incarnation, epoch, self._checksum, hears, tuple(self._lost), self.mission_hash).wire()
+        beat = Beat(self.port.incarnation, epoch, self._checksum, hears, tuple(self._lost), self.mission_hash)
+        if beat != self._beaten[0]:
+            self._beaten = beat, encode(beat.wire())
+        return self._beaten[1]
 
     def _heard(self, source: int, payload: bytes, number: int, channel: str, flags: int, age: float) -> None:
         if self._calm.get(source) == payload:

@@ -22,7 +22,8 @@ class Team:
         self.bus.impairment.begin(clock.now())
         ids = range(1, n + 1)
         self.monitors = {
-            i: PresenceMonitor(self.bus.port(i), tuple(j for j in ids if j != i), lambda: None, lost_after) for i in ids
+            i: PresenceMonitor(self.bus.port(i), tuple(j for j in ids if j != i), lambda: b"beat", lost_after)
+            for i in ids
         }
         self.diaries = {i: [] for i in ids}
         self.tasks = {}
@@ -171,7 +172,7 @@ async def test_who_is_watched_may_change(clock):
 @virtual
 async def test_heartbeats_carry_what_beat_says_and_are_numbered(clock):
     bus = Bus(clock)
-    seen, beats = [], iter([[1], [2], [3], [4], [5]])
+    seen, beats = [], iter([b"1", b"2", b"3", b"4", b"5"])
     bus.port(2).handlers[HEARTBEAT.number] = lambda *message: seen.append(message[2:4])
     monitor = PresenceMonitor(bus.port(1), (2,), lambda: next(beats))
     running = asyncio.create_task(monitor.run())

@@ -123,7 +123,7 @@ class Neighbor:
         state = self.filter.update(seen(now - self.latency, self.draw, self.latency, self.noise), now)
         for _ in range(arrives):
             self.hearing.put(state, state.age)
-        return state, self.hearing.state(1)
+        return state, self.hearing.state(self.clock.now_ns(), 1)
 
 
 @virtual
