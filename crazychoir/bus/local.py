@@ -6,11 +6,12 @@ one drone hand each other frozen values by reference. What is for another proces
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, Protocol
 
 from crazychoir.bus.codec import decode, encode
 from crazychoir.bus.impairment import Impairment
-from crazychoir.bus.topics import BY_NAME, BY_NUMBER, OBSERVABLE, Topic
+from crazychoir.bus.topics import BY_NAME, BY_NUMBER, OBSERVABLE, Class, Topic
 from crazychoir.errors import CodecError
 from crazychoir.runtime.clock import MESSAGE, SECOND, Clock
 from crazychoir.runtime.mailbox import AnyMailbox
@@ -41,6 +42,9 @@ class Forwarder(Protocol):
         age: float,
     ) -> None:
         """Take a message for ports elsewhere."""
+
+    def then(self, work: Callable[[], None]) -> None:
+        """Call it when what was forwarded in this pass of the loop has left."""
 
     def interested(self) -> None:
         """The interests of this process have changed."""
@@ -230,6 +234,12 @@ class Port:
                     far.append(j)
             if far:
                 self._forward(topic, far, payload, number, channel, flags, age)
+                sent += sum(j < OBSERVER for j in far)
+                to = [j for j in to if j not in far]
+                if to and topic.klass is Class.ROUNDS:  # those elsewhere wait for it, and then we for them
+                    here = partial(self.send, topic, to, payload, number, channel, flags, attempt, age)
+                    bus.forwarder.then(here)
+                    to = ()
         for j in to:
             if j < OBSERVER:
                 sent += 1

@@ -120,6 +120,7 @@ class ZenohLink(Actor):
         self._armed = False
         self._flushing = False
         self._full: list[Lane] = []
+        self._after: deque[Callable[[], None]] = deque()
         self._to_greet: dict[str, None] = {}
         self._declared: list[Any] = []
         self._session: zenoh.Session | None = None
@@ -218,6 +219,11 @@ class ZenohLink(Actor):
                 message = Envelope(topic.number, source, tuple(there), number, flags, max(0.0, age), channel, payload)
                 self._add(peer, topic.klass, message)
 
+    def then(self, work: Callable[[], None]) -> None:
+        """Call it after the puts at the end of this loop pass: what others wait for does not wait for it."""
+        self._after.append(work)
+        self._schedule_flush()
+
     def interested(self) -> None:
         """Our interests changed: tell everybody."""
         self.greet()
@@ -252,7 +258,6 @@ class ZenohLink(Actor):
             self._key(peer, klass),
             congestion_control=zenoh.CongestionControl.DROP,
             priority=_PRIORITY[klass],
-            express=True,
             reliability=zenoh.Reliability.RELIABLE,
         )
         name, number, conflate = self.bus.process, self.table.incarnation, klass is Class.CONTROL
@@ -282,6 +287,8 @@ class ZenohLink(Actor):
                 continue
             for frame in frames:
                 self._put(lane, frame)
+        for _ in range(len(self._after)):
+            self._after.popleft()()
 
     def _say_hello(self) -> None:
         names, self._to_greet = self._to_greet, {}

@@ -548,6 +548,9 @@ class Plug:
         for j in to:
             self.wire.carry(self.bus, j, topic, source, payload, number, channel, flags, age)
 
+    def then(self, work):
+        work()
+
     def interested(self):
         for other in self.wire.buses:
             if other is not self.bus:

@@ -9,7 +9,7 @@ from crazychoir.bus.codec import encode
 from crazychoir.bus.impairment import Impairment
 from crazychoir.bus.local import ANY, OBSERVER, Bus, Interest
 from crazychoir.bus.rules import Partition, Rule
-from crazychoir.bus.topics import HEARTBEAT, LOG, POSE, REQUEST, RESULT, ROUND, STATE, STATUS, TRUTH
+from crazychoir.bus.topics import HEARTBEAT, LOG, POSE, REQUEST, RESULT, ROSTER, ROUND, STATE, STATUS, TRUTH
 from crazychoir.runtime.mailbox import Latest
 from crazychoir.types import Pose, State, Status
 
@@ -40,10 +40,13 @@ class Network:
     """A forwarder that keeps what it gets."""
 
     def __init__(self):
-        self.messages, self.changes = [], 0
+        self.messages, self.changes, self.later = [], 0, []
 
     def forward(self, topic, source, to, payload, number, channel, flags, age):
         self.messages.append((topic.name, source, to, payload, number, channel, flags, age))
+
+    def then(self, work):
+        self.later.append(work)
 
     def interested(self):
         self.changes += 1
@@ -124,9 +127,21 @@ async def test_send_reaches_handlers_here_and_the_forwarder_elsewhere(clock):
     bus.forwarder = Network()
     seen = [handling(port, ROUND) for port in (two, three)]
     one.send(ROUND, (2, 3, 7, 8), b"xy", 5, "main", 4)
-    assert seen == [[(1, b"xy", 5, "main", 4, 0.0)]] * 2
     assert bus.forwarder.messages == [("round", 1, [7, 8], b"xy", 5, "main", 4, 0.0)]
+    assert seen == [[], []], "what others wait for leaves first"
+    for work in bus.forwarder.later:
+        work()
+    assert seen == [[(1, b"xy", 5, "main", 4, 0.0)]] * 2
     assert (one.counters.sent, one.counters.bytes) == (4, 8)
+
+
+@virtual
+async def test_what_is_no_round_reaches_handlers_here_at_once(clock):
+    bus, one, two = ports(clock, 1, 2)
+    bus.forwarder = Network()
+    seen = handling(two, ROSTER)
+    one.send(ROSTER, (2, 7), b"xy")
+    assert (len(seen), len(bus.forwarder.messages), bus.forwarder.later) == (1, 1, [])
 
 
 @virtual
