@@ -30,6 +30,8 @@ TAKEOFF = Mode.TAKEOFF
 FLYING = (TAKEOFF, *LAW_MODES)
 ARRIVED = 0.2
 """m from a goal that counts as there."""
+RISEN = 0.04
+"""m from its height, above where it stood, beyond which a drone has not flown its take-off to the end."""
 ATTEMPTS = 5
 PATIENCE = 300.0
 """s that a flight waits for a pilot that is held, or that the safety table has stopped; and for a first pose."""
@@ -134,12 +136,11 @@ class CFGuidance:
         self._may_fly()
         if pilot.state is None:
             raise Interrupted(f"drone {self.id}: no pose within {PATIENCE:g} s")
-        start = self.state.p
-        goal = start.copy()
+        goal = self.state.p.copy()
         goal[2] = limits.ground + (limits.takeoff_height if height is None else height)
         goal[2] = pilot.fence.nearest(goal)[2]
         await self._while(pilot.take_off(height), Mode.TAKEOFF)
-        if abs(goal[2] - self.state.p[2]) > min(ARRIVED, 0.25 * abs(goal[2] - start[2])):
+        if np.linalg.norm(goal - self.state.p) > RISEN:
             await self.go_to(goal)
 
     async def go_to(self, p: Point, duration: float = 0.0) -> None:
