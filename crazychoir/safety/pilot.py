@@ -27,7 +27,7 @@ from crazychoir.planning.landing import Landing, Legs
 from crazychoir.planning.point_to_point import PEAK_SPEED, PointToPoint, duration_for, stopping
 from crazychoir.runtime.actor import Actor, Restart
 from crazychoir.runtime.clock import SECOND
-from crazychoir.runtime.mailbox import Call, Latest
+from crazychoir.runtime.mailbox import Call
 from crazychoir.safety.guard import INSET, Action, Fence, Guard, Throttle, Verdict
 from crazychoir.safety.limits import ReferenceLimits
 from crazychoir.swarm.tables import Flight
@@ -123,7 +123,8 @@ class Pilot(Actor):
         self.filter = VelocityFilter(horizon=BLIND, period=1.0 / rate, motion=Commanded(PAPER.flat, limits.ground))
         self._braking = min(limits.acceleration_limit, LIFT)  # m/s2, with which it comes to rest, from any direction
         self.guard = Guard(self.fence, a_max=self._braking, ground=limits.ground)
-        self.references: Latest[Reference] = Latest(self.clock, f"drone {self.drone} reference", REFERENCE.max_age)
+        self._reference: Reference | None = None
+        self._reference_ns = 0
         port.bus.subscribe(POSE, self.drone, self.drone, Call(self.clock, self._posed, f"drone {self.drone} pose"))
         self.period_ns = round(SECOND / rate)
         self.restart = Restart(limit=max(5, round(GIVE_UP_TICKS * rate)), backoff=0.0)  # a drone in flight cannot wait
@@ -174,7 +175,7 @@ class Pilot(Actor):
 
     def on_restart(self) -> None:
         """Whatever made a tick fail is forgotten: it comes to rest and hovers, or goes on landing, from where it is."""
-        self.references.clear()
+        self._reference = None
         self._plan = self._flown = None
         if self.mode is Mode.LAND:
             self._descend()
@@ -298,7 +299,7 @@ class Pilot(Actor):
         elif isinstance(wanted, Goto):
             self._fly_goto(wanted)
         else:
-            self.references.put(wanted)
+            self._reference, self._reference_ns = wanted, self.clock.now_ns()
             self.mode = FOLLOW
 
     def _fly_goto(self, wanted: Goto) -> None:
@@ -357,7 +358,7 @@ class Pilot(Actor):
     def _command(self, state: State, now: float) -> FPQR:
         mode = self.mode
         if mode is FOLLOW:
-            verdict = self.guard.check(now, state, state.age, self.references.age())
+            verdict = self.guard.check(now, state, state.age, (self._ticked_ns - self._reference_ns) / SECOND)
         elif mode in DOWN:
             return self._idle
         else:
@@ -380,7 +381,7 @@ class Pilot(Actor):
 
     def _follow(self, state: State, now: float) -> FPQR:
         if self.mode is FOLLOW and self._obeyed is NOMINAL:
-            reference = self.references.peek()
+            reference = self._reference
             if isinstance(reference, Acceleration):
                 self._flown, self._plan = None, None
                 return self.follower.command(state, reference, now)

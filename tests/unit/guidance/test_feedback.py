@@ -142,7 +142,7 @@ async def test_what_it_wants_is_flown_in_the_same_tick(clock):
     drone, ending = await flown(clock, law, seconds=0.0)
     await drone.fly(2 * TICK)
     assert drone.pilot.mode is Mode.FOLLOW
-    assert drone.pilot.references.age() == 0.0
+    assert drone.pilot._reference_ns == clock.now_ns()
     ending.cancel()
 
 
