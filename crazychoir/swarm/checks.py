@@ -172,8 +172,11 @@ def _apart(swarm: Swarm, where: str) -> None:
 
 
 def _cameras(swarm: Swarm, where: str) -> None:
-    """Just before the next pose comes, the last one is latency + 1 / rate old."""
+    """Just before the next pose comes, the last one is latency + 1 / rate old; simulated cameras count in periods."""
     mocap = swarm.mocap
+    periods = mocap.latency * mocap.rate
+    if abs(periods - round(periods)) > 1e-6:
+        raise ConfigError(f"{where}: mocap.latency", mocap.latency, f"multiples of {1.0 / mocap.rate:g} s, 1 / rate")
     oldest = mocap.latency + 1.0 / mocap.rate
     if oldest > OLDEST_POSE:
         raise ConfigError(

@@ -132,14 +132,14 @@ class Flight(Table, frozen=True, kw_only=True):
 
 class Mocap(Table, frozen=True, kw_only=True):
     """[mocap]: rate: poses a second; noise m, noise_angle rad: standard deviations an axis;
-    dropout: probability a pose; latency s.
+    dropout: probability a pose; latency: s, whole periods of the rate.
     """
 
     rate: Hertz = 100.0
     noise: Metres = 0.0005
     noise_angle: Turn = 0.001
     dropout: Probability = 0.0
-    latency: Seconds = 0.005
+    latency: Seconds = 0.0
 
 
 class Plant(Table, frozen=True, kw_only=True):

@@ -159,15 +159,20 @@ CASES = {
         "Move one of them.",
     ),
     "cameras that are late": (
-        "mocap.latency = 0.095",
+        "mocap.latency = 0.1",
         "",
-        "x.toml: mocap = latency 0.095 s, rate 100 Hz: poses get 0.105 s old before the next one comes; "
+        "x.toml: mocap = latency 0.1 s, rate 100 Hz: poses get 0.11 s old before the next one comes; "
         "at most 0.1 s: a drone whose pose is older brakes. Lower the latency, or raise the rate.",
+    ),
+    "cameras that are late by a part of a period": (
+        "mocap.latency = 0.015",
+        "",
+        "x.toml: mocap.latency: found 0.015; allowed: multiples of 0.01 s, 1 / rate.",
     ),
     "cameras that are slow": (
         "mocap.rate = 8",
         "",
-        "x.toml: mocap = latency 0.005 s, rate 8 Hz: poses get 0.13 s old before the next one comes; "
+        "x.toml: mocap = latency 0 s, rate 8 Hz: poses get 0.125 s old before the next one comes; "
         "at most 0.1 s: a drone whose pose is older brakes. Lower the latency, or raise the rate.",
     ),
     "host without a table": (
