@@ -114,8 +114,13 @@ class CFGuidance:
     neighbors_exchange = Verb(Communicator.neighbors_exchange)
 
     async def optimize(self, algorithm: Round, channel: str = "optimize", deadline: float | None = None) -> None:
-        """Run a distributed algorithm to its end, together with the neighbours."""
+        """Run a distributed algorithm to its end, together with the neighbours, and end the channel.
+
+        deadline: s for each round, None for 60 s. All drones must be done in the same round: who is done earlier ends
+        the channel, and who waits for it then gets ChannelEnded.
+        """
         await run_rounds(self.member.communicator, algorithm, channel=channel, deadline=deadline)
+        await self.member.communicator.close(channel)
 
     async def rendezvous(self, channel: str = "rendezvous") -> None:
         """Go on only when the whole team is here: as many empty rounds as the graph's diameter."""
