@@ -59,7 +59,7 @@ class Hook:
 
     def wrong(self, found: str, line: str = "") -> ConfigError:
         """The error of a hook that did not return what is allowed."""
-        return ConfigError(f"mission {self.file}{line}: {self.call}", found, f"{self.returns}, returned", README)
+        return ConfigError(f"mission {self.file}{line}: {self.call}", found, self.returns, README)
 
     def _line(self, error: Exception) -> str:
         """Where in the user's file it happened."""
