@@ -5,6 +5,7 @@
     │   └── InstanceError                  a pickup-and-delivery instance is wrong or infeasible
     ├── CodecError(ValueError)             a value cannot be encoded, or bytes cannot be decoded
     ├── RoundTimeout(TimeoutError)         a round of an exchange is not complete at its deadline
+    ├── ChannelEnded(RuntimeError)         a neighbour has ended an exchange in an earlier round than we
     ├── PeerLost(ConnectionError)          a member of the swarm is gone for longer than `lost_after`
     ├── RosterChanged(RuntimeError)        the team is another one now, and this algorithm cannot go on across that
     ├── Refused(RuntimeError)              somebody said no: a command, a swarm, a start check
@@ -14,7 +15,7 @@
     └── Livelock(RuntimeError)             virtual time: the clock stands still
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
 
 class CrazyChoirError(Exception):
@@ -51,7 +52,19 @@ class RoundTimeout(CrazyChoirError, TimeoutError):
         names = ", ".join(str(j) for j in self.missing)
         super().__init__(
             f"drone {drone}: channel {channel!r}, round {k}: nothing from neighbour(s) {names} within {seconds:g} s. "
-            "Look at `crazychoir status`, or give the exchange a longer deadline or another policy."
+            "Lower the loss, or give it a longer deadline or another policy; `crazychoir status` says who flies."
+        )
+
+
+class ChannelEnded(CrazyChoirError, RuntimeError):
+    """The awaited round will never come: neighbours have ended the channel before it; `ended` is {j: its rounds}."""
+
+    def __init__(self, drone: int, channel: str, k: int, ended: Mapping[int, int]) -> None:
+        self.drone, self.channel, self.k, self.ended = drone, channel, k, dict(ended)
+        who = ", ".join(f"drone {j} has ended it after {n} round(s), 0 to {n - 1}" for j, n in self.ended.items())
+        super().__init__(
+            f"drone {drone}: channel {channel!r}, round {k}: {who}; all must end in the same round. "
+            "Let `done` follow from what all know alike, such as the number of rounds or an agreed value."
         )
 
 

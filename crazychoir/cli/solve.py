@@ -28,7 +28,14 @@ def solve(
     picture: Annotated[Path | None, typer.Option(help="Where to draw the routes (PNG).")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object, nothing else.")] = False,
 ) -> None:
-    """Solve an instance: every robot with its own part of it."""
+    """Solve an instance: every robot with its own part of it.
+
+    The file is one JSON object of N robots and M tasks, in metres: home (N points of 2 or 3 numbers), pickup and
+    delivery (M points), load (M numbers), capacity (N numbers, in the unit of load); if you like route_length_limit
+    (a number) and capability (N rows of M booleans). agents/data/lab6.json is one.
+
+    lower_bound: m; no plan costs less. bound_exact: that is proven. A plan that costs its lower_bound is optimal.
+    """
     set_up_logging()
     from crazychoir.routing.instance import Instance  # kernels and solvers: 1 s that --help does not need
     from crazychoir.solving import solve_here

@@ -1,8 +1,9 @@
 """What a mission is written in: CFGuidance (a coroutine with the paper's verbs) and CFDistributedFeedback (a law)."""
 
 import asyncio
+import logging
 from abc import abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from types import MethodType
 from typing import Any, Concatenate, Generic, ParamSpec, TypeVar, overload
@@ -20,8 +21,9 @@ from crazychoir.swarm.communicator import Communicator, run_rounds
 from crazychoir.swarm.config import SwarmConfig
 from crazychoir.swarm.graph import Graph
 from crazychoir.swarm.round import Round
-from crazychoir.types import Heard, Point, Reference, State
+from crazychoir.types import Acceleration, FullState, Goto, Heard, Point, Reference, State
 
+log = logging.getLogger(__name__)
 P = ParamSpec("P")
 R = TypeVar("R")
 SETTLE = 0.05
@@ -112,8 +114,13 @@ class CFGuidance:
     neighbors_exchange = Verb(Communicator.neighbors_exchange)
 
     async def optimize(self, algorithm: Round, channel: str = "optimize", deadline: float | None = None) -> None:
-        """Run a distributed algorithm to its end, together with the neighbours."""
+        """Run a distributed algorithm to its end, together with the neighbours, and end the channel.
+
+        deadline: s for each round, None for 60 s. All drones must be done in the same round: who is done earlier ends
+        the channel, and who waits for it then gets ChannelEnded.
+        """
         await run_rounds(self.member.communicator, algorithm, channel=channel, deadline=deadline)
+        await self.member.communicator.close(channel)
 
     async def rendezvous(self, channel: str = "rendezvous") -> None:
         """Go on only when the whole team is here: as many empty rounds as the graph's diameter."""
@@ -240,6 +247,8 @@ class CFDistributedFeedback(CFGuidance):
             bus.subscribe(STATE, j, self.id, hearing, self.rate if self.rate < STATE.rate else 0.0)
         self._own, self._measured = self._sum(), 0.0
         self._unheard = dict.fromkeys(self._hearings, 0)
+        self._steps = self._nothing = self._refused = 0
+        self._amiss = ""
         self._law: asyncio.Future[None] | None = None
         self._period_ns = self._due_ns = 0
         self._me, self._stages = self.state, bus.stages
@@ -252,8 +261,9 @@ class CFDistributedFeedback(CFGuidance):
     async def mission(self) -> dict[str, Any]:
         """Take off, wait for the others, run the law, land.
 
-        Returns law_s: s that the law ran;  place: (3,) m, where it has ended;  unheard_s: {j: s of the law in which
-        nothing fresh was heard of neighbour j}.
+        Returns law_s: s that the law ran;  references: how often `step` returned one that could be flown;  place:
+        (3,) m, where it has ended;  unheard_s: {j: s of the law in which nothing fresh was heard of neighbour j}. It
+        has failed if `step` returned references of which none could be flown.
         """
         await self.take_off(self.height())
         await self.rendezvous()
@@ -267,7 +277,14 @@ class CFDistributedFeedback(CFGuidance):
         self.member.announce()
         await self.land()
         unheard = {j: steps / self.rate for j, steps in self._unheard.items() if steps}
-        return {"law_s": law_s, "place": place, "unheard_s": unheard}
+        usable = self._steps - self._nothing - self._refused
+        result = {"law_s": law_s, "references": usable, "place": place, "unheard_s": unheard}
+        return result | ({"success": False, "reason": self._useless()} if self._refused and not usable else {})
+
+    def _useless(self) -> str:
+        """Why a law of which nothing could be flown has failed."""
+        where = f"drone {self.id}: the law gave no usable reference in {self._refused} of {self._steps} steps"
+        return f"{where}{' (None in the others)' if self._nothing else ''}: {self._amiss}"
 
     def height(self) -> float | None:
         """m, of the take-off; None for that of the swarm file."""
@@ -308,10 +325,15 @@ class CFDistributedFeedback(CFGuidance):
             if pilot.mode not in LAW_MODES:
                 raise Interrupted(f"drone {self.id}: {pilot.mode.value}: {pilot.note}{self._deaf()}")
             reference = self._stepped(self._me)
+            self._steps += 1
             if reference is None:
+                self._nothing += 1
                 pilot.hover()
             else:
+                taken = pilot.references.received
                 pilot.follow(reference)
+                if pilot.references.received == taken:
+                    self._not_taken(reference)
         except KeyboardInterrupt:
             raise
         except BaseException as error:  # noqa: BLE001 - whoever awaits the law gets it
@@ -335,6 +357,14 @@ class CFDistributedFeedback(CFGuidance):
         with watchdog.guard(f"drone {self.id} guidance"):
             return self.step(me, heard)
 
+    def _not_taken(self, reference: object) -> None:
+        """The pilot flies it otherwise, as a Goto, or not at all: count what can never be flown, and say it once."""
+        self._amiss = amiss(reference) or self._amiss
+        if amiss(reference):
+            self._refused += 1
+            if self._refused == 1:
+                log.warning("drone %d: %s: not flown", self.id, self._amiss)
+
     def _deaf(self) -> str:
         """Whom it does not hear: the usual reason of a law that says nothing."""
         silent = ", ".join(str(j) for j, box in self._hearings.items() if box.fresh() is None)
@@ -349,6 +379,34 @@ class CFDistributedFeedback(CFGuidance):
             if state is not None:
                 heard[j] = state
         return heard
+
+
+def amiss(reference: object) -> str:
+    """Why what a law has returned can never be flown; empty if it can."""
+    numbers: list[Any]
+    match reference:
+        case Acceleration():
+            numbers, size = [reference.a, reference.yaw], 3
+        case FullState():
+            numbers, size = [reference.flat], 14
+        case Goto():
+            numbers, size = [reference.p, reference.yaw, reference.duration], 3
+        case _:
+            of = f" {reference.shape}" if isinstance(reference, np.ndarray) else ""
+            found = f"{type(reference).__name__}{of}"
+            return f"step() must return Acceleration(...), FullState(...), Goto(...) or None; found {found}"
+    try:
+        if np.shape(numbers[0]) == (size,) and all(np.all(np.isfinite(part)) for part in numbers):
+            return ""
+    except (TypeError, ValueError):
+        pass  # no numbers at all
+    kind, found = type(reference).__name__, " ".join(f"{numbers}"[1:-1].split())
+    return f"step() must return finite numbers, {kind} of ({size},); found {kind}({found:.80})"
+
+
+def idle(results: Mapping[int, Mapping[str, Any]]) -> bool:
+    """Whether all drones flew laws that returned None in every step: nobody moved."""
+    return bool(results) and all(r.get("success") and r.get("references") == 0 for r in results.values())
 
 
 def raisable(error: BaseException, where: str) -> BaseException:

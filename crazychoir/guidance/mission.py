@@ -4,12 +4,14 @@ import hashlib
 import importlib
 import importlib.util
 import pkgutil
+import sys
 from pathlib import Path
 from types import ModuleType
 from typing import Any, Protocol, cast
 
 from crazychoir.errors import ConfigError
 from crazychoir.guidance.base import CFGuidance
+from crazychoir.guidance.hooks import MissionFile
 from crazychoir.swarm.config import SwarmConfig
 from crazychoir.types import Point
 
@@ -25,6 +27,10 @@ class Mission(Protocol):
 
     def swarm(self, drones: int | None) -> SwarmConfig:
         """The swarm when no swarm file is given, with so many drones if the mission can."""
+        ...
+
+    def scatter(self, config: SwarmConfig) -> SwarmConfig:
+        """The mission's own swarm as it starts with the seed of this run."""
         ...
 
     def check(self, config: SwarmConfig, force: bool) -> list[str]:
@@ -44,16 +50,13 @@ class Mission(Protocol):
         ...
 
 
-OPTIONAL = ("swarm", "check", "goal", "report", "picture")
-
-
 def load(name: str) -> Mission:
-    """The mission of this name in agents/, or of this .py file; raises ConfigError."""
+    """The mission of this name in agents/, or of this .py file, with its hooks guarded; raises ConfigError."""
     module = _from_file(Path(name)) if name.endswith(".py") else _from_package(name)
     if not callable(getattr(module, "guidance", None)):
         do = "See agents/bearing_formation.py."
         raise ConfigError(f"mission {name}", "no function guidance(i, config)", "a mission file defines it", do)
-    return cast(Mission, module)
+    return cast(Mission, MissionFile(module))
 
 
 def has(mission: Mission, what: str) -> bool:
@@ -88,9 +91,20 @@ def _from_file(path: Path) -> ModuleType:
     if spec is None or spec.loader is None:
         raise ConfigError("mission", str(path), "a Python file")
     module = importlib.util.module_from_spec(spec)
+    _see_neighbors(path)
     try:
         spec.loader.exec_module(module)
     except Exception as error:
         found = f"{type(error).__name__}: {error}"
         raise ConfigError(f"mission {path}", found, "a file that Python can import") from error
     return module
+
+
+def _see_neighbors(path: Path) -> None:
+    """A mission file may import the files beside it, as a script may; installed modules of the same name come first.
+
+    For good, because it may import when it flies.
+    """
+    folder = str(path.resolve().parent)
+    if folder not in sys.path:
+        sys.path.append(folder)

@@ -58,7 +58,6 @@ class PDVRPGuidance(CFGuidance):
             "task": f"planning: {solver.progress.phase}", "round": solver.progress.round, "cost": solver.progress.cost,
         }  # fmt: skip
         await self.optimize(solver, channel="pickup_delivery", deadline=DEADLINE)
-        await self.member.communicator.close("pickup_delivery")
         return solver.solution
 
     async def agree_on_start(self, route: Route) -> dict[int, float]:

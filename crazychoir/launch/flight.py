@@ -1,5 +1,6 @@
 """A mission flown by all its drones, in virtual time or in real time; and the object that `run --json` prints."""
 
+import logging
 import time
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
@@ -8,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from crazychoir.agent import Agent
+from crazychoir.guidance.base import idle
 from crazychoir.guidance.mission import Mission, has
 from crazychoir.launch.network import attached, observer
 from crazychoir.launch.processes import run_children
@@ -17,7 +19,9 @@ from crazychoir.simulation.trace import Trace
 from crazychoir.swarm.checks import TOUCHING
 from crazychoir.swarm.config import SwarmConfig
 
+log = logging.getLogger(__name__)
 NO_REASON = "its mission returned success = False, without a reason"
+NOBODY_MOVED = "the law returned None in every step of every drone: all hovered, nobody moved"
 Results = dict[int, dict[str, Any]]
 
 
@@ -85,6 +89,9 @@ def summary(
     failed = failures(results, score.touching, started)
     absent = [i for i in started if i not in results]
     separation = score.min_separation
+    if idle(results):
+        log.warning(NOBODY_MOVED)
+        score.log.append(NOBODY_MOVED)
     return {
         **report,
         "mission": config.mission,

@@ -131,15 +131,19 @@ class ColumnRecovery:
                 break
             gap = min(2.0 * gap, own_gap)
         if best is None:
-            where = f"robot {self._i}: set partitioning of {len(self._pool)} columns"
-            raise SolverError(where, self._failure(exhausted))
+            why, status = self._failure(exhausted)
+            raise SolverError(f"{why} (robot {self._i}: set partitioning of {len(self._pool)} columns)", status)
         return Assignment(best.routes, min(proven, best.cost) if self._exact else None)
 
-    def _failure(self, exhausted: bool) -> str:
+    def _failure(self, exhausted: bool) -> tuple[str, str]:
+        """Why there is no plan, and the status."""
         if not self._exact:
-            return "no plan found: route tables were cut at most_labels. Narrow capability or route_length_limit"
-        proven = exhausted and self._infeasible
-        return "infeasible: no plan serves every task" if proven else "no plan found within the passes and nodes"
+            why = "no plan found: route tables were cut at most_labels. Narrow capability or route_length_limit"
+            return why, "incomplete"
+        if exhausted and self._infeasible:
+            why = "each can be served alone, but not all together within capability, capacity and route_length_limit"
+            return f"infeasible: no plan serves every task; {why}", "infeasible"
+        return "no plan found within the passes and nodes", "incomplete"
 
     def _widen(self, gap: float) -> Exchange[bool]:
         """Flood all columns within the gap, a part at a time; returns whether no robot has any beyond."""

@@ -53,11 +53,14 @@ class LocalProblem:
     @cached_property
     def servable(self) -> npt.NDArray[np.int64]:
         """Indices, increasing, of the tasks that this robot can do on a tour of their own."""
-        m, d = len(self.tasks), self.distance
-        j = np.arange(m)
-        alone = d[2 * m, j] + d[j, m + j] + d[m + j, 2 * m]
+        alone = self.alone(np.arange(len(self.tasks)))
         fits = self.capable & (self.tasks.load <= self.capacity + SLACK) & (alone <= self.limit + SLACK)
         return np.flatnonzero(fits)
+
+    def alone(self, j: Any) -> Any:
+        """m, of the tour for task j alone; for indices (K,) it is (K,)."""
+        m, d = len(self.tasks), self.distance
+        return d[2 * m, j] + d[j, m + j] + d[m + j, 2 * m]
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,9 +137,20 @@ class Instance:
         for i in range(self.robots):
             served[self.local(i).servable] = True
         for j in np.flatnonzero(~served):
-            raise InstanceError(
-                f"{self.name}: task {j}",
-                f"load {self.tasks.load[j]:g} that none of the {self.robots} robots can carry alone",
-                "a task for which some robot is capable, has capacity >= load, and a tour within route_length_limit",
-                f"Look at load[{j}], capacity, column {j} of capability, and route_length_limit.",
-            )
+            found, allowed, do = self._why_unservable(int(j))
+            raise InstanceError(f"{self.name}: task {j}", found, allowed, do)
+
+    def _why_unservable(self, j: int) -> tuple[str, str, str]:
+        """The limit that keeps the last robot from task j alone: what was found, what is allowed, what to do."""
+        capable = [i for i in range(self.robots) if self.capability[i, j]]
+        if not capable:
+            return "no robot that is capable of it", "at least one", f"Look at column {j} of capability."
+        load = float(self.tasks.load[j])
+        carriers = [i for i in capable if load <= self.capacity[i] + SLACK]
+        if not carriers:
+            most = f"{max(self.capacity[i] for i in capable):g}, the largest capacity of the robots capable of it"
+            return f"load {load:g}", f"at most {most}", f"Look at load[{j}], capacity, and column {j} of capability."
+        shortest, robot = min((self.local(i).alone(j), i) for i in carriers)
+        found = f"a tour of {shortest:.6g} m for it alone, by robot {robot}, the shortest of those that can carry it"
+        allowed = f"at most {self.route_length_limit:g} m, the route_length_limit"
+        return found, allowed, f"Look at route_length_limit, home, pickup[{j}] and delivery[{j}]."

@@ -84,8 +84,10 @@ class Plan:
 class Solution:
     """What one robot knows of the team's plan when its method ends.
 
-    cost, lower_bound: m (None: no bound);  bound_exact: the bound is by exact pricing at common prices;
-    disclosed: what the robots told each other;  rounds: of communication;  routes: those that this robot knows.
+    cost: m;  lower_bound: m, no plan at all costs less (None: unknown, bound_exact is False then);  bound_exact: it is
+    proven, by exact pricing of all routes, which does not say that it is tight: a plan is proven optimal where its cost
+    is the bound, and `resource` and `resource-argmax` prove weaker ones than `resource-columns`;  disclosed: what the
+    robots told each other;  rounds: of communication;  routes: those that this robot knows.
     """
 
     cost: float

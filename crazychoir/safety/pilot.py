@@ -338,7 +338,10 @@ class Pilot(Actor):
         self._say("cut", reason)
 
     def guidance_failed(self, reason: str) -> None:
-        """Guidance is gone: hover, then land."""
+        """Guidance is gone: hover, then land; on the ground, stay there."""
+        if not self.airborne:
+            self._say("guidance", f"guidance failed ({reason}): stays on the ground")
+            return
         self._say("guidance", f"guidance failed ({reason}): hovering, then landing")
         self.hover()
         due_ns = self.clock.now_ns() + round(GIVE_UP_HOVER * SECOND)

@@ -29,7 +29,9 @@ class Channel:
     sending, receiving: the round that comes next;  limit: the first round that may not be sent unless it is looked
     whether the readers have come along;  oldest: the first round that a reader may still lack;  progress: of each
     neighbour, the first round that it may not have finished;  pacing: those who ask for rounds that they lack;
-    ins, outs: neighbours, the same until round `until`;  missing: who is waited for.
+    ins, outs: neighbours, the same until round `until`;  missing: who is waited for;  strict: whether who waits wants
+    all of them;  finished: of each neighbour that has ended the channel, the first round that it did not take part in;
+    told: how often we told so to who asked for one after our own end.
     """
 
     name: str
@@ -48,8 +50,10 @@ class Channel:
     pacing: dict[int, None] = field(default_factory=dict)
     finished: dict[int, int] = field(default_factory=dict)
     closed_at: int = -1
+    told: int = 0
     changed: Exception | None = None
     missing: dict[int, None] = field(default_factory=dict)
+    strict: bool = True
     waiter: "asyncio.Future[None] | None" = None
     gate: "asyncio.Future[None] | None" = None
     since_ns: int = 0
@@ -88,6 +92,14 @@ class Channel:
         readers = self.sent.get(k, NOT_SENT)[1]
         late = [j for j in readers if self.progress.get(j, 0) <= k and j not in gone]
         return [j for j in late if j in self.pacing] if pacing_only else late
+
+    def ended(self) -> dict[int, int]:
+        """{j: its rounds} of those waited for who have ended the channel before the awaited round: it never comes.
+
+        Not of those with whom we have ended it ourselves and gone on, as they may too.
+        """
+        found = {j: self.finished[j] for j in self.missing if j in self.finished}
+        return {j: n for j, n in found.items() if self.closed_at < n <= self.receiving}
 
     def trim(self, gone: dict[int, None], pacing_only: bool = False) -> list[int]:
         """Forget the rounds that all readers have; returns who may lack the oldest that is left."""

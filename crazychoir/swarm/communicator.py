@@ -43,7 +43,8 @@ class Communicator(Rounds):
         A `PerNeighbor` gives each neighbour its own payload. Returns {j: value} in increasing j.
         policy: at the deadline raise RoundTimeout, return the `partial` set, or `hold` the last value of the silent.
         After a RoundTimeout the next exchange goes on with the same round, whose message has already been sent.
-        Raises RoundTimeout, PeerLost, RosterChanged, CodecError.
+        Raises RoundTimeout, PeerLost, RosterChanged, CodecError, and ChannelEnded when a neighbour has closed the
+        channel before this round, unless we have closed it there too: such a round would never come.
         """
         ch = self._channels.get(channel) or self.open(channel)
         k = ch.sending
@@ -107,7 +108,7 @@ class Communicator(Rounds):
         """End a channel: tell the neighbours (FIN) and serve the late ones, until all have finished or say nothing.
 
         linger: s without a question from those who have not finished. Who uses the channel again goes on with its
-        next round.
+        next round; all must have closed it in the same round.
         """
         ch = self.open(channel)
         n = ch.closed_at = max(ch.sending, ch.receiving)
@@ -193,6 +194,7 @@ class Communicator(Rounds):
         for j in box:
             missing.pop(j, None)
         if missing:
+            ch.strict = policy == "raise"
             waiter = self._expect(ch, missing, self.deadline if deadline is None else deadline)
             try:
                 await waiter
@@ -241,7 +243,7 @@ async def run_rounds(
     deadline: float | None = None,
     policy: Policy = "raise",
 ) -> None:
-    """Run a pure algorithm to its end.
+    """Run a pure algorithm to its end, which must be the same round at all; the channel stays open.
 
     `heavy = True` in an algorithm steps away from the event loop; `joinable = True` goes on across epochs.
     """

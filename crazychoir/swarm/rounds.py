@@ -13,7 +13,7 @@ from typing import Final, Protocol
 
 from crazychoir.bus.local import Port
 from crazychoir.bus.topics import ROUND
-from crazychoir.errors import ConfigError, PeerLost, RosterChanged, RoundTimeout
+from crazychoir.errors import ChannelEnded, ConfigError, PeerLost, RosterChanged, RoundTimeout
 from crazychoir.runtime.clock import SECOND, Alarm, wake
 from crazychoir.swarm.channel import HISTORY, Channel
 from crazychoir.swarm.epochs import AnyGraph, Epochs
@@ -227,7 +227,7 @@ class Rounds:
             ch.latest[source] = (number, payload, heard_ns - int(age * SECOND) if age else heard_ns)
             if kind != AHEAD:
                 ch.progress[source] = number
-        if kind == REPEAT and number < ch.sending:
+        if kind == REPEAT:
             self._answer(ch, number, source)
         k, inbox = ch.receiving, ch.inbox
         if k <= number < k + HISTORY:
@@ -271,11 +271,23 @@ class Rounds:
             self._arrived(source, payload, number, channel, flags, age)
 
     def _answer(self, ch: Channel, number: int, source: int) -> None:
-        """Source repeats a round: it lacks our message of it, or does not know that we have read its own."""
+        """Source repeats a round: it lacks our message of it, or does not know that we have read its own.
+
+        A round after our end it will never get: it is told that we have ended.
+        """
+        if number >= ch.sending:
+            self._farewell(ch, number, source)
+            return
         ch.answers += 1
         self._again(ch, number, source, 2 * ch.answers + 1, AHEAD)
         if number + 1 < ch.receiving or not ch.reads(number, source):
             self._control(ch, CREDIT, (source,), ch.receiving, ch.answers)
+
+    def _farewell(self, ch: Channel, number: int, source: int) -> None:
+        """Tell who asks for a round that comes after our end that we have ended; a question that no linger counts."""
+        if 0 <= ch.closed_at <= number and ch.closed_at >= ch.sending:
+            ch.told += 1
+            self._control(ch, FIN, (source,), ch.closed_at, PUSH + ch.told)
 
     def _controlled(self, ch: Channel, kind: int, source: int, number: int) -> None:
         if kind >= FIN:
@@ -287,6 +299,7 @@ class Rounds:
             ch.pacing[source] = None
         ch.progress[source] = max(min(number, ch.sending), ch.progress.get(source, 0))
         if kind == WANT:
+            self._farewell(ch, number, source)
             ch.answers += 1
             self._again(ch, number, source, 2 * ch.answers + 1, AHEAD)
         wake_if(ch.gate)
@@ -339,7 +352,10 @@ class Rounds:
             elif not ch.resend_ns:
                 ch.resend_ns = ch.since_ns + int(SECOND * ch.rto(0))
             elif now_ns >= ch.resend_ns:
-                self._resend(ch, now_ns)
+                if ch.strict and (ended := ch.ended()):
+                    fail(ch, ChannelEnded(self.id, ch.name, ch.receiving, ended))
+                else:
+                    self._resend(ch, now_ns)
         if self._waiting():
             self._schedule(now_ns)
 

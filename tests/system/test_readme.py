@@ -1,5 +1,6 @@
 """What the README shows is so: its mission, saved as it stands there, flies; its figures are those of its commands."""
 
+import inspect
 import json
 import re
 import shlex
@@ -8,6 +9,9 @@ import sys
 
 import pytest
 from system.commands import call
+
+from crazychoir.guidance.base import CFDistributedFeedback, CFGuidance
+from crazychoir.guidance.hooks import HOOKS
 
 pytestmark = pytest.mark.system
 MARK = r"<!-- my_law\.py -->\n```python\n(.*?)```"
@@ -22,10 +26,10 @@ def mission_file(repository, tmp_path):
     return path
 
 
-def flown(path, *options):
+def flown(path, *options, code=0):
     command = [sys.executable, "-m", "crazychoir.cli.crazychoir", "run", path.name, "--fast", "--json", *options]
     run = subprocess.run(command, cwd=path.parent, capture_output=True, text=True, check=False, timeout=100)
-    assert run.returncode == 0, run.stderr
+    assert run.returncode == code, run.stderr
     return json.loads(run.stdout)
 
 
@@ -37,6 +41,36 @@ def test_it_flies_by_the_command_of_the_readme(mission_file):
     result = flown(mission_file)
     assert result["success"]
     assert result["drones"] == 4
+    assert [own["place"][2] for own in result["results"].values()] == pytest.approx([0.9] * 4, abs=0.01)
+    assert result["mean_z"] == pytest.approx(0.9, abs=0.01)
+    assert result["spread_m"] < 0.01
+
+
+def test_its_success_says_that_they_met(mission_file):
+    """Too short a law is no success: half way they are not yet at one height."""
+    mission_file.write_text(mission_file.read_text().replace("duration = 10.0", "duration = 1.0"))
+    result = flown(mission_file, code=1)
+    assert not result["success"]
+    assert result["spread_m"] > 0.1
+    assert all(own["success"] for own in result["results"].values())
+
+
+def table(repository, first):
+    """The first column of the README's table whose head begins with `first`."""
+    rows = (repository / "README.md").read_text().split(f"\n| {first} |")[1].split("\n\n")[0].splitlines()[2:]
+    return re.findall(r"`([^`]+)`", " ".join(row.split(" | ")[0] for row in rows))
+
+
+def test_its_tables_name_what_there_is(repository):
+    hooks = [text.removesuffix(")").split("(") for text in table(repository, "hook")]
+    assert {name: tuple(arguments.split(", ")) for name, arguments in hooks} == {n: h[0] for n, h in HOOKS.items()}
+    for text in table(repository, "in both"):
+        name = re.search(r"self\.(\w+)", text)[1]
+        assert hasattr(CFGuidance, name) or name == "member", text
+        for argument in re.findall(r"(\w+)=", text):
+            assert argument in inspect.signature(getattr(CFGuidance, name)).parameters, text
+    for text in table(repository, "to write"):
+        assert hasattr(CFDistributedFeedback, re.sub(r"^(async )?def ", "", text).split("(")[0].split(" ")[0]), text
 
 
 def test_more_drones_by_one_option(mission_file):

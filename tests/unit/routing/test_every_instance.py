@@ -47,7 +47,7 @@ def instance_of(raw):
     try:
         return Instance.parse(raw)
     except InstanceError as refusal:
-        if "none of the" not in str(refusal):
+        if "instance: task " not in str(refusal):
             raise
         return None
 

@@ -60,6 +60,24 @@ def test_distances_are_euclidean_in_three_dimensions():
     np.testing.assert_allclose(Instance.parse(raw).local(0).distance, [[0, 3, 3], [3, 0, 30**0.5], [3, 30**0.5, 0]])
 
 
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"capability": [[True, True, False]] * 2},
+         "task 2: found no robot that is capable of it; allowed: at least one. Look at column 2 of capability."),
+        ({"capacity": [2.0, 2.5]}, "task 2: found load 3; allowed: at most 2.5, the largest capacity of the robots"),
+        ({"capacity": [2.0, 9.0], "capability": [[True] * 3, [True, True, False]]},
+         "task 2: found load 3; allowed: at most 2, the largest capacity of the robots capable of it. Look at load[2]"),
+        ({"route_length_limit": 5.0}, "a tour of 6.0645 m for it alone, by robot 0, the shortest of those that can"),
+        ({"route_length_limit": 5.0}, "allowed: at most 5 m, the route_length_limit. Look at route_length_limit, home"),
+    ],
+)  # fmt: skip
+def test_a_task_that_nobody_can_serve_names_the_limit(change, said):
+    with pytest.raises(InstanceError) as error:
+        Instance.parse(with_change(**change))
+    assert said in str(error.value)
+
+
 BAD = [
     ({"home": [[0.0, 0.0], [4.0]]}, "home[1]"),
     ({"home": [[0.0, 0.0], [4.0, 0.0, 1.0]]}, "home[1]"),

@@ -251,6 +251,16 @@ async def test_when_guidance_has_failed_it_hovers_then_lands(clock):
 
 
 @virtual
+async def test_when_guidance_has_failed_before_the_take_off_it_stays_on_the_ground(clock):
+    drone = Flown(clock)
+    drone.pilot.guidance_failed("no idea")
+    assert drone.pilot.note == "guidance failed (no idea): stays on the ground"
+    await drone.fly(GIVE_UP_HOVER + 1.0)
+    assert drone.pilot.mode is Mode.GROUND
+    assert "landing" not in drone.pilot.note
+
+
+@virtual
 async def test_a_cut_stops_the_motors_for_good(clock):
     drone = Flown(clock)
     await drone.hovering()

@@ -12,7 +12,7 @@ from crazychoir.bus.impairment import Impairment
 from crazychoir.bus.local import Bus
 from crazychoir.bus.rules import Partition, Rule
 from crazychoir.bus.topics import ROUND
-from crazychoir.errors import CodecError, ConfigError, PeerLost, RosterChanged, RoundTimeout
+from crazychoir.errors import ChannelEnded, CodecError, ConfigError, PeerLost, RosterChanged, RoundTimeout
 from crazychoir.runtime.clock import Clock, run_virtual, run_wall
 from crazychoir.swarm import graph as graphs
 from crazychoir.swarm.channel import HISTORY
@@ -544,6 +544,87 @@ def test_closing_ends_after_its_linger():
         return c.port.bus.clock.now()
 
     assert swarm(graphs.path(2), agent, gone=(1,))[0] == pytest.approx(0.7, abs=0.03)
+
+
+def ending(rounds: dict[int, int], linger: float = 2.0, **options: Any) -> Agent:
+    """Each drone ends after its own number of rounds; returns when, and the error that it got instead."""
+
+    async def agent(c: Communicator) -> tuple[float, ChannelEnded | None]:
+        try:
+            for k in range(rounds[c.id]):
+                await c.neighbors_exchange(k, channel="optimize", **options)
+        except ChannelEnded as error:
+            return c.port.bus.clock.now(), error
+        await c.close("optimize", linger=linger)
+        return c.port.bus.clock.now(), None
+
+    return agent
+
+
+@pytest.mark.parametrize(("p", "soon"), [(0.0, 0.1), (0.5, 1.0)])
+def test_who_waits_for_one_that_has_ended_learns_it_at_once(p, soon):
+    for seed in range(10):
+        found = swarm(graphs.path(3), ending({0: 9, 1: 6, 2: 6}), loss(p), seed=seed)
+        at, error = found[0]
+        assert isinstance(error, ChannelEnded)
+        assert (error.drone, error.channel, error.k, error.ended) == (0, "optimize", 6, {1: 6})
+        assert "drone 1 has ended it after 6 round(s), 0 to 5; all must end in the same round" in str(error)
+        assert at < soon
+        assert (found[1][1], found[2][1]) == (None, None)
+
+
+def test_one_that_has_ended_and_gone_on_still_says_so_when_asked():
+    """All that 1 says of its end is lost, and it no longer lingers when 0 can hear it again."""
+
+    async def agent(c: Communicator) -> tuple[float, ChannelEnded | None]:
+        clock, bus = c.port.bus.clock, c.port.bus
+        if c.id == 1:
+            await c.neighbors_exchange(0, channel="optimize")
+            bus.impairment.replace([Rule({"loss": 1.0}, edge=(1, 0), directed=True)])
+            clock.call_at(10**9, bus.impairment.replace, ())
+        return await ending({0: 3, 1: 0}, linger=0.3)(c)
+
+    at, error = swarm(graphs.path(2), agent)[0]
+    assert isinstance(error, ChannelEnded)
+    assert 1.0 < at < 1.3
+
+
+@pytest.mark.parametrize("p", [0.0, 0.5])
+def test_one_that_has_ended_still_serves_who_is_late_in_its_rounds(p):
+    """No error while what was said before the end may still come: 0 needs all rounds, and gets them late."""
+
+    async def agent(c: Communicator) -> list[int]:
+        heard = []
+        for k in range(8):
+            await c.port.bus.clock.sleep(0.3 * (c.id == 0))
+            heard += (await c.neighbors_exchange(k)).values()
+        await c.close(linger=0.2)
+        return heard
+
+    for seed in range(10):
+        assert swarm(graphs.ring(4), agent, loss(p, delay=0.02, reorder=0.2), seed=seed)[0] == sorted([*range(8)] * 2)
+
+
+@pytest.mark.parametrize("p", [0.0, 0.5])
+def test_a_channel_that_all_have_ended_together_goes_on(p):
+    async def agent(c: Communicator) -> list[int]:
+        heard = []
+        for _ in range(3):
+            for k in range(4):
+                await c.port.bus.clock.sleep(0.02 * c.id)
+                heard += (await c.neighbors_exchange(k)).values()
+            await c.close(linger=0.5)
+        return heard
+
+    for seed in range(10):
+        assert swarm(graphs.path(2), agent, loss(p), seed=seed) == dict.fromkeys(range(2), [*range(4)] * 3)
+
+
+def test_who_asked_for_what_comes_gets_what_comes_from_one_that_has_ended():
+    agent = ending({0: 7, 1: 6}, policy="partial", deadline=0.5)
+    at, error = swarm(graphs.path(2), agent)[0]
+    assert error is None
+    assert at >= 0.5
 
 
 def test_a_closed_channel_goes_on_where_it_was():
