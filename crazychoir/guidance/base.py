@@ -329,11 +329,8 @@ class CFDistributedFeedback(CFGuidance):
             if reference is None:
                 self._nothing += 1
                 pilot.hover()
-            else:
-                taken = pilot.references.received
-                pilot.follow(reference)
-                if pilot.references.received == taken:
-                    self._not_taken(reference)
+            elif not pilot.follow(reference):
+                self._not_taken(reference)
         except KeyboardInterrupt:
             raise
         except BaseException as error:  # noqa: BLE001 - whoever awaits the law gets it
@@ -358,12 +355,10 @@ class CFDistributedFeedback(CFGuidance):
             return self.step(me, heard)
 
     def _not_taken(self, reference: object) -> None:
-        """The pilot flies it otherwise, as a Goto, or not at all: count what can never be flown, and say it once."""
-        self._amiss = amiss(reference) or self._amiss
-        if amiss(reference):
-            self._refused += 1
-            if self._refused == 1:
-                log.warning("drone %d: %s: not flown", self.id, self._amiss)
+        """Count what can never be flown, and say once why."""
+        self._refused, self._amiss = self._refused + 1, amiss(reference)
+        if self._refused == 1:
+            log.warning("drone %d: %s: not flown", self.id, self._amiss)
 
     def _deaf(self) -> str:
         """Whom it does not hear: the usual reason of a law that says nothing."""
@@ -382,7 +377,7 @@ class CFDistributedFeedback(CFGuidance):
 
 
 def amiss(reference: object) -> str:
-    """Why what a law has returned can never be flown; empty if it can."""
+    """Why what a law has returned can never be flown."""
     numbers: list[Any]
     match reference:
         case Acceleration():
@@ -395,11 +390,6 @@ def amiss(reference: object) -> str:
             of = f" {reference.shape}" if isinstance(reference, np.ndarray) else ""
             found = f"{type(reference).__name__}{of}"
             return f"step() must return Acceleration(...), FullState(...), Goto(...) or None; found {found}"
-    try:
-        if np.shape(numbers[0]) == (size,) and all(np.all(np.isfinite(part)) for part in numbers):
-            return ""
-    except (TypeError, ValueError):
-        pass  # no numbers at all
     kind, found = type(reference).__name__, " ".join(f"{numbers}"[1:-1].split())
     return f"step() must return finite numbers, {kind} of ({size},); found {kind}({found:.80})"
 

@@ -280,8 +280,8 @@ class Pilot(Actor):
         self.mode, self._obeyed = Mode.HOVER, NOMINAL
         return seconds
 
-    def follow(self, reference: Reference) -> None:
-        """Fly this reference from the next tick on; it must be renewed before it is stale.
+    def follow(self, reference: Reference) -> bool:
+        """Fly this reference from the next tick on; it must be renewed before it is stale. False: it never can.
 
         One that is not a reference, has another shape or is not finite counts as none; one that asks for more than
         [flight] allows is cut to that, see ReferenceLimits. The same Goto again lets its flight go on. A held drone
@@ -289,18 +289,20 @@ class Pilot(Actor):
         """
         state = self.state
         if state is None or self.mode not in GUIDED or self.held:
-            return
+            return True
         if isinstance(reference, Acceleration):
             wanted: Reference | None = self.reference_limits.acceleration(reference, state, self.filter.speed)
         else:
             wanted = reference if flyable(reference) else None
         if wanted is None:
             self._say("reference", f"{type(reference).__name__} is no finite reference of its shape: not flown")
-        elif isinstance(wanted, Goto):
+            return False
+        if isinstance(wanted, Goto):
             self._fly_goto(wanted)
         else:
             self._reference, self._reference_ns = wanted, self.clock.now_ns()
             self.mode = FOLLOW
+        return True
 
     def _fly_goto(self, wanted: Goto) -> None:
         """Begin the flight that a Goto wants, unless it has begun: a law may want the same in each of its steps."""
