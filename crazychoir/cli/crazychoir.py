@@ -56,12 +56,14 @@ def run(
     set_up_logging()
     from crazychoir.cli.chosen import (  # kernels and network: 1 s that --help does not need
         check_options,
+        named_file,
         to_run,
         to_start,
     )
     from crazychoir.guidance.mission import has
     from crazychoir.launch.flight import fly_fast, fly_real
     from crazychoir.launch.network import apart, swarm_file
+    from crazychoir.launch.running import Run, recorded
 
     given = {"--fast": fast, "--processes": processes, "--picture": picture, "--drones": drones}
     try:
@@ -77,7 +79,8 @@ def run(
                     result = fly_fast(config, mission, progress)
                 else:
                     config = config if only is not None else apart(config, processes)
-                    with swarm_file(config) as path:
+                    source = named_file(what, swarm)
+                    with swarm_file(config) as path, recorded(Run(config.name, what, source, str(path))):
                         progress.say(f"Look into it (or echo, hz, impair, stop): crazychoir status --swarm {path}")
                         flags = ["--force"] if force else []
                         result = fly_real(path, config, mission, flags, progress, progress.say, started)

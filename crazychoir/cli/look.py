@@ -14,7 +14,9 @@ if TYPE_CHECKING:
     from crazychoir.cli.window import Answers, Window, Work
     from crazychoir.launch.score import Score
 
-SwarmOption = Annotated[str | None, typer.Option(help="Swarm file; else ./swarm.toml, else the demo swarm.")]
+SwarmOption = Annotated[
+    str | None, typer.Option(help="Swarm file, or its run here; else ./swarm.toml, else your only run, else the demo.")
+]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON on standard output, nothing else.")]
 SecondsOption = Annotated[float, typer.Option(help="How long to look, in s.")]
 

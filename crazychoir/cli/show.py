@@ -14,7 +14,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from crazychoir.errors import CrazyChoirError
+from crazychoir.errors import CrazyChoirError, Refused
 
 if TYPE_CHECKING:
     from crazychoir.launch.score import Score
@@ -75,7 +75,8 @@ def fail(error: CrazyChoirError, as_json: bool) -> NoReturn:
     if as_json:
         write_json({"success": False, "error": str(error), "kind": type(error).__name__})
     STDERR.print(f"[bold red]{type(error).__name__}[/]: ", end="")
-    STDERR.print(str(error), markup=False, highlight=False, soft_wrap=True)
+    text = f"{error.by}: {error.reason}" if isinstance(error, Refused) else str(error)  # its name is said already
+    STDERR.print(text, markup=False, highlight=False, soft_wrap=True)
     raise typer.Exit(2)
 
 

@@ -8,9 +8,10 @@ from crazychoir.bus.commands import DONE, Answer, Commander
 from crazychoir.bus.local import OBSERVER
 from crazychoir.bus.topics import Topic
 from crazychoir.bus.zenoh import ZenohLink
-from crazychoir.cli.chosen import chosen_swarm
+from crazychoir.cli.chosen import choose, running_swarm
 from crazychoir.errors import Refused
 from crazychoir.launch.network import attached, observer
+from crazychoir.launch.running import runs
 from crazychoir.launch.score import Score
 from crazychoir.runtime.clock import Clock, run_wall
 from crazychoir.runtime.mailbox import Call
@@ -45,7 +46,8 @@ class Window:
             await self.clock.sleep(0.02)
         if not self.drones:
             endpoints = ", ".join(list(self.config.endpoints().values())[:3])
-            raise Refused(f"swarm {self.config.name}", f"no agent found at {endpoints} ...; is it running?")
+            others = f" {choose(found)}" if (found := runs()) else ""
+            raise Refused(f"swarm {self.config.name}", f"no agent found at {endpoints} ...; is it running?{others}")
         return self.drones
 
     def read(self, topic: Topic, i: int, function: Callable[[Any, float], None], rate: float = 0.0) -> Call[Any]:
@@ -95,7 +97,7 @@ def look(swarm: str | None, work: Work) -> Any:
     """Join the swarm as an observer, do the work, leave."""
 
     async def main(clock: Clock) -> Any:
-        config, _ = chosen_swarm(swarm)
+        config = running_swarm(swarm)
         link = observer(clock, config)
         async with attached(link):
             return await work(Window(clock, config, link))

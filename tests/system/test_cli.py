@@ -374,6 +374,8 @@ async def test_an_interrupted_flight_lands_then_ends_and_leaves_nobody_behind(fo
     async with flown_by(program, *four, tmp_path) as (flying, team):
         children = children_of(flying.process.pid)
         assert len(children) == (2 if program == "run" else 0)
+        said = await look("status", "--swarm", four[0], "--json")
+        assert set(said.json) == {"0", "1", "2", "3"}, "the file that was flown finds who flies it"
         flying.signal(signal.SIGINT)
         ended = await flying.end(60.0)
         assert ended["code"] == 1
