@@ -4,6 +4,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from rich import box
 from rich.table import Table
 
 from crazychoir.cli.show import STDERR, fail, plain, set_up_logging, status_table, write_json
@@ -47,7 +48,7 @@ def topics(as_json: JsonOption = False) -> None:
     if as_json:
         write_json(rows)
         return
-    table = Table(*rows[0])
+    table = Table(*rows[0], box=box.SIMPLE_HEAD, padding=0)
     for row in rows:
         table.add_row(*(str(value) for value in row.values()))
     STDERR.print(table)

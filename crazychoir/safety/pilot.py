@@ -460,6 +460,7 @@ class Pilot(Actor):
         self._obeyed = Action.NOMINAL
 
     def _say(self, topic: str, text: str) -> None:
+        text = text.removeprefix(f"drone {self.drone}: ")  # errors name their drone; the line does so too
         self.note = text
         if self._said.due(self.clock.now(), topic):
             log.warning("drone %d: %s", self.drone, text)
