@@ -90,6 +90,13 @@ def to_run(
     return (scatter(config) if scatter else config), mission
 
 
+def check_picture(mission: Mission, path: Path | None) -> None:
+    """Refuse to draw what the mission does not draw."""
+    if path is not None and not has(mission, "picture"):
+        do = "Leave it out, or define picture(config, results, path) in the mission."
+        raise ConfigError("--picture", str(path), "a mission that draws one", do)
+
+
 def check_options(what: str, swarm: str | None, only: str | None, given: dict[str, Any]) -> None:
     """Refuse options of `crazychoir run` that would say nothing beside the others.
 

@@ -56,6 +56,7 @@ def run(
     set_up_logging()
     from crazychoir.cli.chosen import (  # kernels and network: 1 s that --help does not need
         check_options,
+        check_picture,
         named_file,
         to_run,
         to_start,
@@ -70,6 +71,7 @@ def run(
         check_options(what, swarm, only, given)
         with prints_aside():
             config, mission = to_run(what, drones, swarm, loss, seed)
+            check_picture(mission, picture)
             started = to_start(only, config)
             warned = mission.check(config, force) if has(mission, "check") else []
             with Progress(status_table, enabled=not as_json) as progress:
@@ -92,9 +94,7 @@ def run(
 
 
 def _drawn(mission: "Mission", config: "SwarmConfig", result: dict[str, Any], path: Path | None) -> str | None:
-    from crazychoir.guidance.mission import has
-
-    if path is None or not has(mission, "picture"):
+    if path is None:
         return None
     path.parent.mkdir(parents=True, exist_ok=True)
     mission.picture(config, result["results"], str(path))
