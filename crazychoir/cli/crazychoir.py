@@ -10,6 +10,7 @@ from crazychoir.cli.show import (
     STDERR,
     Progress,
     fail,
+    interrupted,
     prints_aside,
     set_up_logging,
     status_table,
@@ -89,6 +90,8 @@ def run(
             result["picture"] = _drawn(mission, config, result, picture)
     except CrazyChoirError as error:
         fail(error, as_json)
+    except KeyboardInterrupt:
+        interrupted(as_json)
     _show(result, as_json)
     raise typer.Exit(0 if result["success"] else 1)
 

@@ -85,6 +85,15 @@ def fail(error: CrazyChoirError, as_json: bool) -> NoReturn:
     raise typer.Exit(2)
 
 
+def interrupted(as_json: bool) -> NoReturn:
+    """Say that Ctrl-C has ended what flew nothing real, and end as the shell expects it."""
+    text = "Ctrl-C: the run ends here, without a result"
+    if as_json:
+        write_json({"success": False, "error": text, "kind": "KeyboardInterrupt"})
+    STDERR.print(text)
+    raise typer.Exit(130)
+
+
 def result_table(results: dict[Any, dict[str, Any]]) -> Table:
     """One row a drone."""
     table = Table("drone", "success", "detail")
