@@ -10,9 +10,6 @@ from crazychoir.bus.topics import TOPICS, Topic
 from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.mailbox import Latest
 
-PARTS = ("p", "v", "q", "w")
-"""Of a flat vector: position, velocity, attitude, angular velocity."""
-
 
 class Announcer(Protocol):
     """What this needs of the link."""
@@ -51,10 +48,17 @@ class PublicCopies(Actor):
             tick += 1
 
 
+def by_name(value: msgspec.Struct) -> dict[str, Any]:
+    """The fields of a wire type, with a flat vector by its parts; whole where no parts are named, or not all."""
+    fields = msgspec.structs.asdict(value)
+    if "flat" not in fields:
+        return fields
+    parts = {name: getattr(value, name) for name, what in vars(type(value)).items() if isinstance(what, property)}
+    if sum(np.size(part) for part in parts.values()) == fields["flat"].size:
+        del fields["flat"]
+    return parts | fields
+
+
 def as_json(value: msgspec.Struct) -> bytes:
     """The fields of a wire type by name, a flat vector by its parts; arrays as lists; what is not finite as null."""
-    fields = msgspec.structs.asdict(value)
-    if "flat" in fields:
-        del fields["flat"]
-        fields = {name: getattr(value, name) for name in PARTS if hasattr(value, name)} | fields
-    return msgspec.json.encode(fields, enc_hook=np.ndarray.tolist)
+    return msgspec.json.encode(by_name(value), enc_hook=np.ndarray.tolist)

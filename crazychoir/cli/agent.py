@@ -32,6 +32,7 @@ def agent(
     """Fly drones of a swarm; Ctrl-C lands them."""
     if child is not None:
         ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGHUP)
+        signal.signal(signal.SIGINT, signal.SIG_DFL)  # before it flies it ends, and says nothing
     set_up_logging()
     from crazychoir.cli.chosen import configured  # kernels and network: 1 s that --help does not need
     from crazychoir.cli.process import run_agent

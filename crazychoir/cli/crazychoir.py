@@ -10,6 +10,7 @@ from crazychoir.cli.show import (
     STDERR,
     Progress,
     fail,
+    interrupted,
     prints_aside,
     set_up_logging,
     status_table,
@@ -56,18 +57,22 @@ def run(
     set_up_logging()
     from crazychoir.cli.chosen import (  # kernels and network: 1 s that --help does not need
         check_options,
+        check_picture,
+        named_file,
         to_run,
         to_start,
     )
     from crazychoir.guidance.mission import has
     from crazychoir.launch.flight import fly_fast, fly_real
     from crazychoir.launch.network import apart, swarm_file
+    from crazychoir.launch.running import Run, recorded
 
     given = {"--fast": fast, "--processes": processes, "--picture": picture, "--drones": drones}
     try:
         check_options(what, swarm, only, given)
         with prints_aside():
             config, mission = to_run(what, drones, swarm, loss, seed)
+            check_picture(mission, picture)
             started = to_start(only, config)
             warned = mission.check(config, force) if has(mission, "check") else []
             with Progress(status_table, enabled=not as_json) as progress:
@@ -77,21 +82,22 @@ def run(
                     result = fly_fast(config, mission, progress)
                 else:
                     config = config if only is not None else apart(config, processes)
-                    with swarm_file(config) as path:
+                    source = named_file(what, swarm)
+                    with swarm_file(config) as path, recorded(Run(config.name, what, source, str(path))):
                         progress.say(f"Look into it (or echo, hz, impair, stop): crazychoir status --swarm {path}")
                         flags = ["--force"] if force else []
                         result = fly_real(path, config, mission, flags, progress, progress.say, started)
             result["picture"] = _drawn(mission, config, result, picture)
     except CrazyChoirError as error:
         fail(error, as_json)
+    except KeyboardInterrupt:
+        interrupted(as_json)
     _show(result, as_json)
     raise typer.Exit(0 if result["success"] else 1)
 
 
 def _drawn(mission: "Mission", config: "SwarmConfig", result: dict[str, Any], path: Path | None) -> str | None:
-    from crazychoir.guidance.mission import has
-
-    if path is None or not has(mission, "picture"):
+    if path is None:
         return None
     path.parent.mkdir(parents=True, exist_ok=True)
     mission.picture(config, result["results"], str(path))

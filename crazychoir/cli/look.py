@@ -4,9 +4,10 @@ from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from rich import box
 from rich.table import Table
 
-from crazychoir.cli.show import STDERR, fail, plain, set_up_logging, status_table, write_json
+from crazychoir.cli.show import STDERR, fail, set_up_logging, status_table, write_json
 from crazychoir.errors import ConfigError, CrazyChoirError
 
 if TYPE_CHECKING:
@@ -14,7 +15,9 @@ if TYPE_CHECKING:
     from crazychoir.cli.window import Answers, Window, Work
     from crazychoir.launch.score import Score
 
-SwarmOption = Annotated[str | None, typer.Option(help="Swarm file; else ./swarm.toml, else the demo swarm.")]
+SwarmOption = Annotated[
+    str | None, typer.Option(help="Swarm file, or its run here; else ./swarm.toml, else your only run, else the demo.")
+]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON on standard output, nothing else.")]
 SecondsOption = Annotated[float, typer.Option(help="How long to look, in s.")]
 
@@ -45,7 +48,7 @@ def topics(as_json: JsonOption = False) -> None:
     if as_json:
         write_json(rows)
         return
-    table = Table(*rows[0])
+    table = Table(*rows[0], box=box.SIMPLE_HEAD, padding=0)
     for row in rows:
         table.add_row(*(str(value) for value in row.values()))
     STDERR.print(table)
@@ -117,6 +120,7 @@ def status(
 def impair(
     swarm: SwarmOption = None,
     loss: Annotated[float | None, typer.Option(help="Probability that a message is lost.")] = None,
+    burst: Annotated[float | None, typer.Option(help="Messages that a burst loses in a row, on average.")] = None,
     delay: Annotated[float | None, typer.Option(help="Delay in s.")] = None,
     jitter: Annotated[float | None, typer.Option(help="Jitter in s.")] = None,
     duplicate: Annotated[float | None, typer.Option(help="Probability of a second delivery.")] = None,
@@ -127,15 +131,28 @@ def impair(
     clear: Annotated[bool, typer.Option(help="Take everything back first.")] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Change the simulated network while the swarm runs."""
-    changes: dict[str, Any] = {
-        "loss": loss, "delay": delay, "jitter": jitter, "duplicate": duplicate, "reorder": reorder,
-        "bandwidth": bandwidth, "edge": _edge(edge), "drone": drone,
-        "clear": clear or None,
+    """Change the simulated network while the swarm runs; partitions are set in the swarm file, [network].
+
+    It acts between drones from now on; what is not named stays as it is. --loss 0 takes loss back.
+    """
+    effects: dict[str, Any] = {
+        "loss": loss, "burst": burst, "delay": delay, "jitter": jitter, "duplicate": duplicate, "reorder": reorder,
+        "bandwidth": bandwidth,
     }  # fmt: skip
-    given = {key: value for key, value in changes.items() if value is not None}
-    answers = looking(swarm, lambda window: window.request("impair", **given), as_json)
-    _conclude(answers, ("drone", "simulated network"), as_json)
+    pair = _edge(edge)
+    scope = {"edge": pair, "drone": drone, "clear": clear or None}
+    given = {key: value for key, value in scope.items() if value is not None}
+
+    async def work(window: "Window") -> "Answers":
+        from crazychoir.swarm.impairment import changes
+
+        window.check("--edge", pair or ())
+        window.check("--drone", () if drone is None else (drone,))
+        return await window.request("impair", **given, **changes(effects))
+
+    answers = looking(swarm, work, as_json)
+    shown = answers if as_json else {i: (done, _in_words(said)) for i, (done, said) in answers.items()}
+    _conclude(shown, ("drone", "simulated network"), as_json)
 
 
 def stop(
@@ -158,6 +175,35 @@ def _conclude(answers: "Answers", heads: tuple[str, str], as_json: bool) -> None
     raise typer.Exit(0 if all(done for done, _ in answers.values()) else 1)
 
 
+def _in_words(network: Any) -> str:
+    """What is set at a drone, in a line a rule."""
+    if not isinstance(network, dict):
+        return str(network)  # why it has not done it
+    lines = [_rule_in_words(rule) for rule in network["rules"]]
+    lines += [_partition_in_words(cut) for cut in network["partitions"]]
+    return "\n".join(lines) or "nothing: perfect"
+
+
+def _rule_in_words(rule: dict[str, Any]) -> str:
+    scope = ""
+    if "edge" in rule:
+        scope = (" to " if rule.get("directed") else " and ").join(map(str, rule["edge"])) + ": "
+    elif "drone" in rule:
+        scope = f"drone {rule['drone']}: "
+    effects = {name: f"{value:g}" for name, value in rule.items() if name not in ("edge", "drone", "directed")}
+    if "p_bad_good" in rule:
+        worse, better = rule["p_good_bad"], rule["p_bad_good"]
+        effects = {name: text for name, text in effects.items() if name not in ("p_good_bad", "p_bad_good", "loss_bad")}
+        effects["loss"] = f"{worse / (worse + better):g} in bursts of {1.0 / better:g}"
+    return scope + ", ".join(f"{name} {text}" for name, text in effects.items())
+
+
+def _partition_in_words(cut: dict[str, Any]) -> str:
+    a, b = (", ".join(map(str, side)) for side in (cut["a"], cut["b"]))
+    until = "the end" if cut["until"] is None else f"{cut['until']:g} s"
+    return f"{a} apart from {b or 'the others'}, from {cut['since']:g} s after GO to {until}"
+
+
 def _edge(text: str | None) -> list[int] | None:
     if text is None:
         return None
@@ -176,8 +222,10 @@ def _topic(name: str) -> "Topic":
 
 
 def _print_value(i: int, value: Any, age: float) -> None:
-    fields = plain(value) if hasattr(value, "__struct_fields__") else {"value": value}
-    write_json({"drone": i, "age": round(age, 4), **fields})
+    from crazychoir.bus.public import by_name
+
+    fields = by_name(value) if hasattr(value, "__struct_fields__") else {"value": value}
+    write_json({"drone": i, **fields, "age": max(0.0, round(age, 4))})
 
 
 def _print_pairs(pairs: dict[int, Any], heads: tuple[str, str], as_json: bool) -> None:

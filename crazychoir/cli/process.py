@@ -19,6 +19,7 @@ from crazychoir.swarm.config import SwarmConfig
 log = logging.getLogger(__name__)
 AGAIN = 2.0
 """s within which signals count together."""
+NAMES: dict[int, str] = {signal.SIGINT: "Ctrl-C (SIGINT)", signal.SIGTERM: "SIGTERM"}
 
 
 def run_agent(
@@ -95,7 +96,7 @@ def _obey_signals(clock: Clock, agent: Agent) -> None:
         elif len(recent) == 2:
             log.warning("landing; once more within %g s cuts the motors", AGAIN)
         else:
-            agent.land_all(f"{signal.Signals(number).name}: landing")
+            agent.land_all(f"{NAMES[number]}: landing")
 
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         loop.add_signal_handler(number, on_signal, number)

@@ -7,22 +7,27 @@ import math
 import os
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any, Generic, NoReturn, Self, TypeVar
 
 import typer
-from rich.console import Console
+from rich import box
+from rich.console import Console, Group, RenderableType
 from rich.table import Table
+from rich.text import Text
 
-from crazychoir.errors import CrazyChoirError
+from crazychoir.errors import CrazyChoirError, Refused
 
 if TYPE_CHECKING:
     from crazychoir.launch.score import Score
+    from crazychoir.types import Status
 
 T = TypeVar("T")
 STDERR = Console(stderr=True)
 REFRESH = 4
 """Tables a second."""
+WIDE = 100
+"""Columns of a terminal from which tables show everything."""
 
 
 def set_up_logging(level: int = logging.WARNING) -> None:
@@ -75,17 +80,33 @@ def fail(error: CrazyChoirError, as_json: bool) -> NoReturn:
     if as_json:
         write_json({"success": False, "error": str(error), "kind": type(error).__name__})
     STDERR.print(f"[bold red]{type(error).__name__}[/]: ", end="")
-    STDERR.print(str(error), markup=False, highlight=False, soft_wrap=True)
+    text = f"{error.by}: {error.reason}" if isinstance(error, Refused) else str(error)  # its name is said already
+    STDERR.print(text, markup=False, highlight=False, soft_wrap=True)
     raise typer.Exit(2)
+
+
+def interrupted(as_json: bool) -> NoReturn:
+    """Say that Ctrl-C has ended what flew nothing real, and end as the shell expects it."""
+    text = "Ctrl-C: the run ends here, without a result"
+    if as_json:
+        write_json({"success": False, "error": text, "kind": "KeyboardInterrupt"})
+    STDERR.print(text)
+    raise typer.Exit(130)
 
 
 def result_table(results: dict[Any, dict[str, Any]]) -> Table:
     """One row a drone."""
     table = Table("drone", "success", "detail")
     for i, result in results.items():
-        detail = result.get("reason") or ", ".join(f"{k} {_short(v)}" for k, v in result.items() if k != "success")
-        table.add_row(str(i), "yes" if result.get("success") else "[red]no[/]", detail)
+        rest = ", ".join(f"{k} {_short(v)}" for k, v in result.items() if k != "success")
+        detail = _of(i, result["reason"]) if result.get("reason") else rest
+        table.add_row(str(i), "yes" if result.get("success") else "[red]no[/]", Text(detail))
     return table
+
+
+def _of(i: Any, reason: Any) -> str:
+    """A reason beside the name of its drone, which it may begin with."""
+    return str(reason).removeprefix(f"drone {i}: ")
 
 
 def _short(value: Any) -> str:
@@ -93,25 +114,47 @@ def _short(value: Any) -> str:
     return text if len(text) <= 40 else f"{text[:37]}..."
 
 
-def status_table(score: "Score") -> Table:
-    """The live view of a swarm: drones, phase, task, round, cost, messages lost, trouble."""
-    table = Table("drone", "phase", "task", "round", "cost", "sent", "lost", "resent", "silent", "note")
+def status_table(score: "Score") -> Group:
+    """The live view of a swarm: a line a drone, and below what troubles any. Narrow ones leave out two counters."""
+    counters = ("sent", "lost", "resent") if STDERR.width >= WIDE else ("lost",)
+    columns = ("drone", "phase", "task", "round", "cost", *counters, "silent")
+    table, below = Table(*columns, box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), show_edge=False), []
+    marked = False
     for i in score.ids:
         status = score.statuses.get(i)
         if status is None:
-            table.add_row(str(i), "[dim]not heard yet[/]")
+            table.add_row(str(i), "", "[dim]not heard yet[/]")
             continue
-        silent = ", ".join([*(f"{j}?" for j in status.suspect), *(f"{j}!" for j in status.gone)])
+        silent = _silent(status, score.statuses)
+        marked = marked or bool(silent)
         cost = "" if status.cost != status.cost else f"{status.cost:.3f}"
-        numbers = [str(status.round), cost, str(status.sent), str(status.lost), str(status.resent)]
-        table.add_row(str(i), status.phase, status.task, *numbers, silent, status.note)
-    return table
+        numbers = [str(status.round), cost, *(str(getattr(status, name)) for name in counters)]
+        table.add_row(str(i), *(_line(text) for text in (status.phase, status.task, *numbers, silent)))
+        if status.note:
+            below.append(_line(f"drone {i}: {status.note}"))
+    if marked:
+        below.append(_line("silent: those that it does not hear; ? for a second or more, ! given up"))
+    return Group(table, *below)
+
+
+def _silent(status: "Status", statuses: Mapping[int, "Status"]) -> str:
+    """Whom a drone misses, without those that are back on the ground: they have ended and owe nobody a word."""
+    from crazychoir.guidance.drone import WAITING
+
+    ended = [j for j, s in statuses.items() if s.phase == "on ground" and s.task != WAITING]
+    marks = [*((j, "?") for j in status.suspect), *((j, "!") for j in status.gone)]
+    return ", ".join(f"{j}{mark}" for j, mark in marks if j not in ended)
+
+
+def _line(text: str) -> Text:
+    """A text that stays on one line, cut where there is no room."""
+    return Text(text, no_wrap=True, overflow="ellipsis")
 
 
 class Progress(Generic[T]):
     """A live table of what it is called with, REFRESH times a second, and lines above it."""
 
-    def __init__(self, table: Callable[[T], Table], enabled: bool) -> None:
+    def __init__(self, table: Callable[[T], RenderableType], enabled: bool) -> None:
         from rich.live import Live
 
         self.table = table
@@ -154,7 +197,7 @@ def summary_table(run: dict[str, Any]) -> Table:
         if run.get(key) is not None:
             table.add_row(key, form.format(run[key] if not isinstance(run[key], dict) else _pairs(run[key])))
     for i, reason in run["reasons"].items():
-        table.add_row(f"drone {i}", f"[red]{reason}[/]")
+        table.add_row(f"drone {i}", Text(_of(i, reason), "red"))
     if run["absent"]:
         table.add_row("absent", f"[red]{run['absent']}[/]")
     return table

@@ -1,20 +1,22 @@
 """A look into a running swarm: the place of an observer and operator on its network."""
 
 import asyncio
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Awaitable, Callable, Iterable, Mapping
 from typing import Any
 
 from crazychoir.bus.commands import DONE, Answer, Commander
 from crazychoir.bus.local import OBSERVER
 from crazychoir.bus.topics import Topic
 from crazychoir.bus.zenoh import ZenohLink
-from crazychoir.cli.chosen import chosen_swarm
-from crazychoir.errors import Refused
+from crazychoir.cli.chosen import choose, running_swarm
+from crazychoir.errors import ConfigError, Refused
 from crazychoir.launch.network import attached, observer
+from crazychoir.launch.running import runs
 from crazychoir.launch.score import Score
 from crazychoir.runtime.clock import Clock, run_wall
 from crazychoir.runtime.mailbox import Call
 from crazychoir.swarm.config import SwarmConfig
+from crazychoir.swarm.graph import span
 
 DISCOVERY = 4.0
 """s to find the swarm's processes."""
@@ -45,8 +47,15 @@ class Window:
             await self.clock.sleep(0.02)
         if not self.drones:
             endpoints = ", ".join(list(self.config.endpoints().values())[:3])
-            raise Refused(f"swarm {self.config.name}", f"no agent found at {endpoints} ...; is it running?")
+            others = f" {choose(found)}" if (found := runs()) else ""
+            raise Refused(f"swarm {self.config.name}", f"no agent found at {endpoints} ...; is it running?{others}")
         return self.drones
+
+    def check(self, option: str, ids: Iterable[int]) -> None:
+        """Raise ConfigError for a drone that the swarm does not have."""
+        for i in ids:
+            if i not in self.config.ids:
+                raise ConfigError(option, f"drone {i}", span(self.config.ids))
 
     def read(self, topic: Topic, i: int, function: Callable[[Any, float], None], rate: float = 0.0) -> Call[Any]:
         """Call the function with each value of drone i, and its age; at most `rate` times a second (0: all)."""
@@ -95,7 +104,7 @@ def look(swarm: str | None, work: Work) -> Any:
     """Join the swarm as an observer, do the work, leave."""
 
     async def main(clock: Clock) -> Any:
-        config, _ = chosen_swarm(swarm)
+        config = running_swarm(swarm)
         link = observer(clock, config)
         async with attached(link):
             return await work(Window(clock, config, link))

@@ -13,6 +13,9 @@ from crazychoir.swarm.communicator import Communicator
 from crazychoir.swarm.roster import Barrier
 from crazychoir.types import Status
 
+WAITING = "waiting for the others"
+"""The task of a drone before GO."""
+
 
 @dataclass
 class Drone:
@@ -38,7 +41,7 @@ class Drone:
         cost = news.get("cost")
         return Status(
             phase=self.pilot.mode.value,
-            task=str(news.get("task", "waiting for the others" if self.barrier.roster is None else "")),
+            task=str(news.get("task", WAITING if self.barrier.roster is None else "")),
             round=int(news.get("round", self.communicator.rounds)),
             cost=float("nan") if cost is None else float(cost),
             sent=counters.sent,

@@ -146,7 +146,7 @@ class GuidanceActor(Actor):
             pilot.land("the mission has ended in the air")
             return life.result()
         if isinstance(error, CrazyChoirError) and not isinstance(error, Hung):  # somebody lost, a refusal
-            log.warning("drone %d: %s", self.drone.id, error)
+            log.warning("drone %d: %s", self.drone.id, str(error).removeprefix(f"drone {self.drone.id}: "))
             pilot.land(str(error))
             return failure(str(error))
         return failure(self._broken(error))

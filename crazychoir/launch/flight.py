@@ -10,6 +10,7 @@ import numpy as np
 
 from crazychoir.agent import Agent
 from crazychoir.guidance.base import idle
+from crazychoir.guidance.drone import WAITING
 from crazychoir.guidance.mission import Mission, has
 from crazychoir.launch.network import attached, observer
 from crazychoir.launch.processes import run_children
@@ -62,7 +63,7 @@ def fly_real(
         address = next(iter(link.bus.ports))
         score = Score(link.bus, config.ids, goal_of(mission, config), watch or (lambda score: None), address=address)
         async with attached(link, score):
-            results = await run_children(groups, path, config, list(options), say)
+            results = await run_children(groups, path, config, list(options), say, lambda: all_wait(config, score))
         wall = time.perf_counter() - began
         return summary(config, mission, results, score, wall, wall, started)
 
@@ -112,6 +113,11 @@ def summary(
         "results": results,
         **score.formation(),
     }
+
+
+def all_wait(config: SwarmConfig, score: Score) -> bool:
+    """Whether every drone must be there for the start, and none is known to have begun."""
+    return config.start == "all" and all(status.task == WAITING for status in score.statuses.values())
 
 
 def failures(

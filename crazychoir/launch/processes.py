@@ -31,21 +31,34 @@ Results = dict[int, dict[str, Any]]
 
 
 async def run_children(
-    groups: list[tuple[int, ...]], path: Path, config: SwarmConfig, options: list[str], say: Say
+    groups: list[tuple[int, ...]],
+    path: Path,
+    config: SwarmConfig,
+    options: list[str],
+    say: Say,
+    all_wait: Callable[[], bool] = lambda: False,
 ) -> Results:
     """One process a group, until all have ended; their results, of those that had one.
 
-    path: the swarm file; results lie beside it while this runs.
+    path: the swarm file; results lie beside it while this runs;  all_wait: whether they still wait for each other:
+    then one that ends without a result ends all, for nobody would come that they could wait for.
     """
     files = {group: path.with_name(f"result-{group[0]}") for group in groups}
     children: dict[tuple[int, ...], Process] = {}
     loop = asyncio.get_running_loop()
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        loop.add_signal_handler(number, _terminate, children.values())
+        loop.add_signal_handler(number, _signal, children.values(), number)
+
+    async def until_its_end(group: tuple[int, ...]) -> None:
+        await _listen(children[group], say)
+        if all_wait() and not read_results(files[group]):
+            say(f"drone(s) {', '.join(map(str, group))}: ended before the start: the others wait no more")
+            _signal(children.values(), signal.SIGTERM)
+
     try:
         for group in groups:
             children[group] = await _spawn(group, path, files[group], options)
-        await asyncio.gather(*(_listen(child, say) for child in children.values()))
+        await asyncio.gather(*map(until_its_end, groups))
     finally:
         await _end([child for child in children.values() if child.returncode is None], patience(config))
     results: Results = {}
@@ -107,17 +120,17 @@ async def _listen(child: Process, say: Say) -> None:
     await child.wait()
 
 
-def _terminate(children: Iterable[Process]) -> None:
+def _signal(children: Iterable[Process], number: signal.Signals) -> None:
     for child in children:
         with contextlib.suppress(ProcessLookupError):
-            child.terminate()
+            child.send_signal(number)
 
 
 async def _end(children: list[Process], seconds: float) -> None:
     """Ask every child to land and exit; kill what does not within so long."""
     if not children:
         return
-    _terminate(children)
+    _signal(children, signal.SIGTERM)
     waits = [asyncio.create_task(child.wait()) for child in children]
     _, late = await asyncio.wait(waits, timeout=seconds)
     for child in children if late else []:

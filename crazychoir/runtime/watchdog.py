@@ -26,7 +26,7 @@ GIVE_UP = 10.000
 FROZEN = 0.500
 """s between two looks of the watchdog: then the whole process stood still (SIGSTOP), and the loop is not to blame."""
 QUIET = 10.000
-"""s in which it is said once that nobody keeps the loop and it is late all the same, while that is below HAND_OVER."""
+"""s in which short stalls, below HAND_OVER, of one actor, or of nobody, are said once."""
 EXIT_CODE = 70
 BEAT = 0.020
 
@@ -38,18 +38,21 @@ class Stall:
     seconds: float
     actor: str
     place: str
+    more: int = 0
+    """Short ones of the same actor since the last report."""
 
     def __str__(self) -> str:
+        more = f" ({self.more} more since it was said last)" if self.more else ""
         if self.actor:
-            return f"{self.actor} keeps the event loop for {self.seconds:.2f} s, in {self.place}"
-        return f"the event loop was not served for {self.seconds:.2f} s (machine busy?), at {self.place}"
+            return f"{self.actor} keeps the event loop for {self.seconds:.2f} s, in {self.place}{more}"
+        return f"the event loop was not served for {self.seconds:.2f} s (machine busy?), at {self.place}{more}"
 
 
 class Watchdog:
     """Start it inside the running loop, in real time only; `on_stall` is called from its own thread.
 
-    A stall is reported when it reaches LATE, HAND_OVER and INTERRUPT, and then whenever it has doubled; a short one
-    that no task and no guarded code has made, once in QUIET s.
+    A stall is reported when it reaches LATE, HAND_OVER and INTERRUPT, and then whenever it has doubled; short ones of
+    one actor, or of no task and no guarded code, once in QUIET s, with their number.
     stalls: how many there were;  worst: s, the longest.
     """
 
@@ -63,7 +66,7 @@ class Watchdog:
         self._guard = Guard(clock)
         self._ending = threading.Event()
         self._report_at = LATE
-        self._unserved_ns = clock.now_ns() - round(QUIET * SECOND)
+        self._said: dict[str, tuple[int, int]] = {}  # by actor: when, and how many short ones were not said since
         self._thread = threading.Thread(target=self._watch, name="watchdog", daemon=True)
 
     def start(self) -> None:
@@ -116,29 +119,27 @@ class Watchdog:
         os._exit(EXIT_CODE)
 
     def _report(self, late: float) -> None:
-        self.stalls += self._report_at == LATE
+        begins = self._report_at == LATE
+        self.stalls += begins
         self._report_at = next((limit for limit in (HAND_OVER, INTERRUPT) if limit > late), 2.0 * late)
         task = asyncio.current_task(self._loop)
         actor = self._guard.actor if self._guard.since_ns else task.get_name() if task else ""
-        if not actor and not self._worth_saying(late):
+        now_ns = self.clock.now_ns()
+        said_ns, more = self._said.get(actor, (None, 0))
+        if late < HAND_OVER and said_ns is not None and now_ns - said_ns < QUIET * SECOND:
+            self._said[actor] = said_ns, more + 1
             return
+        self._said[actor] = now_ns, 0
+        more -= bool(more) and not begins  # its own beginning
         frame = sys._current_frames().get(self._loop_thread)
         stack = traceback.extract_stack(frame)[-1] if frame else None
         place = f"{stack.filename}:{stack.lineno} {stack.name}" if stack else "unknown code"
-        stall = Stall(late, actor, place)
+        stall = Stall(late, actor, place, more)
         log.warning("%s", stall)
         try:
             self.on_stall(stall)
         except Exception:
             log.exception("watchdog: error in what hears of the stall")
-
-    def _worth_saying(self, late: float) -> bool:
-        """Whether a stall is said that nobody has made: a long one is, a short one once in a while."""
-        now_ns = self.clock.now_ns()
-        if late < HAND_OVER and now_ns - self._unserved_ns < QUIET * SECOND:
-            return False
-        self._unserved_ns = now_ns
-        return True
 
 
 class Guard:

@@ -66,6 +66,9 @@ TEXT = {
     "stop": "comes to rest {value:.2f} m outside the fence, limit {limit:.2f} m: {doing}",
     "broken": "state is not finite: {doing}",
 }
+EDGE = 0.005
+"""m: how far from the fence is said from here on."""
+AT_EDGE = "can just come to rest inside the fence: {doing}"
 
 
 @dataclass(frozen=True)
@@ -107,10 +110,11 @@ ROOM = Fence.box((-3.0, -3.0, -0.2), (3.0, 3.0, 2.5))
 
 @dataclass(frozen=True)
 class Verdict:
-    """What to do and why; reason is empty when all is well."""
+    """What to do and why; reason, and the measure that it is about, are empty when all is well."""
 
     action: Action
     reason: str = ""
+    measure: str = ""
 
 
 ALL_WELL = Verdict(Action.NOMINAL)
@@ -212,7 +216,7 @@ class Guard:
         worst = max(self._acting, key=lambda rule: rule.action, default=None)
         if worst is None:
             return ALL_WELL
-        return Verdict(worst.action, self._latched.get(worst) or _reason(worst, self._found[worst]))
+        return Verdict(worst.action, self._latched.get(worst) or _reason(worst, self._found[worst]), worst.measure)
 
     def _settle(self, rule: Rule, value: float, now: float) -> None:
         """Stop a rule whose measure has been clear for long enough."""
@@ -226,20 +230,30 @@ class Guard:
 
 def _reason(rule: Rule, value: float) -> str:
     """What was found, the limit, what is done."""
-    text = TEXT[rule.measure].format(value=value, limit=rule.limit, doing=DOING[rule.action])
+    at_edge = rule.measure == "stop" and abs(value) < EDGE
+    text = (AT_EDGE if at_edge else TEXT[rule.measure]).format(value=value, limit=rule.limit, doing=DOING[rule.action])
     return f"{text}, for good" if rule.latched else text
 
 
 class Throttle:
-    """Lets each text through at most once in `period` seconds."""
+    """Lets each topic through at most once in `period` s; one that comes back or goes on, ever more rarely.
 
-    def __init__(self, period: float = 1.0) -> None:
-        self.period = period
-        self._said: dict[str, float] = {}
+    The silence after a topic doubles each time that it is said, up to `longest` s; one of which nothing was to be said
+    for `longest` s begins anew.
+    """
+
+    def __init__(self, period: float = 1.0, longest: float = 30.0) -> None:
+        self.period, self.longest = period, longest
+        self._asked: dict[str, float] = {}
+        self._next: dict[str, tuple[float, float]] = {}  # when it may be said again, and the silence after that
 
     def due(self, now: float, topic: str) -> bool:
         """May this topic be said again at `now`? Saying so counts as having said it."""
-        if now - self._said.get(topic, -math.inf) < self.period:
+        if now - self._asked.get(topic, -math.inf) >= self.longest:
+            self._next.pop(topic, None)
+        self._asked[topic] = now
+        again, silence = self._next.get(topic, (-math.inf, self.period))
+        if now < again:
             return False
-        self._said[topic] = now
+        self._next[topic] = now + silence, min(2.0 * silence, self.longest)
         return True

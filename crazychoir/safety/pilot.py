@@ -13,7 +13,7 @@ from typing import Protocol
 import numpy as np
 
 from crazychoir.bus.local import Port
-from crazychoir.bus.topics import COMMAND, POSE, REFERENCE, STATE
+from crazychoir.bus.topics import COMMAND, LOG, POSE, REFERENCE, STATE
 from crazychoir.control.attitude import GeometryAttitudeCtrl
 from crazychoir.control.controller import HierarchicalController
 from crazychoir.control.gains import FORMATION, STANDARD
@@ -136,7 +136,8 @@ class Pilot(Actor):
         self._obeyed = Action.NOMINAL  # the last verdict
         self._ticked_ns = 0
         self._cut_for = ""
-        self._said = Throttle(1.0)
+        self._said = Throttle()
+        self._braked = 0  # how often, in this flight
         self._idle, self._level = FPQR(np.zeros(4)), FPQR(np.array([PAPER.weight, 0.0, 0.0, 0.0]))
         self._run: asyncio.Future[None] | None = None
 
@@ -404,10 +405,11 @@ class Pilot(Actor):
     def _obey(self, verdict: Verdict) -> None:
         """Do what the safety table says, on its edges."""
         if verdict.action is not Action.NOMINAL:
-            self._say(verdict.action.name, verdict.reason)
+            self._say(f"{verdict.action.name} {verdict.measure}", verdict.reason)
         if verdict.action is self._obeyed:
             return
         self._obeyed = verdict.action
+        self._braked += verdict.action is Action.BRAKE
         if verdict.action is Action.CUT:
             self.cut(verdict.reason)
         elif verdict.action is Action.LAND:
@@ -464,8 +466,14 @@ class Pilot(Actor):
         self.mode = Mode.GROUND
         self._plan = self._flown = None
         self._obeyed = Action.NOMINAL
+        if self._braked > 1:
+            text = f"the safety table has braked it {self._braked} times in this flight"
+            self._say("braked", text)
+            self.port.publish(LOG, f"drone {self.drone}: {text}")
+        self._braked = 0
 
     def _say(self, topic: str, text: str) -> None:
+        text = text.removeprefix(f"drone {self.drone}: ")  # errors name their drone; the line does so too
         self.note = text
         if self._said.due(self.clock.now(), topic):
             log.warning("drone %d: %s", self.drone, text)

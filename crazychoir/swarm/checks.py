@@ -41,7 +41,7 @@ def graph_of(swarm: Swarm, where: str) -> Graph:
     if swarm.edges is not None:
         return _from_edges(swarm, where)
     try:
-        return named(swarm.topology or "ring", _members(swarm), swarm.seed)
+        return named(swarm.topology or "ring", _members(swarm), swarm.seed, swarm.directed)
     except ConfigError as error:
         raise ConfigError(f"{where}: graph", error.found, error.allowed, error.do) from error
 

@@ -34,7 +34,7 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
             text = Path(path).read_text(encoding="utf-8-sig")
         except (OSError, UnicodeDecodeError) as error:
             reason = error.strerror if isinstance(error, OSError) else "bytes that are not UTF-8"
-            do = "Look at deploy/lab6.toml for an example."
+            do = 'The least is name = "lab" and a table [[drones]] with id = 0 and home = [0, 0, 0] for each drone.'
             raise ConfigError(str(path), str(reason), "a swarm file, TOML or JSON", do) from error
         config = cls.loads(text, str(path))
         return config._with_mission_from(Path(path).parent)

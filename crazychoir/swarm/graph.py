@@ -15,6 +15,8 @@ Arc = tuple[int, int]
 Weights = dict[int, dict[int, float]]
 
 NAMES = "ring, path, star, complete, empty, k-regular:K, erdos-renyi:P, grid:ROWSxCOLUMNS"
+DIRECTED = "ring, erdos-renyi:P"
+"""Of these, those that there are directed, too."""
 DRAWS = 1000
 
 
@@ -212,15 +214,20 @@ def grid(rows: int, columns: int, diagonals: bool = False, ids: Ids | None = Non
     return Graph.from_edges(members, pairs)
 
 
-def named(name: str, n: Ids, seed: int = 0) -> Graph:
-    """The graph that a swarm file names, see NAMES; `seed` draws the random ones."""
-    plain = {"ring": ring, "path": path, "star": star, "complete": complete, "empty": empty}
+def named(name: str, n: Ids, seed: int = 0, directed: bool = False) -> Graph:
+    """The graph that a swarm file names, see NAMES; `seed` draws the random ones; directed: one of DIRECTED."""
+    plain = {"path": path, "star": star, "complete": complete, "empty": empty}
+    if name == "ring":
+        return ring(n, directed)
+    if found := re.fullmatch(r"erdos-renyi:(\d?\.?\d{1,9})", name):
+        return erdos_renyi_connected(n, float(found[1]), seed, directed)
+    if directed:
+        do = "Name one of these, list `edges` or the drones' `neighbors`, or leave directed out."
+        raise ConfigError("graph", f"{name} with directed = true", DIRECTED, do)
     if name in plain:
         return plain[name](n)
     if found := re.fullmatch(r"k-regular:(\d{1,4})", name):
         return k_regular(n, int(found[1]))
-    if found := re.fullmatch(r"erdos-renyi:(\d?\.?\d{1,9})", name):
-        return erdos_renyi_connected(n, float(found[1]), seed)
     if found := re.fullmatch(r"grid:(\d{1,4})x(\d{1,4})", name):
         return grid(int(found[1]), int(found[2]), ids=n)
     raise ConfigError("graph", name, NAMES)

@@ -1,12 +1,17 @@
 """The simulated network that a swarm file describes."""
 
+from collections.abc import Mapping
 from typing import Any
 
 from crazychoir.bus.impairment import Impairment
 from crazychoir.bus.rules import Partition, Rule
+from crazychoir.errors import ConfigError
 from crazychoir.swarm.config import SwarmConfig
 
 FOREVER = 1e9
+PLAIN = ("delay", "jitter", "duplicate", "reorder", "bandwidth")
+"""Effects that a swarm file and the simulated network name alike."""
+LOSSES = ("loss", "p_good_bad", "p_bad_good", "loss_bad")
 
 
 def impairment_of(config: SwarmConfig) -> Impairment:
@@ -17,17 +22,30 @@ def impairment_of(config: SwarmConfig) -> Impairment:
     return Impairment(config.seed, rules, [cut for entry in table.get("partitions", []) for cut in _cuts(entry)])
 
 
+def changes(options: Mapping[str, float | None]) -> dict[str, float | None]:
+    """What `Impairment.update` takes, of the effects as a swarm file names them; a new loss replaces the former one.
+
+    Raises ConfigError.
+    """
+    loss, burst = options.get("loss"), options.get("burst")
+    if burst is not None and not (burst >= 1.0 and loss is not None and 0.0 < loss < 1.0):
+        found = f"{burst:g} with loss {'unsaid' if loss is None else f'{loss:g}'}"
+        raise ConfigError("burst", found, "1 or more, with a loss between 0 and 1")
+    given: dict[str, float | None] = {name: options[name] for name in PLAIN if options.get(name) is not None}
+    return given if loss is None else given | dict.fromkeys(LOSSES) | _losses(loss, burst)
+
+
 def _effects(table: dict[str, Any]) -> dict[str, float]:
-    """Effects by the names of the simulated network; a burst is a chain that is bad for `burst` messages in a row."""
-    plain = ("delay", "jitter", "duplicate", "reorder", "bandwidth")
-    effects = {name: float(table[name]) for name in plain if table.get(name)}
-    loss = float(table.get("loss") or 0.0)
-    if loss and table.get("burst"):
-        leave = 1.0 / float(table["burst"])
-        effects |= {"p_bad_good": leave, "p_good_bad": min(1.0, leave * loss / max(1.0 - loss, 1e-9)), "loss_bad": 1.0}
-    elif loss:
-        effects["loss"] = loss
-    return effects
+    effects = {name: float(table[name]) for name in PLAIN if table.get(name)}
+    return effects | (_losses(float(table["loss"]), table.get("burst")) if table.get("loss") else {})
+
+
+def _losses(loss: float, burst: float | None) -> dict[str, float]:
+    """By the names of the simulated network; a burst is a chain that is bad for `burst` messages in a row."""
+    if not burst:
+        return {"loss": loss}
+    leave = 1.0 / float(burst)
+    return {"p_bad_good": leave, "p_good_bad": min(1.0, leave * loss / max(1.0 - loss, 1e-9)), "loss_bad": 1.0}
 
 
 def _edge_rule(entry: dict[str, Any]) -> Rule:

@@ -7,6 +7,7 @@ import logging
 import os
 import signal
 import socket
+import time
 from itertools import pairwise
 from pathlib import Path
 
@@ -368,18 +369,49 @@ def landed(team):
     return all("landing" in seen and seen[-1] == "on ground" and "stopped" not in seen for seen in every)
 
 
+@pytest.mark.timeout(120)
+async def test_an_interrupted_run_in_virtual_time_says_that_it_ends(four, compiled):
+    path, _ = written(four[0], four[1].replace(mission_options={"duration": 1e5}))
+    flying = await Program.start(*CRAZYCHOIR, "run", path, "--fast", "--json")
+    try:
+        await asyncio.sleep(6.0)
+        flying.signal(signal.SIGINT)
+        ended = await flying.end(30.0)
+        assert (ended["code"], ended["success"], ended["kind"]) == (130, False, "KeyboardInterrupt")
+        assert "Ctrl-C" in flying.text
+        assert "Traceback" not in flying.text
+    finally:
+        await flying.kill()
+
+
+@pytest.mark.timeout(120)
+async def test_who_is_killed_at_the_start_ends_the_wait_of_the_others(four, compiled):
+    path, config = written(four[0], four[1].replace(start_deadline=60.0))
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", config.base_port + 2))
+        taken.listen()
+        began = time.monotonic()
+        said = await look("run", path, "--only", "0,1,2,3", "--json")
+    assert time.monotonic() - began < 30.0, "not the whole deadline"
+    assert said.code == 1
+    assert said.json["absent"] == [2, 3]
+    assert "the others wait no more" in said.err
+
+
 @pytest.mark.timeout(240)
 @pytest.mark.parametrize("program", ["run", "agent"])
 async def test_an_interrupted_flight_lands_then_ends_and_leaves_nobody_behind(four, tmp_path, compiled, program):
     async with flown_by(program, *four, tmp_path) as (flying, team):
         children = children_of(flying.process.pid)
         assert len(children) == (2 if program == "run" else 0)
+        said = await look("status", "--swarm", four[0], "--json")
+        assert set(said.json) == {"0", "1", "2", "3"}, "the file that was flown finds who flies it"
         flying.signal(signal.SIGINT)
         ended = await flying.end(60.0)
         assert ended["code"] == 1
         reasons = [result["reason"] for result in ended["results"].values()]
         assert len(reasons) == 4, ended
-        assert all("SIG" in reason for reason in reasons)
+        assert all("Ctrl-C" in reason for reason in reasons)
         assert landed(team), (phases(team), {s["note"] for s in team.statuses()})
         assert not any(alive(child) for child in children)
         assert "Traceback" not in flying.text

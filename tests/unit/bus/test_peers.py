@@ -3,6 +3,7 @@
 import json
 from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -16,7 +17,7 @@ from crazychoir.bus.public import as_json
 from crazychoir.bus.topics import STATUS
 from crazychoir.errors import CodecError, ConfigError, Refused
 from crazychoir.runtime.clock import Clock
-from crazychoir.types import State, Status
+from crazychoir.types import FPQR, FullState, State, Status
 
 
 def hello(process: str = "b", drones: tuple[int, ...] = (1,), **changes: Any) -> Hello:
@@ -183,6 +184,9 @@ def test_public_copies_are_plain_json() -> None:
     value = json.loads(as_json(State.at([1.0, 2.0, float("nan")])))
     assert value == {"p": [1, 2, None], "v": [0, 0, 0], "q": [0, 0, 0, 1], "w": [0, 0, 0], "age": 0}
     assert json.loads(as_json(Status("flying", note="ü")))["note"] == "ü"
+    assert json.loads(as_json(FullState.at([1, 2, 3], yaw=0.5)))["yaw"] == 0.5
+    command = json.loads(as_json(FPQR(np.array([0.3, 1, 2, 3]))))
+    assert command == {"thrust": 0.3, "flat": [0.3, 1, 2, 3]}, "whole, where not all its parts have names"
 
 
 def test_a_drone_that_was_started_again_is_not_gone_with_its_former_process(here):

@@ -1,6 +1,9 @@
+from pathlib import Path
+from types import SimpleNamespace
+
 import pytest
 
-from crazychoir.cli.chosen import changed, check_options, to_run, to_start
+from crazychoir.cli.chosen import changed, check_options, check_picture, to_run, to_start
 from crazychoir.errors import ConfigError
 from crazychoir.swarm.config import SwarmConfig, default_swarm
 
@@ -82,3 +85,10 @@ def test_a_mission_without_a_swarm_of_its_own_gets_one(tmp_path):
     path.write_text("def guidance(i, config): ...\n")
     assert to_run(str(path), None, None, None, None)[0].ids == (0, 1, 2, 3)
     assert to_run(str(path), 6, None, None, None)[0].ids == tuple(range(6))
+
+
+def test_a_picture_that_the_mission_does_not_draw_is_refused():
+    check_picture(SimpleNamespace(), None)
+    check_picture(SimpleNamespace(picture=print), Path("x.png"))
+    with pytest.raises(ConfigError, match=r"--picture: found x.png; allowed: a mission that draws one"):
+        check_picture(SimpleNamespace(), Path("x.png"))

@@ -36,9 +36,9 @@ def told(number, times):
     return run_wall(main)
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_the_first_signal_lands_and_the_third_cuts(number):
-    assert told(number, 3) == [("land", f"{number.name}: landing"), ("cut", "third signal")]
+@pytest.mark.parametrize(("number", "name"), [(signal.SIGINT, "Ctrl-C (SIGINT)"), (signal.SIGTERM, "SIGTERM")])
+def test_the_first_signal_lands_and_the_third_cuts(number, name):
+    assert told(number, 3) == [("land", f"{name}: landing"), ("cut", "third signal")]
 
 
 def test_however_often_the_parent_is_said_to_be_gone_the_drones_land():

@@ -10,7 +10,8 @@ from rich.console import Console
 from rich.table import Table
 
 from crazychoir.cli import show
-from crazychoir.errors import ConfigError
+from crazychoir.errors import ConfigError, Refused
+from crazychoir.guidance.drone import WAITING
 from crazychoir.types import Acceleration, Status
 
 RUN = {
@@ -19,8 +20,8 @@ RUN = {
 }  # fmt: skip
 
 
-def printed(table):
-    console = Console(file=io.StringIO(), width=200)
+def printed(table, width=200):
+    console = Console(file=io.StringIO(), width=width)
     console.print(table)
     return console.file.getvalue()
 
@@ -61,13 +62,50 @@ def test_what_missions_and_their_programs_print_is_not_on_standard_output(capfd)
     assert "of a program\n" in said.err
 
 
-def test_a_swarm_shows_who_has_not_been_heard_and_who_is_silent():
-    score = SimpleNamespace(ids=(0, 1), statuses={0: Status("hovering", "law", 3, 0.25, suspect=[1], gone=[2])})
-    text = printed(show.status_table(score))
-    first, second = (line for line in text.splitlines() if line.startswith(("│ 0", "│ 1")))
-    assert [word.strip() for word in first.split("│")][1:6] == ["0", "hovering", "law", "3", "0.250"]
-    assert "1?, 2!" in first
-    assert "not heard yet" in second
+def test_a_refusal_says_once_that_it_is_one(screen):
+    with pytest.raises(typer.Exit):
+        show.fail(Refused("swarm lab", "no agent found"), as_json=False)
+    assert screen.getvalue().lower().count("refused") == 1
+    assert "swarm lab: no agent found" in screen.getvalue()
+
+
+def flying():
+    """What an observer knows of six drones: one has not been heard, one has trouble, 4 and 5 are back on the ground."""
+    usual = {"phase": "mission", "task": "planning: column generation", "round": 85, "cost": 32.6247, "sent": 52430,
+             "lost": 10340, "resent": 11770}  # fmt: skip
+    statuses = {i: Status(**usual) for i in (1, 2, 3)} | {
+        1: Status(**usual, suspect=[2], gone=[0, 4], note="pose 0.11 s old, limit 0.10 s: braking, " * 8),
+        4: Status(**usual | {"phase": "on ground", "task": "done: 4 stops"}, gone=[5]),
+        5: Status(**usual | {"phase": "on ground", "task": "landing"}, gone=[4]),
+    }
+    return SimpleNamespace(ids=tuple(range(6)), statuses=statuses)
+
+
+@pytest.mark.parametrize("width", [80, 120])
+def test_a_drone_of_the_live_table_takes_one_line_and_nothing_is_cut_but_notes(monkeypatch, width):
+    monkeypatch.setattr(show, "STDERR", Console(file=io.StringIO(), width=width))
+    lines = printed(show.status_table(flying()), width).splitlines()
+    head, _, *rows = lines
+    assert head.split()[:6] == ["drone", "phase", "task", "round", "cost", "sent" if width == 120 else "lost"]
+    assert [row[0] for row in rows[:6]] == list("012345")
+    assert "not heard yet" in rows[0]
+    assert rows[2].split()[:7] == ["2", "mission", "planning:", "column", "generation", "85", "32.625"]
+    assert [line for line in lines if "…" in line] == [rows[6]], "only a note is cut"
+    assert rows[6].startswith("drone 1: pose 0.11 s old, limit 0.10 s: braking")
+    assert max(map(len, lines)) <= width
+
+
+def test_a_drone_that_is_back_on_the_ground_is_not_missed():
+    rows = printed(show.status_table(flying())).splitlines()[2:]
+    assert rows[1].rstrip().endswith("2?, 0!"), "not 4, which has ended"
+    assert "!" not in rows[4] + rows[5]
+    assert "? for a second" in rows[-1], "what the marks mean"
+    waiting = Status("on ground", WAITING)
+    score = flying()
+    score.statuses[4] = waiting
+    assert "4!" in printed(show.status_table(score)).splitlines()[3], "one that has not begun is missed"
+    quiet = SimpleNamespace(ids=(0,), statuses={0: waiting})
+    assert "silent:" not in printed(show.status_table(quiet)), "nothing to explain"
 
 
 def test_a_run_says_which_drones_it_started_when_not_all():
@@ -78,9 +116,9 @@ def test_a_run_says_which_drones_it_started_when_not_all():
 
 
 def test_a_run_says_who_failed_and_who_is_absent():
-    text = printed(show.summary_table(RUN | {"success": False, "reasons": {1: "lost"}, "absent": [2]}))
+    text = printed(show.summary_table(RUN | {"success": False, "reasons": {1: "drone 1: lost"}, "absent": [2]}))
     assert "m: failed" in text
-    assert "drone 1" in text
+    assert text.count("drone 1") == 1, "its name is said once"
     assert "lost" in text
     assert "[2]" in text
 

@@ -8,7 +8,7 @@ import pytest
 from crazychoir.bus.commands import CommandServer
 from crazychoir.bus.local import OBSERVER, Bus
 from crazychoir.cli.window import DISCOVERY, Window
-from crazychoir.errors import Refused
+from crazychoir.errors import ConfigError, Refused
 from crazychoir.runtime.clock import run_virtual
 from crazychoir.swarm.config import default_swarm
 
@@ -119,6 +119,15 @@ def test_without_anybody_there_is_no_swarm():
 
     _, seconds, _ = play(scene)
     assert seconds == pytest.approx(DISCOVERY, abs=0.1)
+
+
+def test_drones_that_there_are_not_are_refused_before_anybody_is_asked():
+    async def scene(swarm):
+        swarm.window.check("--edge", (0, 2))
+        with pytest.raises(ConfigError, match="--edge: found drone 9; allowed: 0 to 2"):
+            swarm.window.check("--edge", (1, 9))
+
+    play(scene)
 
 
 def test_reading_gives_values_with_their_age():

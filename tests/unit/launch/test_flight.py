@@ -5,7 +5,8 @@ from collections import deque
 from types import SimpleNamespace
 
 from crazychoir.guidance.base import CFGuidance
-from crazychoir.launch.flight import NO_REASON, fly_fast, summary
+from crazychoir.guidance.drone import WAITING
+from crazychoir.launch.flight import NO_REASON, all_wait, fly_fast, summary
 from crazychoir.swarm.config import default_swarm
 from crazychoir.types import Status
 
@@ -104,3 +105,11 @@ def test_drones_that_swap_places_have_failed_though_nothing_in_their_missions_sa
     assert result["min_separation_m"] < 0.05
     assert list(result["reasons"]) == [0, 1]
     assert all("may have touched" in reason for reason in result["reasons"].values())
+
+
+def test_all_wait_until_one_has_begun_and_for_no_one_that_a_start_can_do_without():
+    config, score = default_swarm(3), SimpleNamespace(statuses={0: Status("on ground", WAITING)})
+    assert all_wait(config, score)
+    assert not all_wait(config.replace(start=2), score)
+    score.statuses[1] = Status("on ground", "")
+    assert not all_wait(config, score)

@@ -1,6 +1,8 @@
 """How processes are started, listened to and ended; how their results get here."""
 
 import asyncio
+import os
+import signal
 import sys
 from types import SimpleNamespace
 
@@ -66,6 +68,42 @@ async def test_what_a_mission_prints_is_no_result_and_who_has_none_is_named(tmp_
     found = await run_children([(0, 1), (2,)], tmp_path / "swarm.json", default_swarm(3), [], said.append)
     assert found == {0: {"success": True}, 1: {"success": True}}
     assert said == ["{}", "{}", "drone(s) 2: no result: the process ended with code 3"]
+
+
+WAITS = "import signal; signal.signal({0}, lambda *_: exit(3)); print('on', flush=True); signal.pause()"
+
+
+@pytest.mark.parametrize(("waiting", "ended"), [(True, [-9, 3]), (False, [-9, 4])])
+async def test_one_that_is_killed_at_the_start_ends_the_wait_of_the_others(tmp_path, monkeypatch, waiting, ended):
+    children, said = [], []
+
+    async def spawn(group, path, result, options):
+        flies = "import signal, time; signal.signal(15, lambda *_: exit(3)); time.sleep(0.5); exit(4)"
+        children.append(await child("import os; os.kill(os.getpid(), 9)" if group == (0,) else flies))
+        await asyncio.sleep(0.2)
+        return children[-1]
+
+    monkeypatch.setattr(processes, "_spawn", spawn)
+    await run_children([(0,), (1,)], tmp_path / "s.json", default_swarm(2), [], said.append, lambda: waiting)
+    assert [each.returncode for each in children] == ended
+    assert ("drone(s) 0: ended before the start: the others wait no more" in said) == waiting
+
+
+async def test_a_signal_is_passed_on_as_what_it_is(tmp_path, monkeypatch):
+    children, said = [], []
+
+    async def spawn(group, path, result, options):
+        children.append(await child(WAITS.format(int(signal.SIGINT))))
+        return children[-1]
+
+    def say(line):
+        said.append(line)
+        if line == "on":
+            os.kill(os.getpid(), signal.SIGINT)
+
+    monkeypatch.setattr(processes, "_spawn", spawn)
+    await run_children([(0,)], tmp_path / "s.json", default_swarm(1), [], say)
+    assert children[0].returncode == 3
 
 
 async def test_a_child_that_does_not_end_is_killed():

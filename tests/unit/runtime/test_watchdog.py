@@ -129,15 +129,23 @@ def test_a_loop_that_nobody_serves_for_long_is_reported_whenever_it_happens():
     assert [stall.seconds >= watchdog_module.HAND_OVER for stall in stalls] == [False, True, True]
 
 
-def test_whoever_keeps_the_loop_is_named_as_often_as_it_does():
+def test_whoever_keeps_the_loop_a_little_is_named_once_in_a_while_and_counted(monkeypatch):
     async def work(dog):
-        for _ in range(3):
-            keep_the_loop(0.2)
+        for seconds in (0.15, 0.15, 0.15, 0.5):
+            keep_the_loop(seconds)
             await dog.clock.sleep(0.06)
 
     stalls = []
+    dog = watched(work, stalls.append)
+    assert dog.stalls == 4, "each is counted"
+    assert [stall.actor for stall in stalls] == ["drone 3 guidance"] * 2
+    short, long = stalls
+    assert (short.more, long.seconds >= watchdog_module.HAND_OVER) == (0, True)
+    assert str(long).endswith("(2 more since it was said last)")
+    monkeypatch.setattr(watchdog_module, "QUIET", 0.0)
+    stalls.clear()
     watched(work, stalls.append)
-    assert [stall.actor for stall in stalls] == ["drone 3 guidance"] * 3
+    assert len(stalls) == 5
 
 
 def test_a_listener_that_fails_does_not_end_the_watch(quick, caplog):

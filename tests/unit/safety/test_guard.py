@@ -155,11 +155,19 @@ def test_outside_is_the_distance_over_the_nearest_side_passed():
         Fence.box((0, 0, 0), (1, -1, 1))
 
 
-def test_a_reason_is_said_once_a_second():
+def test_a_reason_is_said_at_once_then_ever_more_rarely():
     say = Throttle()
-    said = [k for k in range(250) if say.due(0.01 * k, "pose")]
-    assert said == [0, 100, 200]
+    said = [k for k in range(10_000) if say.due(0.01 * k, "pose")]
+    assert said == [0, 100, 300, 700, 1500, 3100, 6100, 9100], "ever more rarely, but not never"
     assert say.due(0.5, "fence")
+    assert not say.due(100.0, "pose")
+    assert say.due(131.0, "pose"), "it was over, and begins anew"
+    assert [k for k in range(1, 4) if say.due(131.0 + k, "pose")] == [1, 3]
+
+
+def test_what_can_just_stop_inside_is_not_said_to_be_outside():
+    reason = Guard(Fence.box((-1, -1, 0), (1, 1, 2))).check(0.0, State.at((1.001, 0, 1)), 0.0, 0.0).reason
+    assert reason == "can just come to rest inside the fence: braking"
 
 
 def test_a_swarm_file_is_refused_if_its_poses_would_always_be_too_old():

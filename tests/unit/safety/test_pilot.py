@@ -2,17 +2,20 @@
 
 import asyncio
 import itertools
+import re
 
 import numpy as np
 import pytest
 from virtual_time import virtual
 
 from crazychoir.bus.local import Bus
-from crazychoir.bus.topics import POSE
+from crazychoir.bus.topics import LOG, POSE
 from crazychoir.control.gains import STANDARD
 from crazychoir.control.platform import PAPER
 from crazychoir.errors import ConfigError
 from crazychoir.planning.point_to_point import STOP, stopping
+from crazychoir.runtime.clock import run_virtual
+from crazychoir.runtime.mailbox import DropOldest
 from crazychoir.runtime.supervisor import Supervisor
 from crazychoir.safety.guard import INSET, Action, Fence
 from crazychoir.safety.limits import ReferenceLimits
@@ -219,7 +222,36 @@ async def led_out(clock, reference):
     assert actions == {Action.NOMINAL, Action.BRAKE}
     assert 2.7 < max(p[0] for p in drone.track) < 3.2
     assert drone.pilot.mode is Mode.FOLLOW
-    assert drone.pilot.note.endswith("m outside the fence, limit 0.00 m: braking")
+    assert drone.pilot.note.endswith(("m outside the fence, limit 0.00 m: braking", "inside the fence: braking"))
+    return drone
+
+
+def test_what_brakes_again_and_again_is_said_rarely_and_counted_at_the_end(caplog):
+    async def scene(clock):
+        drone = await led_out(clock, lambda t: FullState.at([t, 0.0, 1.0], [1.0, 0.0, 0.0]))
+        drone.bus.subscribe(LOG, 0, 0, heard := DropOldest(clock, "log", 9))
+        await drone.fly(60.0, each=lambda: drone.pilot.follow(FullState.at([9.0, 0.0, 1.0])))
+        drone.pilot.land()
+        await drone.fly(10.0)
+        assert drone.pilot.mode is Mode.GROUND
+        return drone.pilot.note, heard.take()
+
+    note, heard = run_virtual(scene)
+    said = [message for message in caplog.messages if "inside the fence" in message or "outside the fence" in message]
+    assert 3 <= len(said) <= 8, "over a minute of it"
+    assert int(re.search(r"braked it (\d+) times in this flight", note)[1]) > len(said)
+    assert heard == [f"drone 0: {note}"], "and is in the result of the run"
+
+
+def test_a_line_names_its_drone_once_and_says_what_one_on_the_ground_does(caplog):
+    async def scene(clock):
+        drone = Flown(clock)
+        await drone.hovering()
+        await drone.fly(drone.pilot.land("drone 0: lost") + 1.0)
+        drone.pilot.guidance_failed("no idea")
+
+    run_virtual(scene)
+    assert caplog.messages == ["drone 0: lost", "drone 0: guidance failed (no idea): stays on the ground"]
 
 
 @virtual

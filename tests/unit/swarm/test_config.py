@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from crazychoir.errors import ConfigError
 from crazychoir.swarm.config import SwarmConfig, default_swarm, demo_swarm, find_swarm
-from crazychoir.swarm.graph import Graph, named, path, ring
+from crazychoir.swarm.graph import Graph, erdos_renyi_connected, named, path, ring
 
 ROOT = Path(__file__).parents[3]
 
@@ -118,6 +118,11 @@ def test_defaults() -> None:
         ('graph = "erdos-renyi:0.5"', named("erdos-renyi:0.5", 4, seed=3)),
         ("edges = [[0, 1], [3, 2]]", Graph.from_edges(4, [(0, 1), (2, 3)])),
         ("edges = [[0, 1], [3, 2]]\ndirected = true", Graph.from_edges(4, [(0, 1), (3, 2)], directed=True)),
+        ("directed = true", ring(4, directed=True)),
+        (
+            'graph = "erdos-renyi:0.5"\ndirected = true',
+            erdos_renyi_connected((0, 1, 2, 3), 0.5, seed=3, directed=True),
+        ),
         ("edges = []", Graph.from_edges(4, [])),
     ],
 )

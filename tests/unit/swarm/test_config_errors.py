@@ -90,6 +90,12 @@ CASES = {
         "x.toml: drones[3].neighbors = [2, 0]: drone 2 does not list drone 3; neighbours of an undirected graph list "
         "each other. Add 3 to drones[2].neighbors, or set directed = true.",
     ),
+    "a graph that is never directed": (
+        'graph = "path"\ndirected = true',
+        "",
+        "x.toml: graph: found path with directed = true; allowed: ring, erdos-renyi:P. Name one of these, list `edges` "
+        "or the drones' `neighbors`, or leave directed out.",
+    ),
     "two graphs": (
         'graph = "ring"\nedges = [[0, 1]]',
         "",
@@ -327,7 +333,8 @@ def test_files_that_cannot_be_read(tmp_path: Path) -> None:
         with pytest.raises(ConfigError) as caught:
             SwarmConfig.load(path)
         assert str(caught.value) == (
-            f"{path}: found {reason}; allowed: a swarm file, TOML or JSON. Look at deploy/lab6.toml for an example."
+            f"{path}: found {reason}; allowed: a swarm file, TOML or JSON. "
+            'The least is name = "lab" and a table [[drones]] with id = 0 and home = [0, 0, 0] for each drone.'
         )
     (tmp_path / "bytes.toml").write_bytes(b"name = '\xff'")
     with pytest.raises(ConfigError, match="found bytes that are not UTF-8"):
