@@ -146,6 +146,7 @@ def impair(
     async def work(window: "Window") -> "Answers":
         from crazychoir.swarm.impairment import changes
 
+        await window.find()
         window.check("--edge", pair or ())
         window.check("--drone", () if drone is None else (drone,))
         return await window.request("impair", **given, **changes(effects))
