@@ -42,7 +42,7 @@ async def attached(link: ZenohLink, *actors: Actor) -> AsyncIterator[None]:
     """On the network, with these actors at work; afterwards all have stopped."""
     link.open()
     serving = asyncio.create_task(Supervisor(link.bus.clock, "observer").run([link, *actors]))
-    await asyncio.sleep(0)  # it has begun: one that is cancelled before closes nothing, and the process stays
+    await link.bus.clock.sleep(0.0)  # it has begun: one that is cancelled before closes nothing, and the process stays
     try:
         yield
     finally:
