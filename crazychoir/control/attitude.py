@@ -5,8 +5,8 @@ from typing import Protocol
 import numpy as np
 
 from crazychoir.control.gains import STANDARD, Gains
-from crazychoir.control.platform import PAPER, Platform
 from crazychoir.math3d import Vec, clip, columns, dot, kernel, memory, vector
+from crazychoir.platforms import PAPER, Platform
 from crazychoir.types import State
 
 

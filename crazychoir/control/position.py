@@ -6,7 +6,6 @@ from typing import Protocol
 import numpy as np
 
 from crazychoir.control.gains import FORMATION, STANDARD, Gains
-from crazychoir.control.platform import PAPER, Platform
 from crazychoir.math3d import (
     GRAVITY,
     Triple,
@@ -21,6 +20,7 @@ from crazychoir.math3d import (
     real,
     vector,
 )
+from crazychoir.platforms import PAPER, Platform
 from crazychoir.types import State
 
 GAINS = 9  # of Gains.position, before those of Platform.flat in the figures of the kernels

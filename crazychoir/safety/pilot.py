@@ -18,13 +18,13 @@ from crazychoir.control.attitude import GeometryAttitudeCtrl
 from crazychoir.control.controller import HierarchicalController
 from crazychoir.control.gains import FORMATION, STANDARD
 from crazychoir.control.handlers import AccelerationTraj, FPQRSender, FullStateTraj
-from crazychoir.control.platform import PAPER
 from crazychoir.control.position import HEADROOM, HEIGHT_SHARE, FlatnessAccelerationCtrl, FlatnessPositionCtrl
 from crazychoir.filters.motion import Commanded
 from crazychoir.filters.velocity import VelocityFilter
 from crazychoir.math3d import GRAVITY, yaw_of
 from crazychoir.planning.landing import Landing, Legs
 from crazychoir.planning.point_to_point import PEAK_SPEED, PointToPoint, duration_for, stopping
+from crazychoir.platforms import PAPER
 from crazychoir.runtime.actor import Actor, Restart
 from crazychoir.runtime.clock import SECOND
 from crazychoir.runtime.mailbox import Call

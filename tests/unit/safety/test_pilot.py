@@ -11,9 +11,9 @@ from virtual_time import virtual
 from crazychoir.bus.local import Bus
 from crazychoir.bus.topics import LOG, POSE
 from crazychoir.control.gains import STANDARD
-from crazychoir.control.platform import PAPER
 from crazychoir.errors import ConfigError
 from crazychoir.planning.point_to_point import STOP, stopping
+from crazychoir.platforms import PAPER
 from crazychoir.runtime.clock import run_virtual
 from crazychoir.runtime.mailbox import DropOldest
 from crazychoir.runtime.supervisor import Supervisor
