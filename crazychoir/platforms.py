@@ -34,7 +34,8 @@ class Firmware:
     """What the firmware assumes of its platform: constants that it is compiled with.
 
     mass: kg;  arm: m, from the centre to a motor;  thrust_max, thrust_min: N a motor, of command 65535 and below which
-    a motor stops;  thrust_to_torque: m;  needs_arming: whether motors wait for an arming request.
+    a motor stops;  thrust_to_torque: m;  needs_arming: whether motors wait for an arming request;
+    rate_pid, yaw_rate_pid: kp, ki, kd of the rate loops, command units (65535 = thrust_max) of deg/s, deg, deg/s2.
     """
 
     mass: float
@@ -43,6 +44,8 @@ class Firmware:
     thrust_min: float
     thrust_to_torque: float
     needs_arming: bool = False
+    rate_pid: Three = (250.0, 500.0, 2.5)
+    yaw_rate_pid: Three = (120.0, 16.7, 0.0)
 
 
 @dataclass(frozen=True)
@@ -140,8 +143,9 @@ CF20 = Firmware(mass=0.029, arm=0.046, thrust_max=0.12, thrust_min=0.0128, thrus
 CF21_PLUS = Firmware(mass=0.029, arm=0.046, thrust_max=0.12, thrust_min=0.0128, thrust_to_torque=0.00699289)
 CF21_THRUST = Firmware(mass=0.0325, arm=0.046, thrust_max=0.18, thrust_min=0.0192, thrust_to_torque=0.00516486)
 CF21_BRUSHLESS = Firmware(
-    mass=0.0393, arm=0.050, thrust_max=0.2, thrust_min=0.02136, thrust_to_torque=0.00569279, needs_arming=True
-)
+    mass=0.0393, arm=0.050, thrust_max=0.2, thrust_min=0.02136, thrust_to_torque=0.00569279, needs_arming=True,
+    rate_pid=(200.0, 400.0, 2.5),
+)  # fmt: skip
 
 PAPER = Platform(
     name="paper",
