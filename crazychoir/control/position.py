@@ -36,6 +36,8 @@ HEADROOM = 0.95  # of the thrust for the desired acceleration; the rest is left 
 class PositionControl(Protocol):
     """The strategy that turns a reference into a thrust and an attitude."""
 
+    gains: Gains
+
     def desired(self, state: State, reference: Vec, now: float) -> Vec | None:
         """Desired (13,) = thrust N, columns of R_d, rate feed-forward; None if state or reference is not finite.
 
