@@ -1,5 +1,7 @@
 """The flights that a pilot plans itself: to a place, to rest, down; inside the fence and the limits of [flight]."""
 
+from typing import Protocol
+
 import numpy as np
 
 from crazychoir.math3d import GRAVITY, Vec, yaw_of
@@ -10,7 +12,23 @@ from crazychoir.safety.guard import INSET, Fence
 from crazychoir.swarm.tables import Flight
 from crazychoir.types import FullState, State
 
-Plan = PointToPoint | Legs
+
+
+class Trajectory(Protocol):
+    """A reference over time, t = 0 at its start."""
+
+    @property
+    def duration(self) -> float:
+        """s."""
+        ...
+
+    def sample(self, t: float) -> FullState:
+        """The reference t seconds after the start."""
+        ...
+
+    def done(self, t: float) -> bool:
+        """Is the end reached at t?"""
+        ...
 
 
 def braking(limits: Flight, platform: Platform, share: float) -> float:
@@ -27,7 +45,7 @@ class Flights:
 
     def __init__(self, limits: Flight, fence: Fence, a_max: float) -> None:
         self.limits, self.fence, self.a_max = limits, fence, a_max
-        self.plan: Plan | None = None
+        self.plan: Trajectory | None = None
         self.start = 0.0
 
     def clear(self) -> None:
@@ -54,11 +72,11 @@ class Flights:
         """Fly to rest at goal (3,) m, in `duration` s or as fast as the limits allow; returns the time it takes."""
         limits = self.limits
         fastest = duration_for(start, goal, yaw, limits.speed_limit, limits.acceleration_limit)
-        return self._fly(PointToPoint(start, goal, yaw, max(duration, fastest)), now)
+        return self.fly(PointToPoint(start, goal, yaw, max(duration, fastest)), now)
 
     def brake(self, start: FullState, now: float) -> float:
         """Come to rest, the shortest way, and inside the fence."""
-        return self._fly(Legs(*self._stop(start, self.fence)), now)
+        return self.fly(Legs(*self._stop(start, self.fence)), now)
 
     def descend(self, start: FullState, now: float, touchdown: float) -> float:
         """Come to rest, then straight down; returns s until it is at the height `touchdown` m."""
@@ -69,7 +87,7 @@ class Flights:
         fastest = duration_for(above, floor, start.yaw, limits.speed_limit, limits.acceleration_limit)
         slow = PEAK_SPEED * (above.p[2] - floor[2]) / limits.landing_speed
         landing = Landing(*stop, PointToPoint(above, floor, start.yaw, max(slow, fastest)))
-        self._fly(landing, now)
+        self.fly(landing, now)
         return landing.reaches(touchdown)
 
     def _stop(self, start: FullState, fence: Fence) -> list[PointToPoint]:
@@ -82,6 +100,7 @@ class Flights:
         duration = duration_for(outside, inside, start.yaw, self.limits.speed_limit, self.a_max)
         return [stop, PointToPoint(outside, inside, start.yaw, duration)]
 
-    def _fly(self, plan: Plan, now: float) -> float:
+    def fly(self, plan: Trajectory, now: float) -> float:
+        """Begin this one; returns the time it takes."""
         self.plan, self.start = plan, now
         return plan.duration

@@ -25,7 +25,7 @@ from crazychoir.planning.landing import Landing
 from crazychoir.runtime.actor import Actor, Restart
 from crazychoir.runtime.clock import SECOND
 from crazychoir.runtime.mailbox import Call
-from crazychoir.safety.flights import Flights, Plan, braking
+from crazychoir.safety.flights import Flights, Trajectory, braking
 from crazychoir.safety.guard import Action, Fence, Guard, Throttle, Verdict
 from crazychoir.safety.limits import ReferenceLimits
 from crazychoir.swarm.tables import Flight
@@ -129,7 +129,7 @@ class Pilot(Actor):
         self.period_ns = round(SECOND / rate)
         self.restart = Restart(limit=max(5, round(GIVE_UP_TICKS * rate)), backoff=0.0)  # a drone in flight cannot wait
         self._goto: tuple[float, ...] = ()  # the last Goto that was flown, and its plan
-        self._goto_plan: Plan | None = None
+        self._goto_plan: Trajectory | None = None
         self._flown: FullState | None = None  # in the last tick, if it was a FullState
         self._lift_off = 0.0  # m, the height above which a drone that takes off flies
         self._obeyed = Action.NOMINAL  # the last verdict
@@ -292,6 +292,20 @@ class Pilot(Actor):
         self._flown = start
         self.mode, self._obeyed = Mode.HOVER, NOMINAL
         return seconds
+
+    def fly(self, trajectory: Trajectory) -> float:
+        """Fly a trajectory from its beginning, now, and hover at its end; returns the time it takes, 0 as `go_to`.
+
+        Whoever calls has looked that it begins where the drone is, inside the fence and within its limits.
+        """
+        if self.mode not in GUIDED or self.held:
+            return 0.0
+        self.guard.excuse("reference")
+        if self.guard.acts:
+            return 0.0
+        self._flown = trajectory.sample(0.0)
+        self.mode, self._obeyed = Mode.HOVER, NOMINAL
+        return self.flights.fly(trajectory, self.clock.now())
 
     def follow(self, reference: Reference) -> bool:
         """Fly this reference from the next tick on; it must be renewed before it is stale. False: it never can.
