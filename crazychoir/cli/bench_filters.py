@@ -104,7 +104,7 @@ def run(
         say(f"{rate} Hz")
         flight = Flight.at(rate)
         for name, new in FILTERS.items():
-            v, w = flight.errors(lambda new=new: new(1.0 / rate), seeds)  # type: ignore[misc]
+            v, w = flight.errors(new, seeds)
             rows.append(
                 {
                     "filter": name,
@@ -146,10 +146,10 @@ class Flight:
         states, commands = zip(*(truth(t) for t in times), strict=True)
         return cls(times, np.array(states), np.array(commands))
 
-    def errors(self, new: Callable[[], Estimate], seeds: tuple[int, ...]) -> tuple[float, float]:
+    def errors(self, new: Callable[[float], Estimate], seeds: tuple[int, ...]) -> tuple[float, float]:
         """Root mean squares of the errors of velocity, m/s, and body rates, rad/s."""
-        counted = self.times >= SETTLE
-        told = np.array([self._flown(new(), seed) for seed in seeds])[:, counted]  # (seeds, n, v or w, 3)
+        counted, period = self.times >= SETTLE, float(self.times[1])
+        told = np.array([self._flown(new(period), seed) for seed in seeds])[:, counted]  # (seeds, n, v or w, 3)
         off = told - self.states[counted][:, [3, 4, 5, 10, 11, 12]].reshape(-1, 2, 3)
         v, w = np.sqrt((off**2).sum(axis=3).mean(axis=(0, 1))).tolist()
         return v, w
@@ -159,7 +159,7 @@ class Flight:
         for t, x, u in zip(self.times, self.states, self.commands, strict=True):
             noise, lost = draw.standard_normal(6), draw.random() < DROPOUT
             angle = NOISE_ANGLE * noise[3:]
-            pose = Pose(np.array([*(x[:3] + NOISE_P * noise[:3]), *product(x[6:10], exponential(*angle))]))
+            pose = Pose(np.array([*(x[:3] + NOISE_P * noise[:3]), *product(tuple(x[6:10]), exponential(*angle))]))
             said.append(estimate.told(None if lost or GAP[0] <= t < GAP[1] else pose, float(t), u))
         return said
 
@@ -171,10 +171,14 @@ def truth(t: float) -> tuple[Vec, Vec]:
     """
     h = 1e-3
     (p, v, q, thrust), before, after = _flat(t), _flat(t - h)[2], _flat(t + h)[2]
-    first = np.array(logarithm(product(conjugate(before), q))) / h
-    second = np.array(logarithm(product(conjugate(q), after))) / h
+    first, second = _turn(before, q) / h, _turn(q, after) / h
     w, turning = 0.5 * (first + second), (second - first) / h
     return np.array([*p, *v, *q, *w]), np.array([OFF * thrust, *(w + RATE_LAG * turning)])
+
+
+def _turn(before: Vec, after: Vec) -> Vec:
+    """Rotation vector (3,) rad, body, from one attitude to the other."""
+    return np.array(logarithm(product(conjugate(tuple(before)), tuple(after))))
 
 
 def _flat(t: float) -> tuple[Vec, Vec, Vec, float]:

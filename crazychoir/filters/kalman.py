@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from crazychoir.filters.motion import Commanded, fly
-from crazychoir.filters.velocity import lateness, readable
+from crazychoir.filters.velocity import ROUNDING, lateness, readable
 from crazychoir.math3d import (
     Mat,
     Triple,
@@ -28,14 +28,14 @@ GATE = 25.0  # chi-square of 3 degrees of freedom: beyond it is one good pose of
 SLACK_P, SLACK_ANGLE = 0.002, 0.035  # m, rad: standard deviations of what a manoeuvre adds, for the gate alone
 DOUBTS = 5  # poses in a row beyond the gate: then it is the filter that is wrong
 UNKNOWN_V, UNKNOWN_D, UNKNOWN_W = 1.0, 5.0, 3.0  # m/s, m/s2, rad/s: standard deviations at a start
-FADE = 0.5  # s, in which d fades while nothing is measured
+FADE, FADE_TOLD = 0.2, 2.0  # s, in which d fades where nothing is measured: an acceleration; a thrust that is off
 HISTORY = 256  # commands that are remembered: 2.5 s at 100 Hz
 
 # The memory: x (13,) of the instant of the measurement, d (3,), the upper triangles of both covariances, the time of
 # the last call, the row of the newest command.
 D, P, A, CALLED, NEWEST, MEMORY = 13, 16, 22, 25, 26, 27
-# The figures: variances of a pose, densities, whether commands are told, the floor, Platform.flat.
-R_P, R_ANGLE, JERK, PUSH, SWING, TOLD, FLOOR, PLATFORM = 0, 1, 2, 3, 4, 5, 6, 7
+# The figures: variances of a pose, densities, 1/s of the fading, whether commands are told, the floor, Platform.flat.
+R_P, R_ANGLE, JERK, PUSH, SWING, FADING, TOLD, FLOOR, PLATFORM = 0, 1, 2, 3, 4, 5, 6, 7, 8
 
 
 @kernel()
@@ -80,13 +80,12 @@ def _advance(x: Vec, d: Triple, mem: Vec, history: Mat, figures: Vec, t: float, 
         after = (k + 1) % rows
         until = end if k == newest else min(end, history[after, 0])
         h = until - t
-        if h > 0.0:
+        if h > ROUNDING:
             keep = math.exp(-fade * h)
             mean = (1.0 - keep) / (fade * h) if fade > 0.0 else 1.0
             stands = _move(x, (mean * d[0], mean * d[1], mean * d[2]), history[k, 1:5], figures, h)
             d = (0.0, 0.0, 0.0) if stands else (keep * d[0], keep * d[1], keep * d[2])
-            t = until
-        k = after
+        t, k = max(t, until), after
     return d
 
 
@@ -181,7 +180,7 @@ def _measure(
     _correct_attitude(mem, out, turn, attitude, figures[R_ANGLE])
     mem[0:D] = out
     d = (mem[D], mem[D + 1], mem[D + 2])
-    _advance(out, d, mem, history, figures, last + h, last + h + t, 1.0 / FADE)
+    _advance(out, d, mem, history, figures, last + h, last + h + t, figures[FADING])
     return _speed(out)
 
 
@@ -189,11 +188,12 @@ def _measure(
 def _go_on(
     x: Vec, mem: Vec, history: Mat, figures: Vec, u: Vec, measured: float, t: float, end: float, now: float, out: Vec
 ) -> float:
-    """Carry x (13,) from the instant t to `end` into out; `measured`: s, the instant of the memory; returns the speed."""
+    """Carry x (13,) from the instant t to `end` into out; measured: s, the instant of the memory; returns the speed."""
     _record(mem, history, u, now)
     out[:] = x
-    left = math.exp((measured - t) / FADE)
-    _advance(out, (left * mem[D], left * mem[D + 1], left * mem[D + 2]), mem, history, figures, t, end, 1.0 / FADE)
+    fade = figures[FADING]
+    left = math.exp(fade * (measured - t))
+    _advance(out, (left * mem[D], left * mem[D + 1], left * mem[D + 2]), mem, history, figures, t, end, fade)
     return _speed(out)
 
 
@@ -214,16 +214,21 @@ class KalmanFilter:
 
     F_a leaves the lag of the rates out: it is known too badly to be trusted. The update has Joseph's form, its upper
     triangle is all that is kept. A pose whose innovation e has |e|^2 / variance beyond GATE, in position or attitude,
-    is refused and counts as missing; from the DOUBTS-th in a row on it is believed, and the filter starts again there
-    with the velocities it had. So it does after a gap longer than the horizon, at rest.
+    is refused and counts as missing, as one that is not finite or whose quaternion has a length outside 0.5 to 2. The
+    DOUBTS-th in a row beyond it is believed: the filter starts again there, with the velocities it had. So it does
+    after a gap longer than the horizon, with the mean velocity of the gap.
 
     The state is carried from the instant of the measurement to `now` under the commands of that time, which are
-    remembered: `commanded` holds from one call to the next. While no pose comes it goes on so; d fades within FADE s.
-    The instants follow the period of the cameras as in VelocityFilter, whose attributes this has too.
+    remembered: `commanded` holds from one call to the next. While no pose comes it goes on so, and d fades: within
+    FADE_TOLD s, or within FADE s if it is the whole acceleration. The instants follow the period of the cameras as in
+    VelocityFilter, whose attributes this has too.
 
     horizon: s, how far a prediction goes at most;  period: s of the cameras, 0 if they have no rate;
     noise_p: m, noise_angle: rad, standard deviations of a pose, an axis: a good motion capture, 0.5 mm and 0.25 deg;
-    jerk: m2/s5, density of n_j;  push: m2/s3, of n_s;  swing: rad2/s3, of n_g.
+    jerk: m2/s5, density of n_j: a thrust that is 10 % off where the jerk is 10 m/s3, for some 0.1 s. A filter that is
+    told no commands has all of the jerk in d: there 0.1 is right for eights at 1 m/s, 3 for those at 2 m/s;
+    push: m2/s3, of n_s: what g times the noise of the attitude, 2 mrad behind the filter for 0.03 s, leaves in f;
+    swing: rad2/s3, of n_g: a lag of the rates off by 10 ms where they change by 20 rad/s2, for some 0.03 s.
     Source of Q: Bar-Shalom, Li & Kirubarajan 2001, the Wiener process acceleration model; of the error state: Lefferts,
     Markley & Shuster 1982.
     """
@@ -244,8 +249,8 @@ class KalmanFilter:
         self.refused = 0
         self.speed = 0.0
         self.measured = -math.inf
-        model = np.zeros(10) if motion is None else np.array([motion.floor, *motion.platform])
-        self._figures = np.array([noise_p**2, noise_angle**2, jerk, push, swing, float(motion is not None), *model])
+        model = (1.0 / FADE, 0.0) if motion is None else (1.0 / FADE_TOLD, 1.0, motion.floor, *motion.platform)
+        self._figures = np.array([noise_p**2, noise_angle**2, jerk, push, swing, *model])
         self._memory, self._history = np.zeros(MEMORY), np.zeros((HISTORY, 5))
         self._memory[CALLED] = -math.inf
         self._history[:, 0] = -math.inf
@@ -259,15 +264,13 @@ class KalmanFilter:
         h = now - age - last
         if h <= 1e-6:  # a repeated or an older pose says nothing new
             return self.predict(now)
-        if h > horizon:  # the first one too
-            return self._start(pose, now)
+        if h > horizon:  # the first one too: h is infinite
+            return self._begin(pose, now, h)
         if self.period > 0.0:  # their rate tells it better than a clock
             late = lateness(h, self.period)
             age, h = age + late, h - late
         out, t = np.empty(13), age if age < horizon else horizon
-        speed = _measure(
-            pose.flat, self._memory, self._history, self._figures, self.commanded, last, h, t, now, out
-        )
+        speed = _measure(pose.flat, self._memory, self._history, self._figures, self.commanded, last, h, t, now, out)
         if speed < 0.0:
             return self._refuse(pose, now, doubtful=speed < -1.5)
         out.setflags(False)  # type: ignore[call-arg]  # by place: faster than by name, in every tick
@@ -292,25 +295,27 @@ class KalmanFilter:
         return state
 
     def _refuse(self, pose: Pose, now: float, doubtful: bool) -> State | None:
-        """Count a pose that is missing, or believe it after all if too many like it were doubted."""
+        """Count a pose that is missing; or believe it after all, when too many in a row were doubtful."""
         self._doubted += doubtful
-        if self._doubted >= DOUBTS and doubtful:
-            return self._start(pose, now, *self._memory[[3, 4, 5, 10, 11, 12]])
+        if doubtful and self._doubted >= DOUBTS:
+            return self._start(pose, now, self._memory[3:6].copy(), self._memory[10:13].copy())
         self.refused += 1
         return self.predict(now)
 
-    def _start(self, pose: Pose, now: float, *velocities: float) -> State | None:
-        """Take this pose for the truth, and these (6,) linear and angular velocities, none: at rest, for a guess."""
+    def _begin(self, pose: Pose, now: float, h: float) -> State | None:
+        """Start after a gap of h s, without body rates."""
         if not readable(pose.flat):
             self.refused += 1
             return self.predict(now)
+        return self._start(pose, now, (pose.p - self._memory[0:3]) / h, np.zeros(3))
+
+    def _start(self, pose: Pose, now: float, v: Vec, w: Vec) -> State | None:
+        """Take this readable pose for the truth, and v (3,) m/s, w (3,) rad/s for a guess."""
         memory, (r_p, r_angle) = self._memory, self._figures[:2]
-        memory[:P] = 0.0
-        memory[0:3], memory[6:10] = pose.p, pose.q / np.linalg.norm(pose.q)
-        if velocities:
-            memory[3:6], memory[10:13] = velocities[:3], velocities[3:]
+        memory[0:3], memory[3:6], memory[6:10], memory[10:13] = pose.p, v, pose.q / np.linalg.norm(pose.q), w
+        memory[D:P] = 0.0
         memory[P:A] = r_p, 0.0, 0.0, UNKNOWN_V**2, 0.0, UNKNOWN_D**2
         memory[A:CALLED] = r_angle, 0.0, UNKNOWN_W**2
         self.measured, self._doubted = now - pose.age, 0
-        self._state = State(memory[:D].copy(), 0.0)
+        self._state = State(memory[:D].copy())
         return self.predict(now)
