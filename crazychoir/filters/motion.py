@@ -80,6 +80,7 @@ def fly(x: Vec, u: Vec, platform: Vec, floor: float, push: Triple, t: float) -> 
     push: m/s2, world, a constant acceleration that the law does not know.
     """
     steps = math.ceil(t / STEP)
+    lowest = min(x[2], floor)  # who is seen below the floor stays there: it is not where it was thought to be
     stands = False
     for _ in range(steps):
         h = t / steps
@@ -96,8 +97,8 @@ def fly(x: Vec, u: Vec, platform: Vec, floor: float, push: Triple, t: float) -> 
             x[c] += h * (v[c] + 0.5 * h * (a + push[c]))
             x[3 + c] += h * (a + push[c])
         _turn(x, u, 0.5 * h)
-        if x[2] < floor:
-            x[2] = floor
+        if x[2] < lowest:
+            x[2] = lowest
             _stand(x)
     return stands
 

@@ -75,7 +75,7 @@ def test_what_obeys_the_commands_leaves_nothing_unexplained():
     """Poses of the paper's dynamics: all is met, changes of the acceleration too, but for the integration's step."""
     motion = Commanded(PAPER.flat, 0.0)
     f = KalmanFilter(motion=motion)
-    x = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+    x = np.array([0.0, 0.0, 9.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
     for k in range(300):
         state = f.update(Pose(np.array([*x[:3], *x[6:10]])), 0.01 * k)
         np.testing.assert_allclose(state.flat, x, atol=3e-4)

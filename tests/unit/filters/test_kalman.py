@@ -201,9 +201,11 @@ def test_half_a_second_without_poses_is_flown_by_the_commands_and_the_thrust_tha
     assert off["derivative"] > 0.04
 
 
-def test_a_drone_that_stands_on_the_ground_is_at_rest_and_takes_off_without_a_jump():
+@pytest.mark.parametrize("ground", [0.0, -0.05])
+def test_a_drone_that_stands_on_the_ground_is_at_rest_and_takes_off_without_a_jump(ground):
+    """Also from lower than the floor was believed to be."""
     draw, f = np.random.default_rng(1), KalmanFilter(motion=Commanded(PAPER.flat, 0.0))
-    place = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
+    place = np.array([0.0, 0.0, ground, 0.0, 0.0, 0.0, 1.0])
     for k in range(400):
         f.commanded = HOVER * (0.0 if k < 200 else 0.9)
         state = f.update(noisy(place, draw), 0.01 * k)
@@ -211,7 +213,7 @@ def test_a_drone_that_stands_on_the_ground_is_at_rest_and_takes_off_without_a_ju
     f.commanded = 1.2 * HOVER
     for k in range(1, 50):
         t = 0.01 * k
-        risen = np.array([0.0, 0.0, 0.1 * 9.80665 * t * t, 0.0, 0.0, 0.0, 1.0])
+        risen = np.array([0.0, 0.0, ground + 0.1 * 9.80665 * t * t, 0.0, 0.0, 0.0, 1.0])
         state = f.update(Pose(risen), 3.99 + t)
         assert abs(state.v[2] - 0.2 * 9.80665 * t) < 0.05
     assert f.refused == 0
