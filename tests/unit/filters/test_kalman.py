@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from crazychoir.control.platform import PAPER
-from crazychoir.filters.kalman import CALLED, DOUBTS, A, KalmanFilter, P
+from crazychoir.filters.kalman import CALLED, DOUBTS, A, D, KalmanFilter, P
 from crazychoir.filters.motion import Commanded
 from crazychoir.filters.state_filter import StateFilter
 from crazychoir.filters.velocity import VelocityFilter
@@ -159,10 +159,11 @@ def test_poses_that_stay_elsewhere_are_believed_in_the_end():
     assert state.v[0] == pytest.approx(0.5, abs=0.02)
 
 
-def test_commands_that_are_not_numbers_are_not_taken():
+@pytest.mark.parametrize("bad", [np.full(4, np.nan), command(1.0, 0.0, np.nan, 0.0), command(np.inf, 0.0, 0.0, 0.0)])
+def test_commands_that_are_not_numbers_are_not_taken(bad):
     f = told()
     flying(f, 50, speed=0.0)
-    f.commanded = np.full(4, np.nan)
+    f.commanded = bad
     assert np.all(np.isfinite(f.predict(0.6).flat))
     assert np.all(np.isfinite(f.update(pose(0.0), 0.61).flat))
 
@@ -210,6 +211,7 @@ def test_a_drone_that_stands_on_the_ground_is_at_rest_and_takes_off_without_a_ju
         f.commanded = HOVER * (0.0 if k < 200 else 0.9)
         state = f.update(noisy(place, draw), 0.01 * k)
         assert k < 20 or np.linalg.norm(state.v) < 0.03
+    assert np.linalg.norm(f._memory[D:P]) < 0.1  # what the floor carries is not summed up
     f.commanded = 1.2 * HOVER
     for k in range(1, 50):
         t = 0.01 * k
