@@ -35,7 +35,7 @@ RATES = (50, 100, 240)  # Hz
 SEEDS = (1, 2, 3)
 NOISE_P, NOISE_ANGLE = 0.0005, math.radians(0.25)  # m, rad, standard deviations an axis
 DROPOUT = 0.02
-GAP = (6.0, 6.05)  # s
+GAP_AT, GAP = 6.0, 0.05  # s
 SETTLE, END = 2.0, 12.0  # s
 TURNING = 1.0  # rad/s of the heading: it passes pi
 OFF = 0.95  # thrust told / thrust flown: a battery that is fuller than assumed
@@ -112,7 +112,7 @@ def run(
                     "noise_mm": 1e3 * NOISE_P,
                     "noise_deg": math.degrees(NOISE_ANGLE),
                     "dropout": DROPOUT,
-                    "gap_ms": 1e3 * (GAP[1] - GAP[0]),
+                    "gap_ms": 1e3 * GAP,
                     "velocity_rmse_mm_s": 1e3 * v,
                     "angular_rmse_rad_s": w,
                 }
@@ -160,7 +160,7 @@ class Flight:
             noise, lost = draw.standard_normal(6), draw.random() < DROPOUT
             angle = NOISE_ANGLE * noise[3:]
             pose = Pose(np.array([*(x[:3] + NOISE_P * noise[:3]), *product(tuple(x[6:10]), exponential(*angle))]))
-            said.append(estimate.told(None if lost or GAP[0] <= t < GAP[1] else pose, float(t), u))
+            said.append(estimate.told(None if lost or GAP_AT <= t < GAP_AT + GAP else pose, float(t), u))
         return said
 
 
