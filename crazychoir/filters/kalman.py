@@ -29,7 +29,7 @@ SLACK_P, SLACK_ANGLE = 0.002, 0.035  # m, rad: standard deviations of what a man
 DOUBTS = 5  # poses in a row beyond the gate: then it is the filter that is wrong
 UNKNOWN_V, UNKNOWN_D, UNKNOWN_W = 1.0, 5.0, 3.0  # m/s, m/s2, rad/s: standard deviations at a start
 FADE, FADE_TOLD = 0.5, 2.0  # s, in which d fades where nothing is measured: an acceleration; a thrust that is off
-HISTORY = 256  # commands that are remembered: 2.5 s at 100 Hz
+HISTORY = 512  # commands that are remembered: 2.1 s at 240 Hz
 
 # The memory: x (13,) of the instant of the measurement, d (3,), the upper triangles of both covariances, the time of
 # the last call, the row of the newest command.
