@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from crazychoir.control.platform import PAPER
 from crazychoir.filters.motion import RATE_LAG, Commanded, ConstantVelocity
 from crazychoir.math3d import conjugate, exponential, logarithm, product, rotation
+from crazychoir.platforms import PAPER
 from crazychoir.simulation.integrator import CFIntegrator
 from crazychoir.types import State
 
