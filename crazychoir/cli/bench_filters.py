@@ -13,7 +13,6 @@ from typing import Any, Protocol
 import numpy as np
 from rich.table import Table
 
-from crazychoir.control.platform import PAPER
 from crazychoir.filters.kalman import KalmanFilter
 from crazychoir.filters.motion import RATE_LAG, Commanded
 from crazychoir.filters.state_filter import StateFilter
@@ -29,6 +28,7 @@ from crazychoir.math3d import (
     rotation_from_flat,
     yaw_of,
 )
+from crazychoir.platforms import PAPER
 from crazychoir.types import Pose
 
 RATES = (50, 100, 240)  # Hz

@@ -8,11 +8,11 @@ from flight_kernels import Clock, microseconds
 from rich import print as show
 
 from crazychoir.cli import bench_filters
-from crazychoir.control.platform import PAPER
 from crazychoir.filters.kalman import KalmanFilter
 from crazychoir.filters.motion import Commanded
 from crazychoir.filters.state_filter import StateFilter
 from crazychoir.filters.velocity import VelocityFilter
+from crazychoir.platforms import PAPER
 from crazychoir.types import Pose
 
 

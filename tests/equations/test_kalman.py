@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from crazychoir.control.platform import PAPER
 from crazychoir.filters.kalman import CALLED, UNKNOWN_D, UNKNOWN_V, UNKNOWN_W, A, D, KalmanFilter, P
 from crazychoir.filters.motion import Commanded
 from crazychoir.math3d import exponential, product
+from crazychoir.platforms import PAPER
 from crazychoir.types import Pose
 
 JERK, PUSH, SWING, R_P, R_A = 0.7, 2e-3, 0.4, 1e-6, 2.5e-5

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from crazychoir.cli.bench_filters import OFF, RATES, Original, run, table, truth
-from crazychoir.control.platform import PAPER
 from crazychoir.filters.motion import RATE_LAG, Commanded
 from crazychoir.math3d import conjugate, logarithm, product
+from crazychoir.platforms import PAPER
 from crazychoir.types import Pose
 
 
