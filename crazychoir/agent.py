@@ -25,7 +25,7 @@ from crazychoir.runtime.clock import Clock
 from crazychoir.runtime.supervisor import Supervisor
 from crazychoir.runtime.watchdog import Stall, Watchdog
 from crazychoir.safety.guard import Fence
-from crazychoir.safety.pilot import Pilot
+from crazychoir.safety.pilot import Pilot, filter_of
 from crazychoir.simulation.integrator import CFIntegrator
 from crazychoir.simulation.owner import EulerRatesLink, SimulatedLink, WorldOwner
 from crazychoir.simulation.trace import Trace
@@ -128,7 +128,9 @@ class Agent:
         communicator = Communicator(port, self._graph)
         communicator.follow(barrier)
         fence = Fence.box(config.fence.min, config.fence.max)
-        pilot = Pilot(port, self._link(i), config.flight, fence, config.mocap.rate, self._controls(i))
+        chosen, rate = self._controls(i), config.mocap.rate
+        seen = filter_of(config.control_of(i).filter, chosen, config.flight.ground, rate)
+        pilot = Pilot(port, self._link(i), config.flight, fence, rate, chosen, seen)
         supervisor = self._supervisor(i)
         guidance = self.mission.guidance(i, config)
         drone = Drone(i, port, barrier, communicator, pilot, guidance, supervisor, partial(self._harm, i))

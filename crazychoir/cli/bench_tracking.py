@@ -1,30 +1,21 @@
 """How exactly a drone flies a path: the controllers alone behind two plants, and the whole stack in virtual time."""
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import product
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
-from rich.table import Table
 
-from crazychoir.agent import Agent
 from crazychoir.control.choice import Controls, controls
 from crazychoir.control.controller import HierarchicalController
 from crazychoir.control.gains import Gains
 from crazychoir.control.margin import Plant
 from crazychoir.control.position import FlatnessPositionCtrl
-from crazychoir.errors import Refused
-from crazychoir.guidance.mission import load
-from crazychoir.math3d import GRAVITY, quaternion, rotation_from_flat
 from crazychoir.planning.figure import Figure, circle, eight
-from crazychoir.platforms import CRAZYFLIE_21, Platform
-from crazychoir.runtime.actor import Actor
-from crazychoir.runtime.clock import Clock, run_virtual
-from crazychoir.simulation.integrator import CFIntegrator
+from crazychoir.platforms import Platform
 from crazychoir.simulation.world import World
-from crazychoir.swarm.config import SwarmConfig
 from crazychoir.types import State
 
 TICK = 0.01

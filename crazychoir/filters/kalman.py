@@ -245,6 +245,7 @@ class KalmanFilter:
         swing: float = 0.3,
     ) -> None:
         self.horizon, self.period = horizon, period
+        self.cutoff = math.inf
         self.commanded: Vec = np.zeros(4)
         self.refused = 0
         self.speed = 0.0

@@ -11,7 +11,8 @@ class StateFilter(Protocol):
 
     commanded: (4,) = thrust N, body rates rad/s, that the drone obeys from now on, told by whoever commands it;
     horizon: s, how far a prediction goes at most;  measured: s, the instant of the last measurement;
-    speed: m/s, of the newest state;  refused: poses that came and were not taken.
+    speed: m/s, of the newest state;  refused: poses that came and were not taken;  cutoff: rad/s, of the low-pass
+    behind which velocities are derivatives, inf if they are not.
     """
 
     commanded: Vec
@@ -19,6 +20,7 @@ class StateFilter(Protocol):
     measured: float
     speed: float
     refused: int
+    cutoff: float
 
     def update(self, pose: Pose, now: float) -> State | None:
         """The state at `now` with a new pose; None only before the first pose that counts."""

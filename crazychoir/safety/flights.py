@@ -13,7 +13,6 @@ from crazychoir.swarm.tables import Flight
 from crazychoir.types import FullState, State
 
 
-
 class Trajectory(Protocol):
     """A reference over time, t = 0 at its start."""
 

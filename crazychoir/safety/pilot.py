@@ -18,7 +18,9 @@ from crazychoir.control.choice import Controls, controls
 from crazychoir.control.parameters import Parameters
 from crazychoir.control.position import HEADROOM, HEIGHT_SHARE
 from crazychoir.control.senders import FPQRSender
+from crazychoir.filters.kalman import KalmanFilter
 from crazychoir.filters.motion import Commanded
+from crazychoir.filters.state_filter import StateFilter
 from crazychoir.filters.velocity import VelocityFilter
 from crazychoir.math3d import yaw_of
 from crazychoir.planning.landing import Landing
@@ -92,6 +94,17 @@ def flyable(reference: object) -> bool:
             return False
 
 
+def filter_of(name: str, chosen: Controls, ground: float, rate: float) -> StateFilter:
+    """The filter of [control], "kalman" or "derivative"; it knows what is commanded, if that is thrust and body rates.
+
+    ground: m, height of the floor;  rate: Hz, of the poses.
+    """
+    motion = Commanded(chosen.platform.flat, ground) if isinstance(chosen.sender, FPQRSender) else None
+    if name == "kalman":
+        return KalmanFilter(horizon=BLIND, period=1.0 / rate, motion=motion)
+    return VelocityFilter(horizon=BLIND, period=1.0 / rate, motion=motion)
+
+
 class Pilot(Actor):
     """Flies one drone; guidance calls `take_off`, `go_to`, `follow`, `hover`, `land`, its operator `hold` too.
 
@@ -102,7 +115,7 @@ class Pilot(Actor):
 
     def __init__(
         self, port: Port, link: Link, limits: Flight, fence: Fence, rate: float = 100.0,
-        chosen: Controls | None = None, state_filter: VelocityFilter | None = None,
+        chosen: Controls | None = None, state_filter: StateFilter | None = None,
     ) -> None:  # fmt: skip
         self.port, self.link, self.limits = port, link, limits
         self.controls = controls() if chosen is None else chosen
@@ -122,7 +135,7 @@ class Pilot(Actor):
         """Why the safety table has first ended a flight by landing it; empty if it never did."""
         self.held = False
         self._models = isinstance(self.controls.sender, FPQRSender)
-        self.filter = self._filter(rate) if state_filter is None else state_filter
+        self.filter = filter_of("kalman", self.controls, limits.ground, rate) if state_filter is None else state_filter
         self._reference: Reference | None = None
         self._reference_ns = 0
         port.bus.subscribe(POSE, self.drone, self.drone, Call(self.clock, self._posed, f"drone {self.drone} pose"))
@@ -139,11 +152,6 @@ class Pilot(Actor):
         self._braked = 0  # how often, in this flight
         self._idle, self._level = self.controls.sender.idle, self.controls.sender.steady(platform.weight)
         self._run: asyncio.Future[None] | None = None
-
-    def _filter(self, rate: float) -> VelocityFilter:
-        """A filter that knows what is commanded, if that is a thrust and body rates."""
-        motion = Commanded(self.controls.platform.flat, self.limits.ground) if self._models else None
-        return VelocityFilter(horizon=BLIND, period=1.0 / rate, motion=motion)
 
     async def run(self) -> None:
         """Poses and the clock tick it; a tick that fails ends the run."""

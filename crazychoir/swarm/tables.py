@@ -170,7 +170,7 @@ class Control(Table, frozen=True, kw_only=True):
     sender: Sender = "fpqr"
     gains: Free = field(default_factory=dict)
     position_rate: Rate = 0.0
-    filter: Filter = "derivative"
+    filter: Filter = "kalman"
 
 
 class Role(Control, frozen=True, kw_only=True):
