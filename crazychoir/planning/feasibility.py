@@ -10,9 +10,9 @@ from crazychoir.errors import ConfigError
 from crazychoir.math3d import GRAVITY, Mat, Vec, dot, flat_attitude, flat_rates, kernel, matrix, table
 from crazychoir.planning.trajectory import Trajectory, setpoints
 
-RATE = 100.0  # Hz, of the instants that are looked at
+RATE = 200.0  # Hz, of the instants that are looked at
 LEAST = 200  # instants, of a short trajectory
-ROUNDING = 1e-6  # of a limit: what was scaled to it keeps it
+TOLERANCE = 1e-3  # of a limit: what lies between the instants
 DEMANDS = ("speed", "acceleration", "jerk", "yaw_rate", "tilt", "thrust", "roll_rate", "pitch_rate", "body_yaw_rate")
 UNITS = ("m/s", "m/s2", "m/s3", "rad/s", "rad", "N", "rad/s", "rad/s", "rad/s")
 THRUST = DEMANDS.index("thrust")
@@ -86,6 +86,12 @@ class Limits:
         scalars = (self.v_max, self.a_max, self.j_max, self.yaw_rate_max, self.tilt_max, self.thrust_max)
         return np.array([*scalars, *self.rate_max])
 
+    def check_timed(self, where: str) -> None:
+        """Raise a ConfigError unless speed and acceleration are limited: without, nothing says how fast to fly."""
+        for name in ("v_max", "a_max"):
+            if math.isinf(getattr(self, name)):
+                raise ConfigError(f"{where}: limits: {name}", math.inf, "a finite number, since no times are given")
+
     def check_places(self, places: Mat, where: str) -> None:
         """Raise a ConfigError that names the first of places (n, 3) m outside of the fence."""
         inside = np.all((places >= np.asarray(self.low) - 1e-9) & (places <= np.asarray(self.high) + 1e-9), axis=1)
@@ -96,7 +102,7 @@ class Limits:
 
 
 def references(trajectory: Trajectory) -> tuple[Vec, Mat]:
-    """Times (n,) and references (n, 14) at which a trajectory is judged: 100 a second, at least 200."""
+    """Times (n,) and references (n, 14) at which a trajectory is judged: 200 a second, at least 200."""
     return setpoints(trajectory, max(RATE, LEAST / trajectory.duration))
 
 
@@ -114,7 +120,7 @@ def check(trajectory: Trajectory, limits: Limits) -> None:
         raise ConfigError(f"trajectory at {t[k]:.2f} s", x[k].tolist(), "finite numbers")
     limits.check_places(x[:, 0:3], "trajectory: set-point")
     asked, largest = demands(x, limits.mass), limits.largest
-    over = asked > largest * (1.0 + ROUNDING)
+    over = asked > largest * (1.0 + TOLERANCE)
     if over.any():
         k = int(np.argmax(over.any(axis=1)))
         n = int(np.argmax(over[k]))

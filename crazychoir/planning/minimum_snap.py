@@ -46,6 +46,7 @@ def minimum_snap(
         flight = spline(times, w, yaws, start, goal, degree=7)
         check(flight, limits)
         return flight
+    limits.check_timed("minimum_snap")
     return _within_limits(allocated(w), w, yaws, start, goal, limits)
 
 
