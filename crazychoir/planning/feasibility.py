@@ -114,7 +114,11 @@ def peaks(trajectory: Trajectory, mass: float = 1.0) -> dict[str, float]:
 
 def check(trajectory: Trajectory, limits: Limits) -> None:
     """Raise a ConfigError that says when, where and by how much the trajectory first leaves the limits."""
-    t, x = references(trajectory)
+    check_references(*references(trajectory), limits)
+
+
+def check_references(t: Vec, x: Mat, limits: Limits) -> None:
+    """`check` for references x (n, 14) at the times t (n,) s."""
     if not np.isfinite(x).all():
         k = int(np.argmin(np.isfinite(x).all(axis=1)))
         raise ConfigError(f"trajectory at {t[k]:.2f} s", x[k].tolist(), "finite numbers")
@@ -128,3 +132,12 @@ def check(trajectory: Trajectory, limits: Limits) -> None:
         found = f"{asked[k, n]:.3g} {UNITS[n]}, and {most:.3g} {UNITS[n]} at {when:.2f} s"
         allowed = f"at most {largest[n]:.3g} {UNITS[n]}"
         raise ConfigError(f"trajectory at {t[k]:.2f} s: {DEMANDS[n]}", found, allowed, "Give it more time.")
+
+
+def keeps(trajectory: Trajectory, limits: Limits) -> bool:
+    """Whether the trajectory passes the `check`."""
+    try:
+        check(trajectory, limits)
+    except ConfigError:
+        return False
+    return True

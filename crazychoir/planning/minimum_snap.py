@@ -6,15 +6,16 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import minimize
 
+from crazychoir.errors import ConfigError
 from crazychoir.math3d import Mat, Vec
-from crazychoir.planning.feasibility import Limits, check
+from crazychoir.planning.feasibility import Limits, check, check_references, keeps
 from crazychoir.planning.piecewise import Piecewise
 from crazychoir.planning.scaling import slowdown
 from crazychoir.planning.spline import checked_places, chord_times, spline
 from crazychoir.types import FullState
 
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(4)  # exact for snap^2, of degree 6
-TRIES = 30  # of a time with given ends, each with more time where the limits want it
+FASTEST, GROWTH, TRIES = 0.5, 1.03, 70  # times the time from rest to rest, where an end moves: up to 3.8
 UNLIMITED = Limits()
 STANDARD = Limits(v_max=1.0, a_max=2.0, yaw_rate_max=2.0)
 
@@ -53,18 +54,21 @@ def minimum_snap(
 def _within_limits(
     t: Vec, w: Mat, yaws: npt.ArrayLike | None, start: FullState | None, goal: FullState | None, limits: Limits
 ) -> Piecewise:
-    """The flight in the proportions of the times t (k,), as fast as the limits allow, to 1 % where an end moves."""
-    at_rest = start is None and goal is None
-    for _ in range(TRIES):
-        flight = spline(t, w, yaws, start, goal, degree=7)
-        k = slowdown(flight, limits)
-        if at_rest:
-            return flight.slowed(k)
-        if 0.99 < k <= 1.0:
+    """The flight in the proportions of the times t (k,), as fast as the limits allow, to 3 % where an end moves."""
+    from_rest = spline(t, w, yaws, degree=7)
+    k = slowdown(from_rest, limits)
+    if start is None and goal is None:
+        return from_rest.slowed(k)
+    ends = np.array([np.zeros(14) if end is None else end.flat for end in (start, goal)])
+    ends[:, 0:3] = w[[0, -1]]
+    check_references(t[[0, -1]], ends, limits)
+    for share in FASTEST * GROWTH ** np.arange(TRIES):
+        flight = spline(share * k * t, w, yaws, start, goal, degree=7)
+        if keeps(flight, limits):
             return flight
-        t = t * (min(k * 1.002, 3.0) if k > 1.0 else max(0.5 * (1.0 + k), 0.995))
-    check(flight, limits)
-    return flight
+    tried = f"{FASTEST * k * t[-1]:.1f} to {share * k * t[-1]:.1f} s"
+    raise ConfigError("minimum_snap: time for all waypoints", tried, "one that keeps the limits from its moving ends",
+                      "Give times, wider limits, or ends at rest.")  # fmt: skip
 
 
 def allocated(waypoints: npt.ArrayLike) -> Vec:
