@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from crazychoir.errors import ConfigError
-from crazychoir.math3d import Mat, Vec, kernel, matrix, memory, real, vector, wrap
+from crazychoir.math3d import Mat, Vec, kernel, matrix, memory, real, table, vector, wrap
 from crazychoir.types import FullState
 
 DEGREE = 7
@@ -50,6 +50,13 @@ def _peaks(coefficients: Mat, knots: Vec, out: Vec) -> None:
             out[0] = max(out[0], math.sqrt(at[3] ** 2 + at[4] ** 2 + at[5] ** 2))
             out[1] = max(out[1], math.sqrt(at[6] ** 2 + at[7] ** 2 + at[8] ** 2))
             out[2] = max(out[2], abs(at[13]))
+
+
+@kernel(matrix, vector, vector, table)
+def _samples(coefficients: Mat, knots: Vec, t: Vec, out: Mat) -> None:
+    """The flat outputs at times t (n,), from the first knot to the last, into out (n, 14)."""
+    for k in range(t.shape[0]):
+        _sample(coefficients, knots, t[k], out[k])
 
 
 class Piecewise:
@@ -102,6 +109,12 @@ class Piecewise:
         if t > self.duration:
             out[3:12], out[13] = 0.0, 0.0
         return FullState(out)
+
+    def samples(self, t: Vec) -> Mat:
+        """The references (n, 14) at times t (n,), 0 <= t <= duration."""
+        out = np.empty((len(t), 14))
+        _samples(self._rows, self.knots, t, out)
+        return out
 
     def done(self, t: float) -> bool:
         """Is the end reached at t?"""

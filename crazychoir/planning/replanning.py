@@ -55,8 +55,8 @@ def join(
         if _keeps(way, limits):
             return Joined(way, trajectory, now + seconds)
     tried = f"{durations[0]:g} s" if duration is not None else f"{durations[0]:g} to {durations[-1]:.0f} s"
-    raise ConfigError("join: duration", tried, "a time in which the limits are kept on the way",
-                      "Give more time or wider limits, or stop first.")  # fmt: skip
+    raise ConfigError("join: duration", tried, "a time in which the way keeps the limits",
+                      "Give more time, wider limits or a wider fence, or stop first.")  # fmt: skip
 
 
 def _keeps(way: Polynomial7th, limits: Limits) -> bool:

@@ -7,6 +7,7 @@ import numpy as np
 
 from crazychoir.errors import ConfigError
 from crazychoir.math3d import Mat, Vec
+from crazychoir.planning.piecewise import Piecewise
 from crazychoir.types import FullState
 
 MOST_SETPOINTS = 1_000_000  # of one trajectory: a rate or a duration beyond that is a mistake
@@ -42,4 +43,6 @@ def instants(duration: float, rate: float) -> Vec:
 def setpoints(trajectory: Trajectory, rate: float) -> tuple[Vec, Mat]:
     """Times (n,) s, each 1 / rate and the end, and the references (n, 14) then, rows laid out as FullState.flat."""
     t = instants(trajectory.duration, rate)
+    if isinstance(trajectory, Piecewise):
+        return t, trajectory.samples(t)
     return t, np.array([trajectory.sample(k).flat for k in t.tolist()])

@@ -1,13 +1,11 @@
 import math
 
-import numpy as np
 import pytest
 
 from crazychoir.errors import ConfigError
 from crazychoir.math3d import GRAVITY
 from crazychoir.planning.feasibility import DEMANDS, Limits, check, demands, peaks
 from crazychoir.planning.figure import circle
-from crazychoir.planning.point_to_point import PointToPoint
 from crazychoir.types import FullState
 
 CIRCLE = circle((0, 0, 1), 0.5, 2.0, laps=3)  # at 1.57 m/s, 4.93 m/s2
@@ -59,12 +57,17 @@ def test_the_fence_holds_for_the_way_too():
 
 
 def test_what_is_not_finite_is_refused():
-    class Broken(PointToPoint):
+    class Broken:
+        duration = 2.0
+
         def sample(self, t):
             return FullState.at((0, 0, math.nan if t > 1.0 else 1.0))
 
+        def done(self, t):
+            return t >= self.duration
+
     with pytest.raises(ConfigError, match=r"at 1\.\d\d s.*finite"):
-        check(Broken(FullState.at((0, 0, 1)), np.ones(3), 0.0, 2.0), Limits())
+        check(Broken(), Limits())
 
 
 @pytest.mark.parametrize(

@@ -29,6 +29,11 @@ def test_before_the_start_it_holds_and_after_the_end_it_stands():
     assert not FLIGHT.done(FLIGHT.duration - 1e-9)
 
 
+def test_many_samples_are_the_same_as_one_by_one():
+    t = np.linspace(0.0, FLIGHT.duration, 50)
+    np.testing.assert_allclose(FLIGHT.samples(t), [FLIGHT.sample(k).flat for k in t], atol=1e-9)
+
+
 def test_a_sample_is_its_own():
     for t in (0.3, FLIGHT.duration, FLIGHT.duration + 1.0):
         FLIGHT.sample(t).flat[:] = 7.0
