@@ -17,7 +17,7 @@ from crazychoir.errors import ConfigError
 from crazychoir.planning.figure import Figure, circle, eight
 
 Results = dict[int, dict[str, Any]]
-DEFAULTS = {"figure": "circle", "size": 0.4, "period": 10.0, "laps": 2.0, "yaw": 0.0, "yaw_rate": 0.0}
+DEFAULTS: dict[str, Any] = {"figure": "circle", "size": 0.4, "period": 10.0, "laps": 2.0, "yaw": 0.0, "yaw_rate": 0.0}
 
 
 class Flown(CFGuidance):

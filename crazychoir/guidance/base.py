@@ -154,7 +154,7 @@ class CFGuidance:
             await self.go_to(goal)
 
     async def go_to(self, p: Point, duration: float = 0.0, yaw: float | None = None) -> None:
-        """Fly to p (3,) m, world, yaw rad (None: as it is), and be there: a flight that the safety table has stopped is flown again.
+        """Fly to p (3,) m, world, yaw rad (None: as it is), and be there; stopped by the safety table, it flies again.
 
         It waits, at most PATIENCE s, while an operator holds the drone or the safety table brakes it.
         Raises Interrupted when the pilot lands, and when p cannot be reached, as outside the fence.

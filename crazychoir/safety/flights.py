@@ -1,33 +1,15 @@
 """The flights that a pilot plans itself: to a place, to rest, down; inside the fence and the limits of [flight]."""
 
-from typing import Protocol
-
 import numpy as np
 
 from crazychoir.math3d import GRAVITY, Vec, yaw_of
 from crazychoir.planning.landing import Landing, Legs
 from crazychoir.planning.point_to_point import PEAK_SPEED, PointToPoint, duration_for, stopping
+from crazychoir.planning.trajectory import Trajectory
 from crazychoir.platforms import Platform
 from crazychoir.safety.guard import INSET, Fence
 from crazychoir.swarm.tables import Flight
 from crazychoir.types import FullState, State
-
-
-class Trajectory(Protocol):
-    """A reference over time, t = 0 at its start."""
-
-    @property
-    def duration(self) -> float:
-        """s."""
-        ...
-
-    def sample(self, t: float) -> FullState:
-        """The reference t seconds after the start."""
-        ...
-
-    def done(self, t: float) -> bool:
-        """Is the end reached at t?"""
-        ...
 
 
 def braking(limits: Flight, platform: Platform, share: float) -> float:

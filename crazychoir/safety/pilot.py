@@ -24,10 +24,11 @@ from crazychoir.filters.state_filter import StateFilter
 from crazychoir.filters.velocity import VelocityFilter
 from crazychoir.math3d import yaw_of
 from crazychoir.planning.landing import Landing
+from crazychoir.planning.trajectory import Trajectory
 from crazychoir.runtime.actor import Actor, Restart
 from crazychoir.runtime.clock import SECOND
 from crazychoir.runtime.mailbox import Call
-from crazychoir.safety.flights import Flights, Trajectory, braking
+from crazychoir.safety.flights import Flights, braking
 from crazychoir.safety.guard import Action, Fence, Guard, Throttle, Verdict
 from crazychoir.safety.limits import ReferenceLimits
 from crazychoir.swarm.tables import Flight
