@@ -8,29 +8,27 @@ from functools import partial
 from importlib.metadata import version
 from typing import Any
 
-import numpy as np
-
 from crazychoir.bus.commands import CommandServer
 from crazychoir.bus.local import Bus
-from crazychoir.bus.topics import LOG, RESULT, STATUS
+from crazychoir.bus.topics import LOG, POSE, RESULT, STATUS
 from crazychoir.errors import Refused
 from crazychoir.guidance.drone import Drone
 from crazychoir.guidance.life import GuidanceActor
 from crazychoir.guidance.mission import Mission, mission_hash
-from crazychoir.mocap.simulated import SimulatedMocap
 from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import Clock
 from crazychoir.runtime.supervisor import Supervisor
 from crazychoir.runtime.watchdog import Stall, Watchdog
 from crazychoir.safety.guard import Fence
 from crazychoir.safety.pilot import Pilot
-from crazychoir.simulation.integrator import CFIntegrator
-from crazychoir.simulation.owner import EulerRatesLink, SimulatedLink, WorldOwner
+from crazychoir.simulation.remote import RemoteLink
 from crazychoir.simulation.trace import Trace
+from crazychoir.simulation.world import Link
 from crazychoir.swarm.communicator import Communicator
 from crazychoir.swarm.config import SwarmConfig
 from crazychoir.swarm.impairment import impairment_of
 from crazychoir.swarm.roster import Barrier
+from crazychoir.worlds import owners
 
 log = logging.getLogger(__name__)
 VERSION = version("crazychoir")
@@ -69,7 +67,7 @@ class Pacemaker(Actor):
 class Agent:
     """The drones `ids` of a swarm, in this process.
 
-    link: opens the network (None: everything is here);  trace: digest of virtual time.
+    trace: digest of virtual time;  alone: all is in this process, none of its worlds has an owner elsewhere.
     """
 
     def __init__(
@@ -83,6 +81,7 @@ class Agent:
         incarnation: int = 1,
         trace: Trace | None = None,
         start_deadline: float | None = None,
+        alone: bool = True,
     ) -> None:
         self.clock, self.config, self.mission, self.ids, self.trace = clock, config, mission, ids, trace
         host = config.drone(ids[0]).host or socket.gethostname().split(".")[0]
@@ -93,8 +92,9 @@ class Agent:
         self.alarm: Callable[[int, str], None] = lambda drone, text: None
         for i in ids:
             self.bus.port(i, incarnation)
-        self.world = self._world()
-        self.owner = self._owner()
+        self.owned = () if alone else tuple(i for i in ids if i in config.owned)
+        self.owners = owners(self.bus, config, tuple(i for i in ids if i not in self.owned), trace=trace)
+        self._owner_of = {i: owner for owner in self.owners for i in owner.world.ids}
         self._graph = config.graph()
         self._start_deadline = config.start_deadline if start_deadline is None else start_deadline
         self._digest = mission_hash(config, mission)
@@ -105,16 +105,6 @@ class Agent:
         self.services: list[Actor] = []
         self._guidances: dict[int, GuidanceActor] = {}
 
-    def _world(self) -> CFIntegrator:
-        config = self.config
-        homes = np.array([config.drone(i).home for i in self.ids], dtype=float)
-        yaws = np.array([config.drone(i).yaw for i in self.ids])
-        plant = config.plant
-        return CFIntegrator(
-            self.ids, homes, yaws, rate_lag=plant.rate_lag, command_delay=plant.command_delay,
-            inputs=plant.inputs,
-        )  # fmt: skip
-
     def _drone(self, i: int) -> Drone:
         config, port = self.config, self.bus.ports[i]
         barrier = Barrier(
@@ -124,25 +114,25 @@ class Agent:
         communicator = Communicator(port, self._graph)
         communicator.follow(barrier)
         fence = Fence.box(config.fence.min, config.fence.max)
-        pilot = Pilot(port, self._link(i), config.flight, fence, config.mocap.rate)
+        link, harm = self._body(i)
+        seen_at = config.source(POSE, i) if i in self.owned else i
+        pilot = Pilot(port, link, config.flight, fence, config.mocap.rate, seen_at)
         supervisor = self._supervisor(i)
         guidance = self.mission.guidance(i, config)
-        drone = Drone(i, port, barrier, communicator, pilot, guidance, supervisor, partial(self._harm, i))
+        drone = Drone(i, port, barrier, communicator, pilot, guidance, supervisor, harm)
         CommandServer(port, partial(self._execute, drone), partial(self._stop, drone))
         return drone
 
+    def _body(self, i: int) -> tuple[Link, Callable[[], str]]:
+        """The way to a drone's body, and what says what has broken it."""
+        owner = self._owner_of.get(i)
+        if owner is None:
+            remote = RemoteLink(self.bus.ports[i])
+            return remote, remote.harm
+        return owner.link(i), partial(owner.world.harm, i)
+
     def _supervisor(self, i: int) -> Supervisor:
         return Supervisor(self.clock, f"drone {i}", lambda actor, error, again: self._failed(i, actor, error, again))
-
-    def _harm(self, i: int) -> str:
-        """A drone that the simulated floor has broken."""
-        if i not in self.world.crashed:
-            return ""
-        impact, allowed = self.world.impact[self.world.row[i]], self.world.platform.max_landing_speed
-        return f"crashed: hit the floor at {impact:.2f} m/s, allowed {allowed:g} m/s"
-
-    def _link(self, i: int) -> SimulatedLink:
-        return (EulerRatesLink if self.config.plant.inputs == "euler" else SimulatedLink)(self.world, i)
 
     async def run(self) -> dict[int, dict[str, Any]]:
         """Fly the mission; returns each drone's result."""
@@ -159,17 +149,8 @@ class Agent:
             await owner
         return {i: drone.result for i, drone in self.drones.items()}
 
-    def _owner(self) -> WorldOwner:
-        """Whoever steps the world and looks at it."""
-        mocap = self.config.mocap
-        cameras = SimulatedMocap(
-            self.ids, self.config.seed, noise_p=mocap.noise, noise_angle=mocap.noise_angle, dropout=mocap.dropout,
-            latency_steps=round(mocap.latency * mocap.rate), dt=1.0 / mocap.rate,
-        )  # fmt: skip
-        return WorldOwner(self.bus, self.world, cameras, mocap.rate, self.trace)
-
     def _shared(self) -> list[Actor]:
-        return [*self.services, self.owner, self.pacemaker]
+        return [*self.services, *self.owners, self.pacemaker]
 
     def _flying(self, drone: Drone) -> list[Actor]:
         return [drone.barrier.monitor, drone.pilot, StatusActor(drone)]
@@ -205,7 +186,7 @@ class Agent:
 
     def _shared_failed(self, actor: Actor, error: Exception, again: bool) -> None:
         """Without the world or the pacemaker nobody flies on: the drones land, or are cut by who still ticks them."""
-        if actor is self.owner or actor is self.pacemaker:
+        if actor in self.owners or actor is self.pacemaker:
             self.land_all(f"{actor.name} failed: {type(error).__name__}: {error}")
 
     def _failed(self, i: int, actor: Actor, error: Exception, again: bool) -> None:

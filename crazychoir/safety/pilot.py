@@ -97,12 +97,15 @@ def flyable(reference: object) -> bool:
 class Pilot(Actor):
     """Flies one drone; guidance calls `take_off`, `go_to`, `follow`, `hover`, `land`, its operator `hold` too.
 
-    limits: [flight];  fence: where it flies, from the ground up at most;  rate: Hz, of its poses.
+    limits: [flight];  fence: where it flies, from the ground up at most;  rate: Hz, of its poses;  body: the address
+    that they come from, None: its own.
     """
 
     name = "pilot"
 
-    def __init__(self, port: Port, link: Link, limits: Flight, fence: Fence, rate: float = 100.0) -> None:
+    def __init__(
+        self, port: Port, link: Link, limits: Flight, fence: Fence, rate: float = 100.0, body: int | None = None
+    ) -> None:
         self.port, self.link, self.limits = port, link, limits
         self.fence = fence.with_floor(max(fence.low[2], limits.ground))
         self.reference_limits = ReferenceLimits(limits, STANDARD)
@@ -125,7 +128,8 @@ class Pilot(Actor):
         self.guard = Guard(self.fence, a_max=self._braking, ground=limits.ground)
         self._reference: Reference | None = None
         self._reference_ns = 0
-        port.bus.subscribe(POSE, self.drone, self.drone, Call(self.clock, self._posed, f"drone {self.drone} pose"))
+        seen = Call(self.clock, self._posed, f"drone {self.drone} pose")
+        port.bus.subscribe(POSE, self.drone if body is None else body, self.drone, seen)
         self.period_ns = round(SECOND / rate)
         self.restart = Restart(limit=max(5, round(GIVE_UP_TICKS * rate)), backoff=0.0)  # a drone in flight cannot wait
         self._plan: PointToPoint | Legs | None = None
@@ -150,6 +154,8 @@ class Pilot(Actor):
             self._run = None
 
     def _posed(self, pose: Pose | None, age: float) -> None:
+        if pose is not None and age > pose.age:  # it was on its way
+            pose = Pose(pose.flat, age)
         run = self._run
         if run is not None and not run.done():
             self.tick(pose)
