@@ -94,30 +94,26 @@ async def _run_agents(
 async def _world(path: Path, agents: Children, say: Say) -> AsyncIterator[None]:
     """The owner of the agents' world: it is there before them and ends after them."""
     child = await _start("crazychoir.cli.world", "--swarm", str(path), "--child")
-    wanted = True
+    over = asyncio.Event()
 
     async def watch() -> None:
         await _listen(child, say)
-        if wanted:
-            say(f"world: its owner ended with code {child.returncode}: its drones see nothing and stop")
-            await _end_orphans(agents)
+        if over.is_set():
+            return
+        say(f"world: its owner ended with code {child.returncode}: its drones see nothing and stop")
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(ORPHANED):
+                await over.wait()
+        _signal([agent for agent in agents.values() if agent.returncode is None], signal.SIGTERM)
 
     watching = asyncio.create_task(watch())
     try:
         yield
     finally:
-        wanted = False
+        over.set()
         if child.returncode is None:
             await _end([child], GRACE)
         await watching
-
-
-async def _end_orphans(agents: Children) -> None:
-    """Agents without a world end by themselves if they fly; the others are told to."""
-    waits = [asyncio.create_task(child.wait()) for child in agents.values()]
-    if waits:
-        await asyncio.wait(waits, timeout=ORPHANED)
-    _signal([child for child in agents.values() if child.returncode is None], signal.SIGTERM)
 
 
 def write_results(path: Path, results: Results) -> None:

@@ -19,6 +19,7 @@ WORLDS = "crazychoir.worlds"
 """Group of entry points: the worlds of other packages, by the scheme of their uris."""
 WORLD_STEP = 0.01
 """s, in which simulated worlds advance."""
+LOWEST_PORT = 1024
 PLANNED = ("udp", "radio", "mujoco")
 TOUCHING = 0.137
 """m: two Crazyflies nearer than this, centre to centre, may touch: 92 mm from motor to motor along the diagonal (data
@@ -133,14 +134,15 @@ def _uris(swarm: Swarm, where: str) -> None:
         if drone.uri in (LIGHTWEIGHT, MOTORS):
             continue
         key, (scheme, mark, _) = f"{where}: drones[{n}].uri", drone.uri.partition("://")
-        if mark and scheme != "sim" and scheme in engines_of_others():
+        is_foreign = bool(mark) and scheme != "sim"
+        if is_foreign and scheme in engines_of_others():
             continue
         flown = ", ".join((LIGHTWEIGHT, MOTORS, *(f"{name}://" for name in engines_of_others())))
         do = f'Write uri = "sim://", or install a package with the entry point {scheme} in {WORLDS}.'
-        if mark and scheme in PLANNED:
+        if is_foreign and scheme in PLANNED:
             problem = f"this version does not fly {scheme}:// drones"
             raise ConfigError(key, show(drone.uri), f"it flies {flown}", do, problem)
-        raise ConfigError(key, show(drone.uri), flown, do if mark else 'Write uri = "sim://", or leave it out.')
+        raise ConfigError(key, show(drone.uri), flown, do if is_foreign else 'Write uri = "sim://", or leave it out.')
 
 
 def engines_of_others() -> tuple[str, ...]:
@@ -313,6 +315,9 @@ def _ports(swarm: Swarm, where: str) -> None:
     if swarm.base_port + last > 65535:
         problem = f"a process listens on base_port + its lowest drone id, here up to {swarm.base_port + last}"
         raise ConfigError(f"{where}: base_port", swarm.base_port, "ports end at 65535", "Lower it.", problem)
+    if swarm.base_port <= LOWEST_PORT and owned(swarm):
+        problem = "the world's owner listens on base_port - 1"
+        raise ConfigError(f"{where}: base_port", swarm.base_port, f"ports begin at {LOWEST_PORT}", "Raise it.", problem)
 
 
 def _links(swarm: Swarm, where: str) -> None:
