@@ -21,7 +21,7 @@ from crazychoir.runtime.supervisor import Supervisor
 from crazychoir.runtime.watchdog import Stall, Watchdog
 from crazychoir.safety.guard import Fence
 from crazychoir.safety.pilot import Pilot
-from crazychoir.simulation.remote import RemoteLink
+from crazychoir.simulation.remote import OwnerWatch, RemoteLink
 from crazychoir.simulation.trace import Trace
 from crazychoir.simulation.world import Link
 from crazychoir.swarm.communicator import Communicator
@@ -98,6 +98,7 @@ class Agent:
         self._graph = config.graph()
         self._start_deadline = config.start_deadline if start_deadline is None else start_deadline
         self._digest = mission_hash(config, mission)
+        self._remotes = {i: RemoteLink(self.bus.ports[i]) for i in self.owned}
         self.drones: dict[int, Drone] = {i: self._drone(i) for i in ids}
         pilots = [drone.pilot for drone in self.drones.values()]
         self.pacemaker = Pacemaker(clock, pilots, config.mocap.rate)
@@ -125,10 +126,9 @@ class Agent:
 
     def _body(self, i: int) -> tuple[Link, Callable[[], str]]:
         """The way to a drone's body, and what says what has broken it."""
-        owner = self._owner_of.get(i)
-        if owner is None:
-            remote = RemoteLink(self.bus.ports[i])
-            return remote, remote.harm
+        if i in self._remotes:
+            return self._remotes[i], self._remotes[i].harm
+        owner = self._owner_of[i]
         return owner.link(i), partial(owner.world.harm, i)
 
     def _supervisor(self, i: int) -> Supervisor:
@@ -150,7 +150,8 @@ class Agent:
         return {i: drone.result for i, drone in self.drones.items()}
 
     def _shared(self) -> list[Actor]:
-        return [*self.services, *self.owners, self.pacemaker]
+        watch = [OwnerWatch(self.clock, self._remotes, self._orphaned)] if self._remotes else []
+        return [*self.services, *self.owners, *watch, self.pacemaker]
 
     def _flying(self, drone: Drone) -> list[Actor]:
         return [drone.barrier.monitor, drone.pilot, StatusActor(drone)]
@@ -167,6 +168,13 @@ class Agent:
             drone.pilot.land(reason)
         for guidance in self._guidances.values():
             guidance.abort(reason)
+
+    def _orphaned(self, i: int) -> None:
+        """The world of drone i is gone: the safety table has brought it down if it flew, and its mission is over."""
+        pilot = self.drones[i].pilot
+        reason = pilot.brought_down or "its world is gone"
+        pilot.land(reason)
+        self._guidances[i].abort(reason)
 
     def cut_all(self, reason: str) -> None:
         """Stop all motors now."""

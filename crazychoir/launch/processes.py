@@ -20,9 +20,9 @@ from crazychoir.types import FullState
 
 GRACE = 20.0
 """s that processes get to end after SIGTERM beside the time of their landings, before they are killed."""
-ORPHANED = 5.0
-"""s that agents get after the end of their world's owner: their drones see nothing, brake, land and stop by themselves
-within 2 s; one that has not begun to fly would wait."""
+ORPHANED = 8.0
+"""s that agents get after the end of their world's owner: they notice within 3 s and end, but for those that have never
+heard of it and wait."""
 CHUNK = 1 << 16
 """Bytes read at once of what a process says; a line may be of any length, and is passed on in parts if very long."""
 LONGEST = 1 << 20

@@ -2,7 +2,7 @@
 
 import logging
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,8 @@ from crazychoir.bus.codec import encode
 from crazychoir.bus.local import BODIES, Port
 from crazychoir.bus.topics import BODY, COMMAND, CUT
 from crazychoir.errors import CodecError
-from crazychoir.runtime.clock import SECOND
+from crazychoir.runtime.actor import Actor
+from crazychoir.runtime.clock import SECOND, Clock
 from crazychoir.runtime.mailbox import Latest
 from crazychoir.simulation.world import Link, World, names, not_flown
 from crazychoir.types import FPQR, FRPY, XYZ, Body, Command, FullState, Vel
@@ -19,6 +20,8 @@ from crazychoir.types import FPQR, FRPY, XYZ, Body, Command, FullState, Vel
 log = logging.getLogger(__name__)
 SIZES: dict[type[Any], int] = {FPQR: 4, FRPY: 4, Vel: 4, XYZ: 5, FullState: 14}
 """Numbers in a command of each kind."""
+GONE = 3.0
+"""s of silence after which a world's owner does not come back: all its drones have stopped their motors by then."""
 _NOTHING = encode(None)
 
 
@@ -50,14 +53,38 @@ class RemoteLink:
         self._cut = True
         self.port.send(CUT, (self._body,), _NOTHING)
 
+    @property
+    def silence(self) -> float:
+        """s since the world's owner has said how the body is; infinite before the first time."""
+        return self._condition.age()
+
     def harm(self) -> str:
         """What has broken the body, or that nobody says how it is."""
-        body, age = self._condition.fresh_with_age()
+        body = self._condition.fresh()
         if body is not None:
             return body.harm
-        if not math.isfinite(age):
+        if not math.isfinite(self.silence):
             return "nothing was ever heard of its world's owner (crazychoir-world)"
-        return f"its world's owner (crazychoir-world) is silent for {age:.1f} s"
+        return f"its world's owner (crazychoir-world) is silent for {self.silence:.1f} s"
+
+
+class OwnerWatch(Actor):
+    """Says of which drones the world's owner has gone; it waits for one that has not come yet.
+
+    gone: called with each of them, once.
+    """
+
+    name = "owner watch"
+
+    def __init__(self, clock: Clock, links: Mapping[int, RemoteLink], gone: Callable[[int], None]) -> None:
+        self.clock, self.links, self.gone = clock, dict(links), gone
+
+    async def run(self) -> None:
+        """As often as a body says how it is, until all are gone."""
+        async for _ in self.clock.ticks(BODY.rate):
+            for i in [i for i, link in self.links.items() if GONE < link.silence < math.inf]:
+                del self.links[i]
+                self.gone(i)
 
 
 class RemoteBody:

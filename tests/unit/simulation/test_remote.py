@@ -1,5 +1,7 @@
 """A drone and its body at two ports: what is obeyed, what is refused, who stops when nobody commands."""
 
+import asyncio
+
 import numpy as np
 import pytest
 from virtual_time import virtual
@@ -11,7 +13,7 @@ from crazychoir.errors import ConfigError
 from crazychoir.platforms import PAPER
 from crazychoir.simulation import remote
 from crazychoir.simulation.integrator import SILENCE, CFIntegrator
-from crazychoir.simulation.remote import RemoteBody, RemoteLink
+from crazychoir.simulation.remote import GONE, OwnerWatch, RemoteBody, RemoteLink
 from crazychoir.types import FPQR, FRPY, XYZ, Body
 
 said: list[str] = []
@@ -156,3 +158,19 @@ async def test_a_drone_says_what_has_broken_its_body_or_that_it_hears_nothing(cl
     assert pair.link.harm() == "crashed"
     await clock.sleep(2.0)
     assert pair.link.harm() == "its world's owner (crazychoir-world) is silent for 2.0 s"
+
+
+@virtual
+async def test_an_owner_that_was_there_is_missed_once_and_one_that_was_not_is_waited_for(clock):
+    pair, gone = Pair(clock), []
+    never = RemoteLink(pair.drone.bus.port(4))
+    watch = OwnerWatch(clock, {3: pair.link, 4: never}, lambda i: gone.append((i, clock.now())))
+    watching = asyncio.create_task(watch.run())
+    for _ in range(8):
+        pair.there.publish(BODY, Body(["FPQR"]))
+        await clock.sleep(0.5)
+    assert gone == []
+    await clock.sleep(10.0)
+    watching.cancel()
+    ((drone, when),) = gone
+    assert (drone, when) == (3, pytest.approx(3.5 + GONE, abs=0.3))
