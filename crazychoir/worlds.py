@@ -1,6 +1,7 @@
 """The simulated worlds of a process, wired: engines, cameras, owners; and the process that owns them for all."""
 
 import logging
+import math
 from collections import deque
 from dataclasses import dataclass
 from typing import Any
@@ -74,7 +75,8 @@ class WorldProcess(Actor):
         self.latencies_ns: deque[int] = deque(maxlen=KEPT)
         self.bodies = [body for owner in self.owners for body in self._bodies(owner)]
         self.failure = ""
-        self._ending = False
+        self._ending: str | None = None
+        self._patient_until = 0.0
         self._supervisor = Supervisor(clock, "world", self._failed)
 
     def _bodies(self, owner: WorldOwner) -> list[RemoteBody]:
@@ -90,8 +92,8 @@ class WorldProcess(Actor):
         async for _ in self.clock.ticks(LOOKS):
             for body in self.bodies:
                 body.look()
-            if self._ending and not self.flown:
-                self._supervisor.stop()
+            if self._ending is not None:
+                self._end_if_alone()
 
     @property
     def flown(self) -> list[int]:
@@ -100,9 +102,16 @@ class WorldProcess(Actor):
 
     def end(self, reason: str) -> None:
         """As soon as nobody flies."""
-        self._ending = True
-        if flown := self.flown:
-            log.warning("world: %s: it goes on until drone(s) %s have ended", reason, ", ".join(map(str, flown)))
+        self._ending, self._patient_until = reason, self.clock.now() + 2.0 * LEFT_ALONE
+
+    def _end_if_alone(self) -> None:
+        """Say it once if it takes longer than agents that have just ended need."""
+        flown = self.flown
+        if not flown:
+            self._supervisor.stop()
+        elif self.clock.now() > self._patient_until:
+            names, self._patient_until = ", ".join(map(str, flown)), math.inf
+            log.warning("world: %s: it goes on until the agents of drone(s) %s have ended", self._ending, names)
 
     def abort(self, reason: str) -> None:
         """Now; whoever flies sees nothing any more."""

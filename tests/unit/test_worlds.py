@@ -143,7 +143,7 @@ def test_an_owner_that_falls_silent_brings_its_drones_down_with_the_reason():
         assert "its world's owner (crazychoir-world) is silent for" in result["reason"]
 
 
-def test_the_owner_ends_when_nobody_flies_any_more():
+def test_the_owner_ends_when_nobody_flies_any_more(caplog):
     ends = {}
 
     async def meanwhile(clock, world, agent, wires):
@@ -158,6 +158,13 @@ def test_the_owner_ends_when_nobody_flies_any_more():
     results, later = run_virtual(main)
     assert all(result["success"] for result in results.values()), "they saw the floor when they landed"
     assert later > 2.0 + LEFT_ALONE
+    said = [record.getMessage() for record in caplog.records if "world:" in record.getMessage()]
+    assert said == ["world: Ctrl-C: it goes on until the agents of drone(s) 0, 1 have ended"]
+
+
+def test_agents_that_have_just_ended_are_no_news(caplog):
+    fly(swarm())
+    assert not any("world:" in record.getMessage() for record in caplog.records)
 
 
 def test_an_owner_that_nobody_needs_ends_at_once():
