@@ -61,9 +61,14 @@ def fly_real(
     async def main(clock: Clock) -> dict[str, Any]:
         link = observer(clock, config)
         address = next(iter(link.bus.ports))
-        score = Score(link.bus, config.ids, goal_of(mission, config), watch or (lambda score: None), address=address)
+        watched = watch or (lambda score: None)
+        score = Score(
+            link.bus, config.ids, goal_of(mission, config), watched, address=address, source=config.source
+        )  # fmt: skip
         async with attached(link, score):
-            results = await run_children(groups, path, config, list(options), say, lambda: all_wait(config, score))
+            results = await run_children(
+                groups, path, config, list(options), say, lambda: all_wait(config, score), starts_world(config, started)
+            )
         wall = time.perf_counter() - began
         return summary(config, mission, results, score, wall, wall, started)
 
@@ -113,6 +118,13 @@ def summary(
         "results": results,
         **score.formation(),
     }
+
+
+def starts_world(config: SwarmConfig, started: tuple[int, ...] | None) -> bool:
+    """Whether the world's owner is started here: with all drones, or with the lowest one of its host."""
+    here = config.ids if started is None else started
+    beside = [i for i in config.ids if config.drone(i).host == config.world.host]
+    return bool(config.owned) and (here == config.ids or any(i in here for i in beside[:1]))
 
 
 def all_wait(config: SwarmConfig, score: Score) -> bool:

@@ -113,14 +113,15 @@ def filter_of(name: str, chosen: Controls, ground: float, rate: float) -> StateF
 class Pilot(Actor):
     """Flies one drone; guidance calls `take_off`, `go_to`, `follow`, `hover`, `land`, its operator `hold` too.
 
-    limits: [flight];  fence: where it flies, from the ground up at most;  rate: Hz, of its poses.
+    limits: [flight];  fence: where it flies, from the ground up at most;  rate: Hz, of its poses;  body: the address
+    that they come from, None: its own.
     """
 
     name = "pilot"
 
     def __init__(
         self, port: Port, link: Link, limits: Flight, fence: Fence, rate: float = 100.0,
-        chosen: Controls | None = None, state_filter: StateFilter | None = None,
+        chosen: Controls | None = None, state_filter: StateFilter | None = None, body: int | None = None,
     ) -> None:  # fmt: skip
         self.port, self.link, self.limits = port, link, limits
         self.controls = controls() if chosen is None else chosen
@@ -143,7 +144,8 @@ class Pilot(Actor):
         self.filter = filter_of("kalman", self.controls, limits.ground, rate) if state_filter is None else state_filter
         self._reference: Reference | None = None
         self._reference_ns = 0
-        port.bus.subscribe(POSE, self.drone, self.drone, Call(self.clock, self._posed, f"drone {self.drone} pose"))
+        seen = Call(self.clock, self._posed, f"drone {self.drone} pose")
+        port.bus.subscribe(POSE, self.drone if body is None else body, self.drone, seen)
         self.period_ns = round(SECOND / rate)
         self.restart = Restart(limit=max(5, round(GIVE_UP_TICKS * rate)), backoff=0.0)  # a drone in flight cannot wait
         self._goto: tuple[float, ...] = ()  # the last Goto that was flown, and its plan
@@ -167,6 +169,8 @@ class Pilot(Actor):
             self._run = None
 
     def _posed(self, pose: Pose | None, age: float) -> None:
+        if pose is not None and age > pose.age:  # it was on its way
+            pose = Pose(pose.flat, age)
         run = self._run
         if run is not None and not run.done():
             self.tick(pose)

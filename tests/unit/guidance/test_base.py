@@ -15,7 +15,7 @@ from crazychoir.runtime.clock import SECOND
 from crazychoir.safety.guard import Fence
 from crazychoir.safety.pilot import Mode, Pilot
 from crazychoir.simulation.integrator import CFIntegrator
-from crazychoir.simulation.owner import SimulatedLink
+from crazychoir.simulation.links import SimulatedLink
 from crazychoir.swarm import graph as graphs
 from crazychoir.swarm.communicator import Communicator
 from crazychoir.swarm.config import default_swarm

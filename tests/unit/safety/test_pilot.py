@@ -21,7 +21,7 @@ from crazychoir.safety.guard import INSET, Action, Fence
 from crazychoir.safety.limits import ReferenceLimits
 from crazychoir.safety.pilot import GIVE_UP_HOVER, TOUCHDOWN_LATE, Mode, Pilot
 from crazychoir.simulation.integrator import CFIntegrator
-from crazychoir.simulation.owner import SimulatedLink
+from crazychoir.simulation.links import SimulatedLink
 from crazychoir.swarm.tables import Flight
 from crazychoir.types import Acceleration, FullState, Goto, Pose
 
