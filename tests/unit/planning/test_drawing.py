@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from crazychoir.errors import ConfigError
-from crazychoir.planning.drawing import STANDARD, Pen, drawing
+from crazychoir.planning.drawing import STANDARD, Pen, drawing, smoothed
 from crazychoir.planning.feasibility import Limits, check, peaks
 from crazychoir.planning.stroke import read_strokes
 
@@ -92,15 +92,31 @@ def test_tremor_is_smoothed_within_the_deviation_that_is_reported():
     assert 0.0 < drawn.deviation < 0.03
 
 
+def test_smoothing_leaves_the_ends_where_they_are():
+    shaken = ARC + np.random.default_rng(2).normal(scale=0.01, size=ARC.shape)
+    u = np.cumsum([0.0, *np.linalg.norm(np.diff(shaken, axis=0), axis=1)])
+    places = smoothed(shaken, u, 0.012, u)
+    np.testing.assert_allclose(places[[0, -1]], shaken[[0, -1]], atol=1e-4)
+    assert np.linalg.norm(places - ARC, axis=1)[5:-5].mean() < 0.6 * np.linalg.norm(shaken - ARC, axis=1).mean()
+
+
+def test_the_deviation_looks_from_the_drawn_line_and_from_the_flown_one(word):
+    drawn = drawing(word[1:2], Pen(timing="drawn"))
+    flown = np.array([drawn.path.sample(t).p[0:2] for t in np.linspace(0.0, drawn.path.duration, 2000)])
+    apart = np.linalg.norm(flown[:, None] - word[1][None, :, 1:], axis=2)
+    assert drawn.deviation == pytest.approx(max(apart.min(axis=0).max(), apart.min(axis=1).max()), abs=0.003)
+    assert apart.min(axis=1).max() > apart.min(axis=0).max() + 0.004  # it overshoots
+
+
 def test_a_dot_is_flown_to():
     path = drawing([ARC, [(0.0, 0.0), (0.0, 0.0)]]).path
     np.testing.assert_allclose(path.sample(path.duration).p, (0, 0, 1), atol=1e-9)
 
 
 def test_other_limits_hold_too():
-    limits = Limits(v_max=1.0, a_max=3.0, j_max=8.0, tilt_max=0.25)
+    limits = Limits(v_max=1.0, a_max=3.0, j_max=2.0, tilt_max=0.25)
     most = peaks(drawing([ARC, LINE], limits=limits).path)
-    assert most["jerk"] <= 8.0 * 1.001
+    assert most["jerk"] <= 2.0 * 1.001
     assert most["tilt"] <= 0.25 * 1.001
 
 

@@ -60,7 +60,7 @@ def test_timed_goals_are_reached_in_time_at_rest():
         ([(3, 0, 0, 1, 0), (6, 0, np.nan, 1, 0)], r"goals\[1\].*finite"),
         ([(0, 1, 0, 1, 0), (6, 0, 0, 1, 0)], "the place of the start"),
         ([(3, 0, 0, 1, 0), (4, 3, 0, 1, 0)], r"goals\[1\]: trajectory at .* acceleration.*more time"),
-        ([(3, 0, 0, 1, 0), (99, 7, 0, 1, 0)], r"goals\[1\].*fence"),
+        ([(3, 0, 0, 1, 0), (99, 7, 0, 1, 0)], r"goals\[1\]: found \[7.0, 0.0, 1.0\].*fence"),
     ],
 )
 def test_bad_lists_of_goals_are_refused(goals, complaint):
