@@ -1,4 +1,5 @@
 import math
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -106,6 +107,15 @@ def test_the_deviation_looks_from_the_drawn_line_and_from_the_flown_one(word):
     apart = np.linalg.norm(flown[:, None] - word[1][None, :, 1:], axis=2)
     assert drawn.deviation == pytest.approx(max(apart.min(axis=0).max(), apart.min(axis=1).max()), abs=0.003)
     assert apart.min(axis=1).max() > apart.min(axis=0).max() + 0.004  # it overshoots
+
+
+def test_a_bend_that_is_cut_counts_too():
+    tip = np.array([(0.0, 0.0), (0.5, 0.0), (0.5 + 0.5 * math.cos(1.3), 0.5 * math.sin(1.3))])
+    drawn = drawing([np.concatenate([np.linspace(a, b, 60) for a, b in pairwise(tip)])], Pen(smoothing=0.02))
+    flown = np.array([drawn.path.sample(t).p[0:2] for t in np.linspace(0.0, drawn.path.duration, 4000)])
+    cut = float(np.linalg.norm(flown - tip[1], axis=1).min())
+    assert cut > 0.01
+    assert drawn.deviation >= cut - 0.001
 
 
 def test_a_dot_is_flown_to():
