@@ -94,11 +94,11 @@ def drawing(strokes: Sequence[npt.ArrayLike], pen: Pen = Pen(), limits: Limits =
                 lines.append(line)
                 parts.append(line)
             here = line.sample(line.duration) if line else begin
-    if len(parts) == 0:
-        raise ConfigError("drawing: strokes", f"{len(drawn)} of one place or none", "at least one line")
+    if len(lines) == 0:
+        raise ConfigError("drawing: strokes", f"{len(drawn)}, of one place each", "at least one line")
     path = joined(parts)
     most = peaks(path)
-    return Drawing(path, _deviation(lines, [xy for _, xy in drawn]), most["speed"], most["acceleration"])
+    return Drawing(path, _deviation(lines, [xy for _, xy in drawn if len(xy) > 1]), most["speed"], most["acceleration"])
 
 
 def _line(t: Vec, xy: Mat, pen: Pen, limits: Limits) -> Piecewise:

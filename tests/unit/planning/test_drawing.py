@@ -119,7 +119,10 @@ def test_a_bend_that_is_cut_counts_too():
 
 
 def test_a_dot_is_flown_to():
-    path = drawing([ARC, [(0.0, 0.0), (0.0, 0.0)]]).path
+    drawn = drawing([[(0.1, 0.1)], ARC, [(0.0, 0.0), (0.0, 0.0)]])
+    path = drawn.path
+    assert drawn.deviation < 0.01
+    np.testing.assert_allclose(path.sample(0.0).p, (0.1, 0.1, 1), atol=1e-9)
     np.testing.assert_allclose(path.sample(path.duration).p, (0, 0, 1), atol=1e-9)
 
 
@@ -135,6 +138,7 @@ def test_other_limits_hold_too():
     [
         ([], {}, {}, "at least one line"),
         ([[(1, 1)]], {}, {}, "at least one line"),
+        ([[(1, 1)], [(0, 1)]], {}, {}, "at least one line"),
         ([ARC, [(0, 0), (math.nan, 0)]], {}, {}, r"strokes\[1\]\[1\]"),
         ([ARC], {"timing": "drawn"}, {}, "rows of t, x, y"),
         ([ARC], {"timing": "slow"}, {}, "Pen: timing"),
