@@ -11,8 +11,9 @@ import numpy as np
 
 from crazychoir.control.attitude import GeometryAttitudeCtrl
 from crazychoir.control.controller import HierarchicalController
-from crazychoir.control.handlers import AccelerationTraj, FPQRSender, FullStateTraj
+from crazychoir.control.handlers import AccelerationTraj, FullStateTraj
 from crazychoir.control.position import FlatnessAccelerationCtrl, FlatnessPositionCtrl
+from crazychoir.control.senders import FPQRSender
 from crazychoir.filters.velocity import VelocityFilter
 from crazychoir.mocap.simulated import SimulatedMocap
 from crazychoir.planning.minimum_snap import minimum_snap
