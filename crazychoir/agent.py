@@ -11,19 +11,23 @@ from typing import Any
 from crazychoir.bus.commands import CommandServer
 from crazychoir.bus.local import Bus
 from crazychoir.bus.topics import LOG, POSE, RESULT, STATUS
+from crazychoir.control.choice import Controls, controls
+from crazychoir.control.margin import Plant as PlantKind
 from crazychoir.errors import Refused
 from crazychoir.guidance.drone import Drone
 from crazychoir.guidance.life import GuidanceActor
 from crazychoir.guidance.mission import Mission, mission_hash
+from crazychoir.platforms import platform
 from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import Clock
 from crazychoir.runtime.supervisor import Supervisor
 from crazychoir.runtime.watchdog import Stall, Watchdog
 from crazychoir.safety.guard import Fence
-from crazychoir.safety.pilot import Pilot
+from crazychoir.safety.pilot import Pilot, filter_of
 from crazychoir.simulation.remote import OwnerWatch, RemoteLink
 from crazychoir.simulation.trace import Trace
 from crazychoir.simulation.world import Link
+from crazychoir.swarm.checks import LIGHTWEIGHT
 from crazychoir.swarm.communicator import Communicator
 from crazychoir.swarm.config import SwarmConfig
 from crazychoir.swarm.impairment import impairment_of
@@ -32,6 +36,8 @@ from crazychoir.worlds import owners
 
 log = logging.getLogger(__name__)
 VERSION = version("crazychoir")
+VERBS = ("land", "hold", "go", "impair", "param_get", "param_set", "ping")
+"""What operators may ask of a drone."""
 
 
 class StatusActor(Actor):
@@ -115,21 +121,33 @@ class Agent:
         communicator = Communicator(port, self._graph)
         communicator.follow(barrier)
         fence = Fence.box(config.fence.min, config.fence.max)
-        link, harm = self._body(i)
+        chosen, rate = self._controls(i), config.mocap.rate
+        seen = filter_of(config.control_of(i).filter, chosen, config.flight.ground, rate)
+        link, harm = self._body(i, chosen.sender.kind)
         seen_at = config.source(POSE, i) if i in self.owned else i
-        pilot = Pilot(port, link, config.flight, fence, config.mocap.rate, seen_at)
+        pilot = Pilot(port, link, config.flight, fence, rate, chosen, seen, seen_at)
         supervisor = self._supervisor(i)
         guidance = self.mission.guidance(i, config)
         drone = Drone(i, port, barrier, communicator, pilot, guidance, supervisor, harm)
         CommandServer(port, partial(self._execute, drone), partial(self._stop, drone))
         return drone
 
-    def _body(self, i: int) -> tuple[Link, Callable[[], str]]:
-        """The way to a drone's body, and what says what has broken it."""
+    def _controls(self, i: int) -> Controls:
+        drone, plant = self.config.drone(i), self.config.plant
+        kind: PlantKind = "lightweight" if drone.uri == LIGHTWEIGHT else "motors"
+        where = f"control of drone {i}"
+        row = self.config.control_of(i)
+        return controls(row, platform(drone.platform), kind, plant.rate_lag, plant.command_delay, where)
+
+    def _body(self, i: int, kind: str) -> tuple[Link, Callable[[], str]]:
+        """The way to a drone's body, and what says what has broken it; ConfigError for a kind that is not flown there.
+
+        A world's owner refuses it too, when it starts.
+        """
         if i in self._remotes:
             return self._remotes[i], self._remotes[i].harm
         owner = self._owner_of[i]
-        return owner.link(i), partial(owner.world.harm, i)
+        return owner.link(i, kind), partial(owner.world.harm, i)
 
     def _supervisor(self, i: int) -> Supervisor:
         return Supervisor(self.clock, f"drone {i}", lambda actor, error, again: self._failed(i, actor, error, again))
@@ -170,7 +188,7 @@ class Agent:
             guidance.abort(reason)
 
     def _orphaned(self, i: int) -> None:
-        """The world of drone i is gone: the safety table has brought it down if it flew, and its mission is over."""
+        """The world of drone i is gone: its mission is over; the safety table has brought it down if it flew."""
         pilot = self.drones[i].pilot
         reason = pilot.brought_down or "its world is gone"
         pilot.land(reason)
@@ -219,10 +237,14 @@ class Agent:
             case "impair":
                 self.bus.impairment.update(arguments)
                 return self.bus.impairment.describe()
+            case "param_get":
+                return drone.pilot.parameters.values(arguments.get("name"))
+            case "param_set":
+                return drone.pilot.parameters.set(arguments["name"], arguments["value"])
             case "ping":
                 return drone.pilot.mode.value
             case _:
-                raise Refused(f"drone {drone.id}", f"no command {verb!r}; there are land, hold, go, impair, ping")
+                raise Refused(f"drone {drone.id}", f"no command {verb!r}; there are {', '.join(VERBS)}")
         return None
 
     def _stop(self, drone: Drone, on: bool) -> None:

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from crazychoir.cli import look, solve
+from crazychoir.cli import look, param, solve
 from crazychoir.cli.show import (
     STDERR,
     Progress,
@@ -27,6 +27,9 @@ app = typer.Typer(add_completion=False, no_args_is_help=True, help="Swarms that 
 app.command()(solve.solve)
 for command in (look.topics, look.echo, look.hz, look.status, look.impair, look.stop):
     app.command()(command)
+
+
+app.add_typer(param.app, name="param")
 
 
 @app.command(add_help_option=False, context_settings={"allow_extra_args": True, "ignore_unknown_options": True})

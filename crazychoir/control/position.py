@@ -16,6 +16,7 @@ from crazychoir.math3d import (
     dot,
     finite,
     flat_attitude,
+    flat_rates,
     kernel,
     memory,
     real,
@@ -35,6 +36,8 @@ HEADROOM = 0.95  # of the thrust for the desired acceleration; the rest is left 
 
 class PositionControl(Protocol):
     """The strategy that turns a reference into a thrust and an attitude."""
+
+    gains: Gains
 
     def desired(self, state: State, reference: Vec, now: float) -> Vec | None:
         """Desired (13,) = thrust N, columns of R_d, rate feed-forward; None if state or reference is not finite.
@@ -68,21 +71,6 @@ def _within_limits(f: Triple, max_tilt: float, most: float) -> Triple:
 
 
 @kernel()
-def _turning(f: Triple, j: Triple, axes: tuple[Triple, Triple, Triple], yaw: float, yaw_rate: float) -> Triple:
-    """Body rates of the flat attitude while f changes by j a second.
-
-        h = (j - (z_b . j) z_b) / |f|,  p = - h . y_b,  q = h . x_b,  r = (p z_b . x_c + yaw' y_b . y_c) / (x_b . x_c)
-
-    The last from y_b . x_c = 0, differentiated.
-    """
-    x, y, z = axes
-    length = math.sqrt(dot(f, f))
-    p, q = -dot(j, y) / length, dot(j, x) / length
-    c, s = math.cos(yaw), math.sin(yaw)
-    return p, q, (p * (z[0] * c + z[1] * s) + yaw_rate * (y[1] * c - y[0] * s)) / (x[0] * c + x[1] * s)
-
-
-@kernel()
 def _wish(x: Vec, ref: Vec, gains: Vec, follow: float, c: int) -> float:
     """Acceleration wanted along axis c: a_d - follow (kp (p - p_d) + kv (v - v_d))."""
     pull: float = gains[c] * (x[c] - ref[c]) + gains[3 + c] * (x[3 + c] - ref[3 + c])
@@ -108,7 +96,7 @@ def _flatness(x: Vec, ref: Vec, figures: Vec, trim: Vec, follow: float, out: Vec
     axes = flat_attitude(f, ref[12])
     free = 1.0 if f == wish else 0.0
     jerk = (free * (ref[9] + rise[0]), free * (ref[10] + rise[1]), free * (ref[11] + rise[2]))
-    w = _turning(f, jerk, axes, ref[12], ref[13])
+    w = flat_rates(f, jerk, axes, ref[12], ref[13])
     thrust = (1.0 + trim[0]) * platform[0] * (dot(f, bz) + gains[10] * dot(jerk, bz))
     out[0] = clip(thrust, 0.0, platform[4])
     for c in range(3):
@@ -123,7 +111,7 @@ def _tracked(x: Vec, ref: Vec, figures: Vec, trim: Vec, mem: Vec, h: float, out:
     if not _flatness(x, ref, figures, trim, 1.0, out):
         return False
     f = (ref[6], ref[7], max(ref[8] + GRAVITY, LEAST_LIFT))
-    w = _turning(f, (ref[9], ref[10], ref[11]), flat_attitude(f, ref[12]), ref[12], ref[13])
+    w = flat_rates(f, (ref[9], ref[10], ref[11]), flat_attitude(f, ref[12]), ref[12], ref[13])
     early = figures[9] / h if 0.0 < h < LONGEST_GAP and out[13] > 0.0 else 0.0
     for c in range(3):
         more = early * (w[c] - mem[c])

@@ -8,14 +8,18 @@ from crazychoir.math3d import GRAVITY, Vec, clip, columns, kernel, memory, real,
 
 MOST_THRUST = 0.25  # share of the thrust: old propellers, a low battery, a wrong mass; not a wrong thrust map
 MOST_TRIM = 0.6  # m/s2: an attitude that is 3.5 degrees off
-NEAR = 0.3  # m from its place, along each axis, within which an error says something about the trim
+# An error says something about the trim when it is small and stays: on the way back from a larger one it does not.
+NEAR, NEAR_IN_HEIGHT = 0.12, 0.3  # m from its place, along each axis
+SLOW = 0.15  # m/s, of that error, along each axis
 
 
 @kernel(vector, vector, vector, real, memory)
 def _learn(x: Vec, ref: Vec, rates: Vec, h: float, trim: Vec) -> None:
     """The law of Trim over h seconds; rates: (2,) = ki_thrust, ki_trim."""
     e = (ref[0] - x[0], ref[1] - x[1], ref[2] - x[2])
-    if max(abs(e[0]), abs(e[1]), abs(e[2])) > NEAR:
+    if max(abs(ref[3] - x[3]), abs(ref[4] - x[4]), abs(ref[5] - x[5])) > SLOW:
+        return
+    if max(abs(e[0]), abs(e[1])) > NEAR or abs(e[2]) > NEAR_IN_HEIGHT:
         return
     bx = columns((x[6], x[7], x[8], x[9]))[0]
     n = 1.0 / math.sqrt(max(bx[0] * bx[0] + bx[1] * bx[1], 1e-12))
@@ -33,7 +37,7 @@ class Trim:
 
     A thrust that is off by a factor pulls too hard sideways as well, so it is mended as a factor, where an integral of
     the height would only mend hovering. Rz turns by the heading: an attitude that is off is so in body axes, whatever
-    way the drone looks.  s: of the thrust;  d: (2,) m/s2, heading axes.  The positions laws of one drone share it.
+    way the drone looks.  s: of the thrust;  d: (2,) m/s2, heading axes.  The position laws of one drone share it.
     frozen: learn nothing: on the ground, where an error of the height does not say what the thrust does.
     """
 

@@ -73,6 +73,13 @@ def test_what_falls_stops_at_the_floor():
     np.testing.assert_array_equal(fallen[3:6], 0.0)
 
 
+def test_who_is_below_the_floor_neither_jumps_onto_it_nor_falls_deeper():
+    low, motion = State.at((0.0, 0.0, 0.35)), Commanded(PAPER.flat, 0.4)
+    for thrust, height in ((0.0, 0.35), (1.1 * PAPER.weight, 0.35 + 0.5 * 0.98 * 0.1**2)):
+        after = motion.after(low.flat, np.array([thrust, 0.0, 0.0, 0.0]), 0.1)
+        assert after[2] == pytest.approx(height, abs=1e-3)
+
+
 def test_constant_velocity_asks_for_no_command():
     on = ConstantVelocity().after(TILTED.flat, np.array([9.0, 9.0, 9.0, 9.0]), 0.5)
     np.testing.assert_allclose(on[0:3], TILTED.p + 0.5 * TILTED.v)
