@@ -12,7 +12,7 @@ from crazychoir.bus.commands import CommandServer
 from crazychoir.bus.local import Bus
 from crazychoir.bus.topics import LOG, POSE, RESULT, STATUS
 from crazychoir.control.choice import Controls, controls
-from crazychoir.control.margin import Plant
+from crazychoir.control.margin import Plant as PlantKind
 from crazychoir.errors import Refused
 from crazychoir.guidance.drone import Drone
 from crazychoir.guidance.life import GuidanceActor
@@ -121,10 +121,10 @@ class Agent:
         communicator = Communicator(port, self._graph)
         communicator.follow(barrier)
         fence = Fence.box(config.fence.min, config.fence.max)
-        link, harm = self._body(i)
-        seen_at = config.source(POSE, i) if i in self.owned else i
         chosen, rate = self._controls(i), config.mocap.rate
         seen = filter_of(config.control_of(i).filter, chosen, config.flight.ground, rate)
+        link, harm = self._body(i, chosen.sender.kind)
+        seen_at = config.source(POSE, i) if i in self.owned else i
         pilot = Pilot(port, link, config.flight, fence, rate, chosen, seen, seen_at)
         supervisor = self._supervisor(i)
         guidance = self.mission.guidance(i, config)
@@ -133,17 +133,21 @@ class Agent:
         return drone
 
     def _controls(self, i: int) -> Controls:
-        config, plant, drone = self.config, self.config.plant, self.config.drone(i)
-        model: Plant = "lightweight" if drone.uri == LIGHTWEIGHT else "motors"
-        kind, where = platform(drone.platform), f"control of drone {i}"
-        return controls(config.control_of(i), kind, model, plant.rate_lag, plant.command_delay, where)
+        drone, plant = self.config.drone(i), self.config.plant
+        kind: PlantKind = "lightweight" if drone.uri == LIGHTWEIGHT else "motors"
+        where = f"control of drone {i}"
+        row = self.config.control_of(i)
+        return controls(row, platform(drone.platform), kind, plant.rate_lag, plant.command_delay, where)
 
-    def _body(self, i: int) -> tuple[Link, Callable[[], str]]:
-        """The way to a drone's body, and what says what has broken it."""
+    def _body(self, i: int, kind: str) -> tuple[Link, Callable[[], str]]:
+        """The way to a drone's body, and what says what has broken it; ConfigError for a kind that is not flown there.
+
+        A world's owner refuses it too, when it starts.
+        """
         if i in self._remotes:
             return self._remotes[i], self._remotes[i].harm
         owner = self._owner_of[i]
-        return owner.link(i), partial(owner.world.harm, i)
+        return owner.link(i, kind), partial(owner.world.harm, i)
 
     def _supervisor(self, i: int) -> Supervisor:
         return Supervisor(self.clock, f"drone {i}", lambda actor, error, again: self._failed(i, actor, error, again))
@@ -184,7 +188,7 @@ class Agent:
             guidance.abort(reason)
 
     def _orphaned(self, i: int) -> None:
-        """The world of drone i is gone: the safety table has brought it down if it flew, and its mission is over."""
+        """The world of drone i is gone: its mission is over; the safety table has brought it down if it flew."""
         pilot = self.drones[i].pilot
         reason = pilot.brought_down or "its world is gone"
         pilot.land(reason)

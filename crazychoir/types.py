@@ -194,10 +194,9 @@ class Status(Wire, frozen=True, array_like=True, gc=False):
 class Body(Wire, frozen=True, array_like=True, gc=False):
     """How a drone's simulated body is.
 
-    flies: names of the kinds of commands that its engine obeys;  harm: what has broken it, empty if nothing has.
+    harm: what has broken it, empty if nothing has.
     """
 
-    flies: list[str]
     harm: str = ""
 
 

@@ -68,7 +68,7 @@ class WorldProcess(Actor):
     name = "bodies"
 
     def __init__(self, clock: Clock, config: SwarmConfig, process: str, host: str, incarnation: int) -> None:
-        self.clock, self.bus = clock, Bus(clock, process=process, host=host)
+        self.clock, self.bus, self._config = clock, Bus(clock, process=process, host=host), config
         for i in config.owned:
             self.bus.port(BODIES + i, incarnation)
         self.owners = owners(self.bus, config, config.owned, base=BODIES)
@@ -81,7 +81,11 @@ class WorldProcess(Actor):
 
     def _bodies(self, owner: WorldOwner) -> list[RemoteBody]:
         note = Latency(owner, self.latencies_ns).note
-        return [RemoteBody(self.bus.ports[BODIES + i], owner.world, owner.link(i), note) for i in owner.world.ids]
+        kinds = {i: self._config.control_of(i).sender for i in owner.world.ids}
+        return [
+            RemoteBody(self.bus.ports[BODIES + i], owner.world, owner.link(i, kind), kind, note)
+            for i, kind in kinds.items()
+        ]
 
     async def serve(self, *services: Actor) -> None:
         """Until its end."""

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -10,7 +10,8 @@ from crazychoir.errors import ConfigError
 from crazychoir.math3d import GRAVITY, Mat, Triple, Vec, clip, columns, dot, kernel, matrix, memory, real, table, vector
 from crazychoir.platforms import PAPER, Platform
 from crazychoir.simulation.links import EulerRatesLink, SimulatedLink
-from crazychoir.types import FPQR, State
+from crazychoir.simulation.world import not_flown
+from crazychoir.types import State
 
 THRUST, MAX_THRUST, MASS = 0, 4, 0  # columns of a command and of Platform.flat
 SILENCE = 0.5
@@ -190,7 +191,7 @@ class CFIntegrator:
     A drone that starts on the floor has its motors stopped, one in the air hovers, until its first command arrives.
     """
 
-    flies: tuple[type[Any], ...] = (FPQR,)
+    flies: tuple[str, ...] = ("fpqr",)
     command_timeout: float | None = SILENCE
 
     def __init__(
@@ -231,8 +232,10 @@ class CFIntegrator:
         """s since the start."""
         return self.tick * self.dt
 
-    def link(self, i: int) -> SimulatedLink:
-        """The way to drone i: body rates in, whatever the inputs are."""
+    def link(self, i: int, kind: str = "fpqr") -> SimulatedLink:
+        """The way to drone i: body rates in, whatever the inputs are; raises ConfigError for another kind."""
+        if kind not in self.flies:
+            raise not_flown(i, kind, self.flies)
         return EulerRatesLink(self, i) if self._euler else SimulatedLink(self, i)
 
     def command(self, i: int, u: Vec | Sequence[float]) -> None:

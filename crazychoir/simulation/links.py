@@ -5,8 +5,7 @@ from collections.abc import Sequence
 from typing import Protocol
 
 from crazychoir.math3d import Vec, rotation
-from crazychoir.simulation.world import not_flown
-from crazychoir.types import FPQR, Command, State
+from crazychoir.types import Command, State
 
 
 class Rated(Protocol):
@@ -32,9 +31,7 @@ class SimulatedLink:
         self.world, self.drone = world, drone
 
     def send(self, command: Command) -> None:
-        """Held until the next one."""
-        if not isinstance(command, FPQR):
-            raise not_flown(self.drone, command, FPQR.__name__)
+        """Held until the next one; it is an FPQR."""
         self.world.command(self.drone, self.inputs(command.flat))
 
     def inputs(self, flat: Vec) -> Vec | Sequence[float]:

@@ -46,8 +46,7 @@ class WorldOwner(Actor):
         self.bus, self.world, self.cameras, self.trace = bus, world, cameras, trace
         self.ticks = bus.clock.ticks(1.0 / world.dt, WORLD)
         self._ports = {i: bus.ports[base + i] for i in world.ids}
-        self._delayed = {i: DelayedLink(world.link(i), delay) for i in world.ids} if delay else {}
-        self._flies = [kind.__name__ for kind in world.flies]
+        self._delay, self._delayed = delay, dict[int, DelayedLink]()
         self._look_every = max(1, round(1.0 / (world.dt * rate)))
         self._truth_every = max(1, round(1.0 / (world.dt * TRUTH.rate)))
         self._body_every = max(1, round(1.0 / (world.dt * BODY.rate)))
@@ -55,9 +54,12 @@ class WorldOwner(Actor):
         self.looked_ns = 0
         """When the cameras last looked, by the bus's clock."""
 
-    def link(self, i: int) -> Link:
-        """The way to drone i of this world, as long as its commands take."""
-        return self._delayed.get(i) or self.world.link(i)
+    def link(self, i: int, kind: str) -> Link:
+        """The way to drone i, as long as its commands take; ConfigError for a kind that its world does not fly."""
+        link = self.world.link(i, kind)
+        if self._delay:
+            link = self._delayed[i] = DelayedLink(link, self._delay)
+        return link
 
     async def run(self) -> None:
         """One step a tick; late ticks of real time are made up for, up to a limit."""
@@ -86,7 +88,7 @@ class WorldOwner(Actor):
                 port.publish(TRUTH, world.state(i), late)
         if self._tick % self._body_every == 0:
             for i, port in self._ports.items():
-                port.publish(BODY, Body(self._flies, world.harm(i)), late)
+                port.publish(BODY, Body(world.harm(i)), late)
 
     def _advance(self) -> None:
         for link in self._delayed.values():

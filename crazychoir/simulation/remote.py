@@ -14,7 +14,7 @@ from crazychoir.errors import CodecError
 from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import SECOND, Clock
 from crazychoir.runtime.mailbox import Latest
-from crazychoir.simulation.world import Link, World, names, not_flown
+from crazychoir.simulation.world import KINDS, Link, World
 from crazychoir.types import FPQR, FRPY, XYZ, Body, Command, FullState, Vel
 
 log = logging.getLogger(__name__)
@@ -39,13 +39,10 @@ class RemoteLink:
         port.bus.subscribe(BODY, self._body, port.address, self._condition)
 
     def send(self, command: Command) -> None:
-        """On its way; raises ConfigError for a kind that the engine there does not fly, as soon as it has said so."""
+        """On its way."""
         if self._cut:
             self.cut()
             return
-        body = self._condition.peek()
-        if body is not None and type(command).__name__ not in body.flies:
-            raise not_flown(self.port.address, command, ", ".join(body.flies))
         self.port.send(COMMAND, (self._body,), encode(command))
 
     def cut(self) -> None:
@@ -80,7 +77,7 @@ class OwnerWatch(Actor):
         self.clock, self.links, self.gone = clock, dict(links), gone
 
     async def run(self) -> None:
-        """As often as a body says how it is, until all are gone."""
+        """As often as a body says how it is."""
         async for _ in self.clock.ticks(BODY.rate):
             for i in [i for i, link in self.links.items() if GONE < link.silence < math.inf]:
                 del self.links[i]
@@ -90,11 +87,13 @@ class OwnerWatch(Actor):
 class RemoteBody:
     """The other end: the body of one drone obeys what comes at its port from that drone, and nobody else.
 
-    obeyed: called after each command that was.
+    link: of the world, for commands of this kind;  obeyed: called after each command that was.
     """
 
-    def __init__(self, port: Port, world: World, link: Link, obeyed: Callable[[], None] = lambda: None) -> None:
-        self.port, self.world, self.link, self.obeyed = port, world, link, obeyed
+    def __init__(
+        self, port: Port, world: World, link: Link, kind: str, obeyed: Callable[[], None] = lambda: None
+    ) -> None:
+        self.port, self.world, self.link, self.kind, self.obeyed = port, world, link, kind, obeyed
         self.drone = port.address - BODIES
         self.refused = 0
         self._clock = port.bus.clock
@@ -126,8 +125,9 @@ class RemoteBody:
             return
         if source != self.drone or not _whole(command):
             self.port.counters.malformed += 1
-        elif not isinstance(command, self.world.flies):
-            self._refuse(str(not_flown(self.drone, command, names(self.world.flies))))
+        elif not isinstance(command, KINDS[self.kind]):
+            sent = type(command).__name__
+            self._refuse(f"drone {self.drone}: its agent sends {sent}, the swarm file says {self.kind}")
         elif self._was_cut:
             self._refuse(f"drone {self.drone}: its motors were cut: they stay off until its world is started again")
         else:
@@ -136,7 +136,7 @@ class RemoteBody:
             self.obeyed()
 
     def _refuse(self, reason: str) -> None:
-        """Say so, once; its agent is told what is flown here by BODY."""
+        """Say so, once."""
         self.refused += 1
         if self.refused == 1:
             log.error("%s", reason)

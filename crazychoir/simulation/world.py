@@ -7,8 +7,10 @@ from typing import Any, Protocol
 from crazychoir.errors import ConfigError
 from crazychoir.math3d import Mat
 from crazychoir.platforms import Platform
-from crazychoir.types import Command, State
+from crazychoir.types import FPQR, FRPY, XYZ, Command, State, Vel
 
+KINDS: dict[str, tuple[type[Any], ...]] = {"fpqr": (FPQR,), "frpy": (FRPY,), "vel": (Vel, XYZ), "xyz": (XYZ,)}
+"""What is sent for each `sender` of a swarm file: velocities end with the XYZ that stops."""
 Position = tuple[float, float, float]
 
 
@@ -36,7 +38,7 @@ class Link(Protocol):
     """The way to one drone."""
 
     def send(self, command: Command) -> None:
-        """Let the drone obey this until the next one; raises ConfigError for a kind that its engine does not fly."""
+        """Let the drone obey this until the next one."""
         ...
 
     def cut(self) -> None:
@@ -48,14 +50,14 @@ class World(Protocol):
     """All drones that one engine simulates, advanced together by one `step` of dt.
 
     ids: the drones, row by row;  states: (N, 13), rows laid out as State.flat, changed in place by `step`;
-    flies: the kinds of commands that its drones obey;  command_timeout: s without a command after which a drone that
-    flies gets no thrust; None: its firmware knows what to do.
+    flies: kinds of commands that its drones obey, of KINDS;  command_timeout: s without a command after which a drone
+    that flies gets no thrust; None: its firmware knows what to do.
     """
 
     ids: tuple[int, ...]
     dt: float
     states: Mat
-    flies: tuple[type[Any], ...]
+    flies: tuple[str, ...]
     command_timeout: float | None
 
     @property
@@ -72,8 +74,8 @@ class World(Protocol):
         """Advance every drone by dt."""
         ...
 
-    def link(self, i: int) -> Link:
-        """The way to drone i."""
+    def link(self, i: int, kind: str) -> Link:
+        """The way to drone i for commands of this kind; raises ConfigError for one that is not flown here."""
         ...
 
     def state(self, i: int) -> State:
@@ -97,12 +99,7 @@ class World(Protocol):
         ...
 
 
-def not_flown(drone: int, command: object, flies: str) -> ConfigError:
-    """The error for a command of a kind that the drone's engine does not fly."""
-    do = "Choose a controller that sends one of these, or another uri for the drone."
-    return ConfigError(f"drone {drone}: command", type(command).__name__, f"{flies}: what its engine flies", do)
-
-
-def names(kinds: tuple[type[Any], ...]) -> str:
-    """Names of kinds of commands."""
-    return ", ".join(kind.__name__ for kind in kinds)
+def not_flown(drone: int, kind: str, flies: tuple[str, ...]) -> ConfigError:
+    """The error for a kind of command that a drone's world does not fly."""
+    do = "Set sender in [control] or in its [[roles]], or give it another uri."
+    return ConfigError(f"drone {drone}: sender", kind, f"{', '.join(flies)}: what its world flies", do)

@@ -7,15 +7,17 @@ from types import ModuleType, SimpleNamespace
 import numpy as np
 import pytest
 
+from crazychoir.control.choice import SENDERS
 from crazychoir.errors import ConfigError
 from crazychoir.platforms import CRAZYFLIE_21, PAPER
 from crazychoir.simulation import engines
 from crazychoir.simulation.engines import delay_steps, worlds
 from crazychoir.simulation.integrator import CFIntegrator
+from crazychoir.simulation.world import KINDS
 from crazychoir.swarm import checks
 from crazychoir.swarm.checks import MOTORS, WORLDS
 from crazychoir.swarm.config import SwarmConfig
-from crazychoir.types import FPQR, FRPY
+from crazychoir.types import FPQR
 
 
 def swarm(*drones, **tables):
@@ -109,8 +111,15 @@ def test_only_the_lightweight_world_has_the_delay_in_its_model():
     assert delay_steps(config, SimpleNamespace(dt=0.01)) == 3
 
 
-def test_a_link_refuses_what_its_engine_does_not_fly():
+def test_a_link_for_what_a_world_does_not_fly_is_refused_when_it_is_made():
     (world,) = worlds(swarm({}), (0,))
-    world.link(0).send(FPQR(np.zeros(4)))
-    with pytest.raises(ConfigError, match="drone 0: command: found FRPY; allowed: FPQR: what its engine flies"):
-        world.link(0).send(FRPY(np.zeros(4)))
+    world.link(0, "fpqr").send(FPQR(np.zeros(4)))
+    with pytest.raises(ConfigError, match="drone 0: sender: found frpy; allowed: fpqr: what its world flies"):
+        world.link(0, "frpy")
+
+
+def test_every_sender_of_a_swarm_file_has_a_kind_of_commands():
+    assert {name: KINDS[name] for name in SENDERS} == KINDS
+    for name, sender in SENDERS.items():
+        assert isinstance(sender().message(np.zeros(5)), KINDS[name])
+        assert isinstance(sender().idle, KINDS[name])
