@@ -418,5 +418,5 @@ async def test_the_tap_sees_every_message_between_drones(clock):
     seen = []
     bus.tap = lambda *message: seen.append(message)
     one.publish(STATE, State.at((1, 2, 3)))
-    one.send(ROUND, (2,), b"xy", 5)
-    assert seen == [(2, ROUND.number, 1, 5, b"xy")]
+    one.send(ROUND, (2,), b"xy", 5, "sum", 9, age=0.25)
+    assert seen == [(2, ROUND.number, 1, 5, b"xy", "sum", 9, 0.25)]

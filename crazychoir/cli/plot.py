@@ -1,0 +1,76 @@
+"""crazychoir plot: a recording as pictures, tables and figures."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich import box
+from rich.table import Table
+
+from crazychoir.cli.show import STDERR, fail, set_up_logging, write_json
+from crazychoir.errors import ConfigError, CrazyChoirError
+
+if TYPE_CHECKING:
+    from crazychoir.recording.reading import Recording
+
+HEADS = {
+    "flown_m": "flown m", "highest_m": "highest m", "fastest_m_s": "fastest m/s", "compared_s": "compared s",
+    "tracking_rmse_m": "RMSE m", "tracking_max_m": "worst m", "estimation_rmse_m": "state RMSE m",
+}  # fmt: skip
+COMPARED = (
+    "RMSE, worst: truth against the reference position, for so many seconds as there was one (a law that commands "
+    "accelerations has none). State RMSE: truth against what the drone took for its position."
+)
+
+
+def plot(
+    file: Annotated[Path, typer.Argument(help="Recording of `crazychoir run --record`.")],
+    out: Annotated[Path | None, typer.Option(help="Folder for the files; else the recording's name without .mcap.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object, nothing else.")] = False,
+) -> None:
+    """Draw a recorded flight: paths, heights, errors, distances; with a table a drone (CSV)."""
+    set_up_logging()
+    from crazychoir.recording.figures import TOPICS, flight_of  # numerics: 1 s that --help does not need
+    from crazychoir.recording.plots import draw
+    from crazychoir.recording.reading import read
+
+    try:
+        recording = read(file, TOPICS)
+        flight = flight_of(recording)
+        folder = _folder(out or file.with_suffix(""))
+        tables = [folder / f"drone{track.drone}.csv" for track in flight.tracks]
+        for table, track in zip(tables, flight.tracks, strict=True):
+            track.write(table)
+        files = [*draw(flight, folder), *tables]
+    except CrazyChoirError as error:
+        fail(error, as_json)
+    figures = flight.figures()
+    if not recording.complete:
+        STDERR.print(f"{file}: was cut off: only its first {figures['seconds']:.1f} s are drawn", style="yellow")
+    if as_json:
+        write_json({"file": file, "complete": recording.complete, **recording.about, **figures, "files": files})
+    else:
+        _show(recording, figures)
+        STDERR.print(f"{len(files)} files in {folder}/: {', '.join(path.name for path in files)}", highlight=False)
+
+
+def _folder(folder: Path) -> Path:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / ".writable").touch()
+        (folder / ".writable").unlink()
+    except OSError as error:
+        raise ConfigError("--out", str(folder), "a folder that can be written", problem=str(error.strerror)) from error
+    return folder
+
+
+def _show(recording: "Recording", figures: dict[str, Any]) -> None:
+    about, least = recording.about, figures["min_separation_m"]
+    title = f"{about['mission']}, seed {about['seed']}, {figures['seconds']:.2f} s of {about['time']} time"
+    table = Table("drone", *HEADS.values(), title=title, box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), show_edge=False)
+    for i, own in figures["drones"].items():
+        table.add_row(str(i), *("" if own[key] is None else f"{own[key]:.3f}" for key in HEADS))
+    STDERR.print(table)
+    STDERR.print(COMPARED)
+    if least is not None:
+        STDERR.print(f"Least distance of two drones: {least:.3f} m", highlight=False)
