@@ -25,7 +25,7 @@ COMPARED = (
 
 def plot(
     file: Annotated[Path, typer.Argument(help="Recording of `crazychoir run --record`.")],
-    out: Annotated[Path | None, typer.Option(help="Folder for the files; else the recording's name without .mcap.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder for the files; else FILE without .mcap.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object, nothing else.")] = False,
 ) -> None:
     """Draw a recorded flight: paths, heights, errors, distances; with a table a drone (CSV)."""
@@ -48,10 +48,12 @@ def plot(
     if not recording.complete:
         STDERR.print(f"{file}: was cut off: only its first {figures['seconds']:.1f} s are drawn", style="yellow")
     if as_json:
-        write_json({"file": file, "complete": recording.complete, **recording.about, **figures, "files": files})
+        told = {"file": file, "complete": recording.complete, "about": recording.about, "files": files}
+        write_json({"success": True, **told, **figures})
     else:
         _show(recording, figures)
-        STDERR.print(f"{len(files)} files in {folder}/: {', '.join(path.name for path in files)}", highlight=False)
+        names = ", ".join(path.stem for path in files if path.suffix == ".png")
+        STDERR.print(f"In {folder}/: {names} (.png and .pdf), drone*.csv", markup=False, highlight=False)
 
 
 def _folder(folder: Path) -> Path:

@@ -1,6 +1,7 @@
 """Pictures of a flight for a column of a paper: 3.5 inches wide, as PNG and PDF."""
 
 from collections.abc import Callable
+from itertools import cycle
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
 
 WIDTH = 3.5
 """inches, of a column."""
-NAMED = 8
+NAMED = len(COLOURS)
 """Drones that a legend names; more of them are told by a scale of colours."""
 FORMATS = ("png", "pdf")
 STYLE: Any = {
@@ -25,7 +26,8 @@ STYLE: Any = {
     "axes.axisbelow": True, "grid.color": "#e6e6e6", "grid.linewidth": 0.5, "lines.linewidth": 1.0,
     "legend.frameon": False, "legend.handlelength": 2.2, "legend.columnspacing": 1.2, "pdf.fonttype": 42,
 }  # fmt: skip
-REFERENCE: dict[str, Any] = {"color": INK, "linestyle": (0, (1, 1.5)), "linewidth": 0.8}
+REFERENCE: dict[str, Any] = {"color": "#cccccc", "linewidth": 2.8, "zorder": 1.5}
+"""A broad band below the line of what was flown."""
 
 
 def draw(flight: Flight, folder: Path) -> list[Path]:
@@ -56,9 +58,9 @@ def draw(flight: Flight, folder: Path) -> list[Path]:
 def _draw_top(figure: "Figure", flight: Flight) -> None:
     axes = figure.add_subplot()
     for line, track in _lines(flight):
-        axes.plot(*track.reference[:, :2].T, **REFERENCE)
         axes.plot(*track.p[:, :2].T, **line)
-        axes.plot(*track.p[0, :2], "o", color=line["color"], markersize=3.5)
+        axes.plot(*track.reference[:, :2].T, **REFERENCE)
+        axes.plot(*track.p[0, :2], "o", color=line["color"], markersize=3.5, zorder=4)
     axes.set_aspect("equal")
     axes.margins(0.08)
     axes.set_xlabel("$x$ [m]")
@@ -69,15 +71,16 @@ def _draw_top(figure: "Figure", flight: Flight) -> None:
 def _draw_space(figure: "Figure", flight: Flight) -> None:
     axes: Any = figure.add_subplot(projection="3d")
     for line, track in _lines(flight):
-        axes.plot(*track.reference.T, **REFERENCE)
         axes.plot(*track.p.T, **line)
-        axes.plot(*track.p[:1].T, "o", color=line["color"], markersize=3.5)
+        axes.plot(*track.reference.T, **REFERENCE)
+        axes.plot(*track.p[:1].T, "o", color=line["color"], markersize=3.5, zorder=4)
     axes.set_aspect("equal")
     axes.set_xlabel("$x$ [m]", labelpad=-6)
     axes.set_ylabel("$y$ [m]", labelpad=-6)
     axes.set_zlabel("$z$ [m]", labelpad=-6)
     axes.tick_params(pad=-3)
-    _name(figure, flight, referenced=True, started=True)
+    axes.locator_params(nbins=4)
+    _name(figure, flight, referenced=True, started=True, pad=0.16)
 
 
 def _draw_tracking(figure: "Figure", flight: Flight) -> None:
@@ -92,8 +95,8 @@ def _draw_tracking(figure: "Figure", flight: Flight) -> None:
 def _draw_heights(figure: "Figure", flight: Flight) -> None:
     axes = figure.add_subplot()
     for line, track in _lines(flight):
-        axes.plot(track.t, track.reference[:, 2], **REFERENCE)
         axes.plot(track.t, track.p[:, 2], **line)
+        axes.plot(track.t, track.reference[:, 2], **REFERENCE)
     _along_time(axes, flight, "$z$ [m]")
     _name(figure, flight, referenced=True)
 
@@ -111,18 +114,16 @@ def _draw_separation(figure: "Figure", flight: Flight) -> None:
 
 
 def _along_time(axes: Any, flight: Flight, label: str) -> None:
-    axes.set_xlim(float(flight.times[0]), float(flight.times[-1]))
+    axes.set_xlim(0.0, float(flight.times[-1]))
     axes.set_xlabel("$t$ [s]")
     axes.set_ylabel(label)
 
 
 def _lines(flight: Flight) -> list[tuple[dict[str, Any], Track]]:
-    """How each drone's line looks, and the drone."""
-    colours = COLOURS if len(flight.tracks) <= NAMED else _scale(len(flight.tracks))
-    return [
-        ({"color": colours[k % len(colours)], "linestyle": DASHES[k // len(colours)]}, track)
-        for k, track in enumerate(flight.tracks)
-    ]
+    """How each drone's line looks, and the drone; dashes show what lies below a line."""
+    n = len(flight.tracks)
+    looks: Any = zip(COLOURS, cycle(DASHES), strict=False) if n <= NAMED else zip(_scale(n), n * ["-"], strict=True)
+    return [({"color": c, "linestyle": dash}, track) for (c, dash), track in zip(looks, flight.tracks, strict=False)]
 
 
 def _scale(n: int) -> Mat:
@@ -133,7 +134,9 @@ def _scale(n: int) -> Mat:
     return colours
 
 
-def _name(figure: "Figure", flight: Flight, referenced: bool = False, started: bool = False) -> None:
+def _name(
+    figure: "Figure", flight: Flight, referenced: bool = False, started: bool = False, pad: float = 0.02
+) -> None:
     """Say which line is which: by a legend above, or by a scale of colours."""
     from matplotlib.lines import Line2D
 
@@ -147,17 +150,17 @@ def _name(figure: "Figure", flight: Flight, referenced: bool = False, started: b
     if handles:
         figure.legend(handles=handles, loc="outside upper center", ncols=4)
     if len(flight.tracks) > NAMED:
-        _draw_scale(figure, flight)
+        _draw_scale(figure, flight, pad)
 
 
-def _draw_scale(figure: "Figure", flight: Flight) -> None:
+def _draw_scale(figure: "Figure", flight: Flight, pad: float) -> None:
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import BoundaryNorm, ListedColormap
 
     n = len(flight.tracks)
     norm = BoundaryNorm(np.arange(n + 1) - 0.5, n)
     mappable = ScalarMappable(norm, ListedColormap(list(_scale(n))))
-    bar = figure.colorbar(mappable, ax=figure.axes[0], label="drone", fraction=0.04, pad=0.02)
+    bar = figure.colorbar(mappable, ax=figure.axes[0], label="drone", fraction=0.04, pad=pad)
     marks = np.unique(np.linspace(0, n - 1, min(n, 6)).round().astype(int))
     bar.set_ticks(marks.tolist(), labels=[str(flight.tracks[k].drone) for k in marks])
     bar.ax.minorticks_off()
