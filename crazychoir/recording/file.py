@@ -164,6 +164,8 @@ def _create(path: Path) -> int:
         path.parent.mkdir(parents=True, exist_ok=True)
         return os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666)
     except FileExistsError as error:
+        if not path.exists():
+            raise ConfigError("--record", str(path), "a file in a folder", problem="its folder is a file") from error
         do = "A recording is never written over: name another, or remove that one."
         raise ConfigError("--record", str(path), "a new file", do, problem="there is one already") from error
     except OSError as error:
