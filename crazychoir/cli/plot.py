@@ -46,7 +46,8 @@ def plot(
         fail(error, as_json)
     figures = flight.figures()
     if not recording.complete:
-        STDERR.print(f"{file}: was cut off: only its first {figures['seconds']:.1f} s are drawn", style="yellow")
+        text = f"{file}: the recording was cut off: only its first {figures['seconds']:.1f} s are there"
+        STDERR.print(text, style="yellow", markup=False, highlight=False, soft_wrap=True)
     if as_json:
         told = {"file": file, "complete": recording.complete, "about": recording.about, "files": files}
         write_json({"success": True, **told, **figures})

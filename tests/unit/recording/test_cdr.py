@@ -18,8 +18,9 @@ def packed(text, values, constants=None, **more):
 
 def test_a_number_lies_at_a_multiple_of_its_size_counted_after_the_head():
     layout = Layout([Leaf("n", "uint8"), Leaf("x", "float64"), Leaf("m", "uint8"), Leaf("k", "int32")], {})
-    assert layout.pack((7, 1.5, 9, -2)) == HEAD + b"\7" + bytes(7) + struct.pack("<d", 1.5) + b"\t\0\0\0\xfe\xff\xff\xff"
-    assert layout.numbers(layout.pack((7, 1.5, 9, -2))) == (7, 1.5, 9, -2)
+    message = layout.pack((7, 1.5, 9, -2))
+    assert message == HEAD + b"\7" + bytes(7) + struct.pack("<d", 1.5) + b"\t\0\0\0\xfe\xff\xff\xff"
+    assert layout.numbers(message) == (7, 1.5, 9, -2)
 
 
 TRAPS = [

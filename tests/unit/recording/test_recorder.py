@@ -9,9 +9,9 @@ import pytest
 from ros2_decoders import by_mcap_ros2, by_rosbags
 from virtual_time import virtual
 
+from crazychoir.bus.codec import encode
 from crazychoir.bus.local import OBSERVER, Bus
 from crazychoir.bus.topics import COMMAND, LOG, OBSERVABLE, POSE, REFERENCE, RESULT, ROUND, STATE, STATUS, TRUTH
-from crazychoir.bus.codec import encode
 from crazychoir.recording import recorder as module
 from crazychoir.recording.file import RecordingFile
 from crazychoir.recording.recorder import Recorder
