@@ -11,6 +11,7 @@ from crazychoir.cli.show import STDERR, fail, set_up_logging, write_json
 from crazychoir.errors import ConfigError, CrazyChoirError
 
 if TYPE_CHECKING:
+    from crazychoir.recording.figures import Flight
     from crazychoir.recording.reading import Recording
 
 HEADS = {
@@ -31,17 +32,13 @@ def plot(
     """Draw a recorded flight: paths, heights, errors, distances; with a table a drone (CSV)."""
     set_up_logging()
     from crazychoir.recording.figures import TOPICS, flight_of  # numerics: 1 s that --help does not need
-    from crazychoir.recording.plots import draw
     from crazychoir.recording.reading import read
 
     try:
         recording = read(file, TOPICS)
         flight = flight_of(recording)
-        folder = _folder(out or file.with_suffix(""))
-        tables = [folder / f"drone{track.drone}.csv" for track in flight.tracks]
-        for table, track in zip(tables, flight.tracks, strict=True):
-            track.write(table)
-        files = [*draw(flight, folder), *tables]
+        folder = out or file.with_suffix("")
+        files = _write(flight, folder)
     except CrazyChoirError as error:
         fail(error, as_json)
     figures = flight.figures()
@@ -57,14 +54,18 @@ def plot(
         STDERR.print(f"In {folder}/: {names} (.png and .pdf), drone*.csv", markup=False, highlight=False)
 
 
-def _folder(folder: Path) -> Path:
+def _write(flight: "Flight", folder: Path) -> list[Path]:
+    """Pictures and tables; raises ConfigError where they cannot be written."""
+    from crazychoir.recording.plots import draw
+
+    tables = [folder / f"drone{track.drone}.csv" for track in flight.tracks]
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        (folder / ".writable").touch()
-        (folder / ".writable").unlink()
+        for table, track in zip(tables, flight.tracks, strict=True):
+            track.write(table)
+        return [*draw(flight, folder), *tables]
     except OSError as error:
         raise ConfigError("--out", str(folder), "a folder that can be written", problem=str(error.strerror)) from error
-    return folder
 
 
 def _show(recording: "Recording", figures: dict[str, Any]) -> None:

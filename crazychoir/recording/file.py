@@ -104,16 +104,10 @@ class RecordingFile:
         with self._turn:
             if self._fd < 0 or self.error or not entries:
                 return
-            for entry in entries:
-                series = entry.series
-                series.id = series.id or self._channel(series)
-                self._writer.add_message(series.id, entry.came_ns, entry.data, entry.born_ns)
-            self._writer.flush()
-            now_ns = entries[-1].came_ns
-            due = self.durable and now_ns - self._synced_ns >= SECOND
-            if self._put(sync=due):
-                self.written += len(entries)
-                self._synced_ns = now_ns if due else self._synced_ns
+            try:
+                self._add(entries)
+            except Exception as error:  # noqa: BLE001 - whatever it is, it is said, and the flight goes on
+                self.error = f"{type(error).__name__}: {error}"
 
     def close(self) -> None:
         """End the file with its index; one without a message goes."""
@@ -127,6 +121,18 @@ class RecordingFile:
             self._fd = -1
             if not self.written:
                 self.path.unlink(missing_ok=True)
+
+    def _add(self, entries: Sequence[Entry]) -> None:
+        for entry in entries:
+            series = entry.series
+            series.id = series.id or self._channel(series)
+            self._writer.add_message(series.id, entry.came_ns, entry.data, entry.born_ns)
+        self._writer.flush()
+        now_ns = entries[-1].came_ns
+        due = self.durable and now_ns - self._synced_ns >= SECOND
+        if self._put(sync=due):
+            self.written += len(entries)
+            self._synced_ns = now_ns if due else self._synced_ns
 
     def _channel(self, series: Series) -> int:
         kind = series.message.type

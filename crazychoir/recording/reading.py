@@ -97,24 +97,29 @@ def read(path: Path, topics: tuple[str, ...]) -> Recording:
 
 
 def _read(path: Path, content: mmap.mmap, topics: tuple[str, ...]) -> Recording:
-    recording = Recording(path)
-    found = _Series(path, topics)
+    recording, found = Recording(path), _Series(path, topics)
     for opcode, body in _records(content):
-        match opcode:
-            case Opcode.METADATA if (about := Metadata.read(_stream(body))).name == ABOUT:
-                recording.about = about.metadata
-            case Opcode.ATTACHMENT if (attached := Attachment.read(_stream(body))).name == SWARM_FILE:
-                recording.swarm = attached.data.decode()
-            case Opcode.CHUNK if recording.about:
-                try:
-                    stream, length = get_chunk_data_stream(Chunk.read(_stream(body)), validate_crc=True)
-                except Exception:  # noqa: BLE001 - whatever is wrong with it, what lies before it counts
-                    break
-                found.add(stream.read(length))
-            case Opcode.FOOTER:
-                recording.complete = True
+        try:
+            _take(recording, found, opcode, _stream(body))
+        except ConfigError:
+            raise
+        except Exception:  # noqa: BLE001 - whatever is wrong with a record, what lies before it counts
+            break
     recording.topics = found.values()
     return recording
+
+
+def _take(recording: Recording, found: "_Series", opcode: int, body: ReadDataStream) -> None:
+    match opcode:
+        case Opcode.METADATA if (about := Metadata.read(body)).name == ABOUT:
+            recording.about = about.metadata
+        case Opcode.ATTACHMENT if (attached := Attachment.read(body)).name == SWARM_FILE:
+            recording.swarm = attached.data.decode()
+        case Opcode.CHUNK if recording.about:
+            stream, length = get_chunk_data_stream(Chunk.read(body), validate_crc=True)
+            found.add(stream.read(length))
+        case Opcode.FOOTER:
+            recording.complete = True
 
 
 def _stream(body: bytes) -> ReadDataStream:

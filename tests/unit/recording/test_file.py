@@ -120,3 +120,10 @@ def test_on_the_disk_once_a_second_in_real_time_alone(tmp_path, monkeypatch):
         assert len(synced) == times, "at the beginning, and at 1, 2 and 3 s"
         file.close()
         synced.clear()
+
+
+def test_nothing_raises_in_flight(tmp_path):
+    file, series = opened(tmp_path / "a.mcap"), truth()
+    file.write([*entries(series, 0, 3), Entry(series, 1, -1, b"")])
+    assert file.error.startswith("error: ")
+    file.close()

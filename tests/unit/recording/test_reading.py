@@ -50,18 +50,38 @@ def test_cut_off_anywhere_every_whole_chunk_is_there(tmp_path, content):
     assert set(seen) == {EACH * k for k in range(CHUNKS + 1)}
 
 
+def chunk(content, k):
+    """Where the data of a chunk begins: at the magic number of zstd."""
+    return [at for at in range(len(content)) if content[at : at + 4] == b"\x28\xb5\x2f\xfd"][k]
+
+
 def test_what_a_power_cut_leaves(tmp_path, content):
     """Blocks that were never written are zeros; what lies before them counts."""
-    numbers, complete = found(tmp_path / "a.mcap", content[: len(content) // 2] + bytes(1000))
-    assert 0 < len(numbers) < CHUNKS * EACH
-    assert not complete
+    half = found(tmp_path / "a.mcap", content[: len(content) // 2] + bytes(1000))
+    assert half in [(list(range(EACH * k)), False) for k in range(1, CHUNKS)]
+    hole = chunk(content, 2) - 49 - len("zstd")  # the record's opcode
+    assert content[hole] == 6
+    beyond = content[:hole] + bytes(9 * 11) + content[hole:]
+    assert found(tmp_path / "a.mcap", beyond) == (list(range(2 * EACH)), False)
 
 
 def test_a_spoilt_chunk_ends_it(tmp_path, content):
-    spoilt = bytearray(content)
-    third = [at for at in range(len(content)) if content[at : at + 4] == b"\x28\xb5\x2f\xfd"][2]  # magic of zstd
-    spoilt[third + 60] ^= 0xFF
-    assert found(tmp_path / "a.mcap", bytes(spoilt)) == (list(range(2 * EACH)), False)
+    third = chunk(content, 2)
+    for at in range(third, third + 200, 3):
+        spoilt = bytearray(content)
+        spoilt[at] ^= 0x10
+        assert found(tmp_path / "a.mcap", bytes(spoilt)) == (list(range(2 * EACH)), False)
+
+
+def test_spoilt_anywhere_it_is_read_or_refused(tmp_path, content):
+    for at in range(8, len(content), 37):
+        spoilt = bytearray(content)
+        spoilt[at] ^= 0xFF
+        try:
+            numbers, _ = found(tmp_path / "a.mcap", bytes(spoilt))
+        except ConfigError:
+            continue
+        assert numbers == list(range(len(numbers)))
 
 
 @pytest.mark.parametrize(
