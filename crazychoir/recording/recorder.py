@@ -92,8 +92,8 @@ class Recorder(Actor):
         if self.file.error:
             return
         came_ns = self.clock.now_ns() + self.clock.epoch_ns
-        born_ns = max(0, came_ns - round(age * SECOND)) if age else came_ns
         try:
+            born_ns = max(0, came_ns - round(age * SECOND)) if age else came_ns
             data = pack(value, born_ns)
         except Exception as error:  # noqa: BLE001 - see above
             self._lose(f"{series.name}: {type(error).__name__}: {error}")

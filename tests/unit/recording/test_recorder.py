@@ -123,10 +123,11 @@ def test_what_cannot_be_written_hurts_nobody(tmp_path, caplog):
         port.publish(STATUS, Status("x", round=1 << 70))
         port.publish(STATE, State(np.zeros(2)))
         port.deliver(ROUND.number, 1, b"\xff\xff", 0, "sum", 0, 0.0)
+        port.publish(STATE, State.at((0, 0, 0)), float("inf"))
         port.publish(LOG, "fine")
 
     result = recorded(tmp_path / "a.mcap", work)
-    assert (result["messages"], result["lost"]) == (1, 3)
+    assert (result["messages"], result["lost"]) == (1, 4)
     assert len(caplog.records) == 1
     assert "/drone0/status" in caplog.text
 
