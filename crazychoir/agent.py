@@ -13,17 +13,19 @@ import numpy as np
 from crazychoir.bus.commands import CommandServer
 from crazychoir.bus.local import Bus
 from crazychoir.bus.topics import LOG, RESULT, STATUS
+from crazychoir.control.choice import Controls, controls
 from crazychoir.errors import Refused
 from crazychoir.guidance.drone import Drone
 from crazychoir.guidance.life import GuidanceActor
 from crazychoir.guidance.mission import Mission, mission_hash
 from crazychoir.mocap.simulated import SimulatedMocap
+from crazychoir.platforms import PAPER
 from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import Clock
 from crazychoir.runtime.supervisor import Supervisor
 from crazychoir.runtime.watchdog import Stall, Watchdog
 from crazychoir.safety.guard import Fence
-from crazychoir.safety.pilot import Pilot
+from crazychoir.safety.pilot import Pilot, filter_of
 from crazychoir.simulation.integrator import CFIntegrator
 from crazychoir.simulation.owner import EulerRatesLink, SimulatedLink, WorldOwner
 from crazychoir.simulation.trace import Trace
@@ -34,6 +36,8 @@ from crazychoir.swarm.roster import Barrier
 
 log = logging.getLogger(__name__)
 VERSION = version("crazychoir")
+VERBS = ("land", "hold", "go", "impair", "param_get", "param_set", "ping")
+"""What operators may ask of a drone."""
 
 
 class StatusActor(Actor):
@@ -124,12 +128,19 @@ class Agent:
         communicator = Communicator(port, self._graph)
         communicator.follow(barrier)
         fence = Fence.box(config.fence.min, config.fence.max)
-        pilot = Pilot(port, self._link(i), config.flight, fence, config.mocap.rate)
+        chosen, rate = self._controls(i), config.mocap.rate
+        seen = filter_of(config.control_of(i).filter, chosen, config.flight.ground, rate)
+        pilot = Pilot(port, self._link(i), config.flight, fence, rate, chosen, seen)
         supervisor = self._supervisor(i)
         guidance = self.mission.guidance(i, config)
         drone = Drone(i, port, barrier, communicator, pilot, guidance, supervisor, partial(self._harm, i))
         CommandServer(port, partial(self._execute, drone), partial(self._stop, drone))
         return drone
+
+    def _controls(self, i: int) -> Controls:
+        config, plant = self.config, self.config.plant
+        where = f"control of drone {i}"
+        return controls(config.control_of(i), PAPER, "lightweight", plant.rate_lag, plant.command_delay, where)
 
     def _supervisor(self, i: int) -> Supervisor:
         return Supervisor(self.clock, f"drone {i}", lambda actor, error, again: self._failed(i, actor, error, again))
@@ -230,10 +241,14 @@ class Agent:
             case "impair":
                 self.bus.impairment.update(arguments)
                 return self.bus.impairment.describe()
+            case "param_get":
+                return drone.pilot.parameters.values(arguments.get("name"))
+            case "param_set":
+                return drone.pilot.parameters.set(arguments["name"], arguments["value"])
             case "ping":
                 return drone.pilot.mode.value
             case _:
-                raise Refused(f"drone {drone.id}", f"no command {verb!r}; there are land, hold, go, impair, ping")
+                raise Refused(f"drone {drone.id}", f"no command {verb!r}; there are {', '.join(VERBS)}")
         return None
 
     def _stop(self, drone: Drone, on: bool) -> None:

@@ -164,6 +164,21 @@ def flat_attitude(f: Triple, yaw: float) -> tuple[Triple, Triple, Triple]:
     return x, y, z
 
 
+@kernel()
+def flat_rates(f: Triple, j: Triple, axes: tuple[Triple, Triple, Triple], yaw: float, yaw_rate: float) -> Triple:
+    """Body rates of `flat_attitude` while f changes by j a second and yaw by yaw_rate.
+
+        h = (j - (z_b . j) z_b) / |f|,  p = - h . y_b,  q = h . x_b,  r = (p z_b . x_c + yaw' y_b . y_c) / (x_b . x_c)
+
+    The last from y_b . x_c = 0, differentiated.
+    """
+    x, y, z = axes
+    length = math.sqrt(dot(f, f))
+    p, q = -dot(j, y) / length, dot(j, x) / length
+    c, s = math.cos(yaw), math.sin(yaw)
+    return p, q, (p * (z[0] * c + z[1] * s) + yaw_rate * (y[1] * c - y[0] * s)) / (x[0] * c + x[1] * s)
+
+
 def rotation(q: Vec) -> Mat:
     """R (3, 3), body to world, of the unit quaternion q (4,)."""
     return np.array(columns(tuple(q))).T

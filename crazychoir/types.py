@@ -140,6 +140,34 @@ class FPQR(Wire, frozen=True, array_like=True, gc=False):
         return float(self.flat[0])
 
 
+class FRPY(Wire, frozen=True, array_like=True, gc=False):
+    """Command: flat (4,) = thrust N, roll, pitch rad, yaw rate rad/s.
+
+    Roll and pitch are those of R = Rz(yaw) Ry(pitch) Rx(roll), body to world: positive pitch is nose down.
+    """
+
+    flat: Vec
+
+
+class Vel(Wire, frozen=True, array_like=True, gc=False):
+    """Command: flat (4,) = velocity (3,) m/s world, yaw rate rad/s."""
+
+    flat: Vec
+
+
+class XYZ(Wire, frozen=True, array_like=True, gc=False):
+    """Command to the planner on board: flat (5,) = p (3,) m world, yaw rad, duration s.
+
+    verb: "take_off" and "land" use z of p, "go_to" all; "stop" none: motors off.
+    """
+
+    verb: str
+    flat: Vec
+
+
+Command = FPQR | FRPY | Vel | XYZ | FullState
+
+
 class Status(Wire, frozen=True, array_like=True, gc=False):
     """How a drone is: what `status`, the live table and the public key show.
 

@@ -12,7 +12,7 @@ from typing import Any
 from crazychoir.bus.codec import decode, encode
 from crazychoir.bus.local import Port
 from crazychoir.bus.topics import ANSWER, ESTOP, REQUEST
-from crazychoir.errors import CodecError, Refused
+from crazychoir.errors import CodecError, ConfigError, Refused
 
 RESEND = 0.1
 REMEMBERED = 256
@@ -142,6 +142,8 @@ class CommandServer:
             self._answer(key, DONE, await self.execute(verb, arguments))
         except Refused as refused:
             self._answer(key, REFUSED, refused.reason)
+        except ConfigError as error:
+            self._answer(key, REFUSED, str(error))
         except Exception as error:  # noqa: BLE001 - the issuer is told; the drone flies on
             self._answer(key, REFUSED, f"{type(error).__name__}: {error}")
 

@@ -1,4 +1,4 @@
-"""crazychoir bench: speed, against peers where there are some, in one run."""
+"""crazychoir bench: speed and accuracy, against peers where there are some, in one run."""
 
 import json
 import sys
@@ -37,11 +37,21 @@ def flight(as_json: JsonOption = False, quick: QuickOption = False) -> None:
     _show(lambda say: bench_flight.run(drones, flights, say), bench_flight.table, as_json)
 
 
+@app.command()
+def filters(as_json: JsonOption = False, quick: QuickOption = False) -> None:
+    """How far the velocities of the filters are off, beside those of the original's difference equation."""
+    from crazychoir.cli import bench_filters
+
+    seeds = bench_filters.SEEDS[:1] if quick else bench_filters.SEEDS
+    _show(lambda say: bench_filters.run(seeds=seeds, say=say), bench_filters.table, as_json)
+
+
 @app.command(name="all")
 def everything(quick: QuickOption = False) -> None:
     """All of them, one after the other."""
     exchange(quick=quick)
     flight(quick=quick)
+    filters(quick=quick)
     latency()
 
 

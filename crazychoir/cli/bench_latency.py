@@ -31,7 +31,7 @@ from crazychoir.safety.pilot import Mode, Pilot
 from crazychoir.simulation.owner import WorldOwner
 from crazychoir.solving import solve_here
 from crazychoir.swarm.config import SwarmConfig, default_swarm
-from crazychoir.types import FPQR, Acceleration, Heard, State
+from crazychoir.types import Acceleration, Command, Heard, State
 
 RATE = 100.0
 """Hz of the control tick."""
@@ -121,7 +121,7 @@ class StopwatchLink:
     def __init__(self, pilot: Pilot, owner: WorldOwner, elapsed_ns: list[int]) -> None:
         self.pilot, self.owner, self.link, self.elapsed_ns = pilot, owner, pilot.link, elapsed_ns
 
-    def send(self, command: FPQR) -> None:
+    def send(self, command: Command) -> None:
         """Pass it on, then look at the clock."""
         self.link.send(command)
         if self.pilot.mode is Mode.FOLLOW:

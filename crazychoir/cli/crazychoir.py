@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from crazychoir.cli import look, plot, solve
+from crazychoir.cli import look, param, plot, solve
 from crazychoir.cli.show import (
     STDERR,
     Progress,
@@ -28,6 +28,9 @@ app.command()(solve.solve)
 app.command()(plot.plot)
 for command in (look.topics, look.echo, look.hz, look.status, look.impair, look.stop):
     app.command()(command)
+
+
+app.add_typer(param.app, name="param")
 
 
 @app.command(add_help_option=False, context_settings={"allow_extra_args": True, "ignore_unknown_options": True})

@@ -149,7 +149,8 @@ def impair(
         await window.find()
         window.check("--edge", pair or ())
         window.check("--drone", () if drone is None else (drone,))
-        return await window.request("impair", **given, **changes(effects))
+        arguments: dict[str, Any] = {**given, **changes(effects)}
+        return await window.request("impair", None, **arguments)
 
     answers = looking(swarm, work, as_json)
     shown = answers if as_json else {i: (done, _in_words(said)) for i, (done, said) in answers.items()}

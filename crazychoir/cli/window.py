@@ -67,9 +67,9 @@ class Window:
         """The whole swarm, from now on."""
         return Score(self.link.bus, self.config.ids, address=self.address)
 
-    async def request(self, verb: str, **arguments: Any) -> Answers:
-        """Ask every drone of the swarm."""
-        return await self._ask(lambda i: self._request(i, verb, arguments))
+    async def request(self, verb: str, drones: Iterable[int] | None = None, **arguments: Any) -> Answers:
+        """Ask these drones; None: every drone of the swarm."""
+        return await self._ask(lambda i: self._request(i, verb, arguments), drones)
 
     async def emergency_stop(self, clear: bool) -> Answers:
         """Stop every drone of the swarm, or clear the stop."""
@@ -88,9 +88,11 @@ class Window:
         missing = await self.commander.emergency_stop([i], clear=clear)
         return not missing, "no acknowledgement" if missing else "acknowledged"
 
-    async def _ask(self, ask: Callable[[int], Awaitable[tuple[bool, Any]]]) -> Answers:
+    async def _ask(
+        self, ask: Callable[[int], Awaitable[tuple[bool, Any]]], drones: Iterable[int] | None = None
+    ) -> Answers:
         """All at once, and each as soon as it is found: who is absent delays nobody."""
-        asked = {i: asyncio.ensure_future(ask(i)) for i in self.config.ids}
+        asked = {i: asyncio.ensure_future(ask(i)) for i in (self.config.ids if drones is None else drones)}
         try:
             there = await self.find()
             await asyncio.gather(*(asked[i] for i in there if i in asked))

@@ -1,20 +1,26 @@
-"""Attitude control: from a desired attitude to body rates."""
+"""Attitude control: from a desired attitude to body rates, or to the angles that a drone controls on board."""
 
+import math
 from typing import Protocol
 
 import numpy as np
 
 from crazychoir.control.gains import STANDARD, Gains
-from crazychoir.control.platform import PAPER, Platform
 from crazychoir.math3d import Vec, clip, columns, dot, kernel, memory, vector
+from crazychoir.platforms import PAPER, Platform
 from crazychoir.types import State
+
+ATTITUDE_ON_BOARD = 6.0  # 1/s, kp of the firmware's roll and pitch control
+MOST_ANGLE = 1.0  # rad, of a roll or pitch that is asked for
 
 
 class AttitudeControl(Protocol):
-    """The strategy that turns a desired attitude into body rates."""
+    """The strategy that turns a desired attitude into the input of a sender."""
+
+    gains: Gains
 
     def command(self, state: State, desired: Vec) -> Vec:
-        """A new (4,) = thrust N, body rates rad/s; desired: (13,) of a PositionControl."""
+        """A new (4,) = thrust N, then body rates rad/s or angles; desired: (13,) of a PositionControl."""
         ...
 
 
@@ -52,10 +58,68 @@ class GeometryAttitudeCtrl:
     """
 
     def __init__(self, gains: Gains = STANDARD, platform: Platform = PAPER) -> None:
-        self._figures = np.array([*gains.kr, *platform.max_rate])
+        self.platform = platform
+        self.gains = gains
+
+    @property
+    def gains(self) -> Gains:
+        """The gains; new ones act from the next call on."""
+        return self._gains
+
+    @gains.setter
+    def gains(self, gains: Gains) -> None:
+        self._gains = gains
+        self._figures = np.array([*gains.kr, *self.platform.max_rate])
 
     def command(self, state: State, desired: Vec) -> Vec:
         """A new (4,) = thrust N, body rates rad/s."""
         out = np.empty(4)
         _geometric(state.flat, desired, self._figures, out)
+        return out
+
+
+@kernel(vector, vector, vector, memory)
+def _angles(x: Vec, desired: Vec, figures: Vec, out: Vec) -> None:
+    """The law of AngleAttitudeCtrl into out (4,); figures: (4,) = k, K_R of the yaw, largest yaw rate, angle."""
+    bx = columns((x[6], x[7], x[8], x[9]))[0]
+    n = 1.0 / math.sqrt(max(bx[0] * bx[0] + bx[1] * bx[1], 1e-12))
+    c, s = bx[0] * n, bx[1] * n
+    z = (c * desired[7] + s * desired[8], c * desired[8] - s * desired[7], desired[9])
+    look = (c * desired[1] + s * desired[2], c * desired[2] - s * desired[1])
+    w = (desired[10], desired[11], desired[12])
+    turn = math.atan2(look[1], look[0])
+    ahead = (w[0] * math.cos(turn) - w[1] * math.sin(turn), w[0] * math.sin(turn) + w[1] * math.cos(turn))
+    out[0] = desired[0]
+    out[1] = clip(math.asin(clip(-z[1], -1.0, 1.0)) + ahead[0] / figures[0], -figures[3], figures[3])
+    out[2] = clip(math.atan2(z[0], z[2]) + ahead[1] / figures[0], -figures[3], figures[3])
+    out[3] = clip(w[2] + figures[1] * turn, -figures[2], figures[2])
+
+
+class AngleAttitudeCtrl:
+    """Roll, pitch and yaw rate for an attitude control on board, which turns by k times what is missing.
+
+        phi = asin(-z_2) + w_x / k,   theta = atan2(z_1, z_3) + w_y / k,   psi' = w_z + K_R psi_e
+
+    z: z_b of R_d in the axes of the drone's heading, so that a wrong heading leaves the force where it is wanted;
+    psi_e: the yaw that is missing, the short way;  w: feed-forward;  k: 1/s, of the attitude control on board.
+    """
+
+    def __init__(self, gains: Gains = STANDARD, platform: Platform = PAPER) -> None:
+        self.platform = platform
+        self.gains = gains
+
+    @property
+    def gains(self) -> Gains:
+        """The gains; new ones act from the next call on."""
+        return self._gains
+
+    @gains.setter
+    def gains(self, gains: Gains) -> None:
+        self._gains = gains
+        self._figures = np.array([ATTITUDE_ON_BOARD, gains.kr[2], self.platform.max_rate[2], MOST_ANGLE])
+
+    def command(self, state: State, desired: Vec) -> Vec:
+        """A new (4,) = thrust N, roll, pitch rad, yaw rate rad/s."""
+        out = np.empty(4)
+        _angles(state.flat, desired, self._figures, out)
         return out

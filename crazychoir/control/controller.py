@@ -1,14 +1,18 @@
 """The controller of one drone: a template, and the hierarchical one made of strategies."""
 
+import math
 from abc import ABC, abstractmethod
 
 import numpy as np
 
 from crazychoir.control.attitude import AttitudeControl
-from crazychoir.control.handlers import CommunicationHandler, TrajectoryHandler
+from crazychoir.control.handlers import TrajectoryHandler
 from crazychoir.control.position import PositionControl
-from crazychoir.math3d import Vec
-from crazychoir.types import FPQR, Reference, State
+from crazychoir.control.senders import CommunicationHandler
+from crazychoir.math3d import Vec, columns, exponential, finite, kernel, memory, real, vector
+from crazychoir.types import Command, Reference, State
+
+EARLY = 1e-4  # s that a tick may be early for the next look at the position: clocks and cameras jitter
 
 
 class CrazyflieController(ABC):
@@ -22,14 +26,17 @@ class CrazyflieController(ABC):
         self.command_sender, self.traj_handler = command_sender, traj_handler
         self.refused = 0
         self._last: Vec | None = None
-        self._input = np.zeros(4)
 
     @abstractmethod
     def law(self, state: State, reference: Vec, now: float) -> Vec | None:
-        """The input u (4,) = thrust N, body rates rad/s for a reference (14,); None if an argument is not finite."""
+        """The input u of the sender for a reference (14,); None if an argument is not finite."""
 
-    def command(self, state: State, reference: Reference | None, now: float) -> FPQR:
-        """One tick: the command for this state and reference; now: s."""
+    @abstractmethod
+    def blind(self) -> Vec:
+        """The input when the state itself is not finite."""
+
+    def command(self, state: State, reference: Reference | None, now: float) -> Command | None:
+        """One tick: the command for this state and reference, None if there is nothing new to say; now: s."""
         u = None
         if reference is not None:
             flat = self.traj_handler.read(reference)
@@ -38,22 +45,34 @@ class CrazyflieController(ABC):
                 self.refused += 1
             else:
                 self._last = flat
-        if u is None:
-            u = self._hold(state, now)
-        self._input = u
-        return self.command_sender.message(u)
+        return self.command_sender.message(self._hold(state, now) if u is None else u)
 
     def _hold(self, state: State, now: float) -> Vec:
-        """Fly the last good reference at rest; with a state that is not finite: the last thrust, no rates."""
+        """Fly the last good reference at rest."""
         self._last = self.traj_handler.hold(state, self._last)
         u = self.law(state, self._last, now)
-        return np.array([self._input[0], 0.0, 0.0, 0.0]) if u is None else u
+        return self.blind() if u is None else u
+
+
+@kernel(vector, vector, memory, real)
+def _turned(x: Vec, ref: Vec, desired: Vec, t: float) -> bool:
+    """Turn the desired attitude on: R_d exp(t w_d), t in s; False, and nothing is done, if x or ref is not finite."""
+    if not (finite(x) and finite(ref)):
+        return False
+    turn = columns(exponential(t * desired[10], t * desired[11], t * desired[12]))
+    for c in range(3):
+        a, b, d = desired[1 + c], desired[4 + c], desired[7 + c]
+        for n in range(3):
+            desired[1 + 3 * n + c] = a * turn[n][0] + b * turn[n][1] + d * turn[n][2]
+    return True
 
 
 class HierarchicalController(CrazyflieController):
     """Position control around attitude control, each a strategy: the paper's flatness-based scheme.
 
-    pos_strategy: FlatnessPositionCtrl or FlatnessAccelerationCtrl;  attitude_strategy: GeometryAttitudeCtrl.
+    pos_strategy: FlatnessPositionCtrl or FlatnessAccelerationCtrl;  attitude_strategy: GeometryAttitudeCtrl, or
+    AngleAttitudeCtrl in front of an attitude control on board;  position_rate: Hz, of the position strategy, 0: each
+    tick. Between its ticks the desired attitude turns on at its feed-forward, and the thrust stays.
     """
 
     def __init__(
@@ -62,11 +81,37 @@ class HierarchicalController(CrazyflieController):
         attitude_strategy: AttitudeControl,
         command_sender: CommunicationHandler,
         traj_handler: TrajectoryHandler,
+        position_rate: float = 0.0,
     ) -> None:
         super().__init__(command_sender, traj_handler)
         self.pos_strategy, self.attitude_strategy = pos_strategy, attitude_strategy
+        self.position_rate = position_rate
+        self._desired, self._at, self._next = np.zeros(13), -math.inf, -math.inf
+        self._thrust = 0.0
 
     def law(self, state: State, reference: Vec, now: float) -> Vec | None:
         """The attitude strategy's command for the attitude that the position strategy desires."""
+        if self.position_rate > 0.0:
+            desired = self._at_its_rate(state, reference, now)
+        else:
+            desired = self.pos_strategy.desired(state, reference, now)
+        if desired is None:
+            return None
+        u = self.attitude_strategy.command(state, desired)
+        self._thrust = float(u[0])
+        return u
+
+    def _at_its_rate(self, state: State, reference: Vec, now: float) -> Vec | None:
+        """What the position strategy desires, asked at its own rate."""
+        t, self._at = now - self._at, now
+        if self._at < self._next - EARLY and 0.0 <= t < 1.0:
+            return self._desired if _turned(state.flat, reference, self._desired, t) else None
         desired = self.pos_strategy.desired(state, reference, now)
-        return None if desired is None else self.attitude_strategy.command(state, desired)
+        if desired is not None:
+            self._desired[:] = desired
+            self._next = max(self._next, now - 1.0 / self.position_rate) + 1.0 / self.position_rate
+        return desired
+
+    def blind(self) -> Vec:
+        """The last thrust, neither rates nor angles."""
+        return np.array([self._thrust, 0.0, 0.0, 0.0])

@@ -1,12 +1,15 @@
-"""The gains that ship. tests/equations/test_margin.py holds every row to 40 ms of delay margin behind 86 ms of lag."""
+"""The gains that ship, and how late a drone obeys. MARGINS says what each row was checked at, and a test holds it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from crazychoir.math3d import Vec
+from crazychoir.platforms import Platform
 
 Axes = tuple[float, float, float]
+HOLD = 0.005  # s, half a tick at 100 Hz: the delay of holding commands
+SETTLING = 0.005  # s, that the rate loop on board takes for the slow rates of a flat trajectory: its integral does most
 
 
 @dataclass(frozen=True)
@@ -16,6 +19,9 @@ class Gains:
     kp: 1/s2, kv: 1/s, world x, y, z;  kr: 1/s, body roll, pitch, yaw;  max_tilt: rad.
     lead: of FlatnessAccelerationCtrl, how much of the rate of the desired attitude it feeds forward, behind a low-pass
     of lead_cutoff rad/s.
+    rate_delay, thrust_delay: s, how late body rates and thrust follow their commands: what is known of the reference
+    is fed forward so much earlier.
+    ki_thrust: 1/s2, ki_trim: 1/s3: how fast Trim learns what thrust and attitude are off by; 0: not at all.
     """
 
     kp: Axes
@@ -24,14 +30,33 @@ class Gains:
     max_tilt: float = 0.8
     lead: float = 0.0
     lead_cutoff: float = 50.0
+    rate_delay: float = 0.0
+    thrust_delay: float = 0.0
+    ki_thrust: float = 0.0
+    ki_trim: float = 0.0
 
     @property
     def position(self) -> Vec:
-        """(9,) for the kernels: kp, kv, max_tilt, lead, lead_cutoff."""
-        return np.array([*self.kp, *self.kv, self.max_tilt, self.lead, self.lead_cutoff])
+        """(13,) for the kernels: kp, kv, max_tilt, lead, lead_cutoff, rate_delay, thrust_delay, ki_thrust, ki_trim."""
+        return np.array(
+            [
+                *self.kp, *self.kv, self.max_tilt, self.lead, self.lead_cutoff,
+                self.rate_delay, self.thrust_delay, self.ki_thrust, self.ki_trim,
+            ]
+        )  # fmt: skip
+
+    def on_motors(self, platform: Platform, command_delay: float) -> "Gains":
+        """These gains for a drone whose rates are controlled on board; command_delay: s, until it hears a command."""
+        late = HOLD + command_delay
+        return replace(self, rate_delay=late + SETTLING, thrust_delay=late + platform.rotor.lag)
+
+    def on_rates(self, rate_lag: float, command_delay: float) -> "Gains":
+        """These gains for the lightweight plant: rate_lag: s, of its body rates; its thrust follows at once."""
+        late = HOLD + command_delay
+        return replace(self, rate_delay=late + rate_lag, thrust_delay=late)
 
 
-STANDARD = Gains(kp=(6.0, 6.0, 10.0), kv=(4.0, 4.0, 5.0), kr=(8.0, 8.0, 4.0))
+STANDARD = Gains(kp=(6.0, 6.0, 10.0), kv=(4.0, 4.0, 5.0), kr=(8.0, 8.0, 4.0), ki_thrust=4.0, ki_trim=4.0)
 # Behind a bearing law: a slow attitude loop and some lead leave the delay margin to the formation's modes. Its position
 # gains are as fast as that attitude loop allows.
 FORMATION = Gains(kp=(1.0, 1.0, 10.0), kv=(1.5, 1.5, 5.0), kr=(2.0, 2.0, 4.0), lead=0.4)

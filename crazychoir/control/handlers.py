@@ -1,11 +1,21 @@
-"""What a controller listens to and what it sends: trajectory and communication handlers, chosen at run time."""
+"""What a controller listens to: trajectory handlers, chosen at run time."""
 
 from typing import Protocol
 
 import numpy as np
 
 from crazychoir.math3d import Vec, yaw_of
-from crazychoir.types import FPQR, Acceleration, FullState, Reference, State
+from crazychoir.types import Acceleration, FullState, Reference, State
+
+_NOWHERE = State.at((0.0, 0.0, 0.0))
+
+
+def _at_rest(state: State, last: Vec | None) -> Vec:
+    """The reference (14,) of staying where `last` is, else where the state is."""
+    at = np.zeros(14)
+    at[0:3] = state.p if last is None else last[0:3]
+    at[12] = yaw_of(state.q) if last is None else last[12]
+    return at
 
 
 class TrajectoryHandler(Protocol):
@@ -35,10 +45,23 @@ class FullStateTraj:
 
     def hold(self, state: State, last: Vec | None) -> Vec:
         """Stay at the last reference's place and heading, or at the state's."""
-        at = np.zeros(14)
-        at[0:3] = state.p if last is None else last[0:3]
-        at[12] = yaw_of(state.q) if last is None else last[12]
-        return at
+        return _at_rest(state, last)
+
+
+class PositionTraj:
+    """A position alone, to come to at rest: its place, and no velocity. Reads every FullState so."""
+
+    topic = "position"
+
+    def read(self, reference: Reference) -> Vec | None:
+        """Its place and heading, without what its velocity and acceleration would be fed forward as."""
+        if not isinstance(reference, FullState) or reference.flat.shape != (14,):
+            return None
+        return self.hold(_NOWHERE, reference.flat)
+
+    def hold(self, state: State, last: Vec | None) -> Vec:
+        """Stay at the last reference's place and heading, or at the state's."""
+        return _at_rest(state, last)
 
 
 class AccelerationTraj:
@@ -71,23 +94,3 @@ class AccelerationTraj:
         level = np.zeros(14)
         level[12] = yaw_of(state.q) if last is None else last[12]
         return level
-
-
-class CommunicationHandler(Protocol):
-    """Makes the message that the drone, or its simulation, obeys."""
-
-    topic: str
-
-    def message(self, u: Vec) -> FPQR:
-        """The command of u (4,) = thrust N, body rates rad/s."""
-        ...
-
-
-class FPQRSender:
-    """Sends thrust and body rates: force, p, q, r."""
-
-    topic = "cmd"
-
-    def message(self, u: Vec) -> FPQR:
-        """The command of u (4,), not copied."""
-        return FPQR(u)

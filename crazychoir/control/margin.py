@@ -1,38 +1,73 @@
 """How much more delay a loop bears: every gain that ships is judged by this before it flies.
 
-Near hover a drone is, along one horizontal axis, x'' = g theta, theta' = w, lag w' = w_c - w, and the command is
-w_c = -KR (theta - theta_d), theta_d = -(kp x + kv v_f) / g, with v_f the velocity behind a first-order filter.
+Near hover a drone is, along one horizontal axis, x'' = g theta, theta' = w, w = W(s) w_c, and the command is
+w_c = -KR (theta - theta_d), theta_d = -(kp x + kv v_f + ki int x) / g, with v_f the velocity behind a first-order
+filter. W is a lag, 1 / (lag s + 1), or the rate loop on board with the rotors behind it.
+
 Polynomials are coefficients with the highest power first; a loop is (numerator, denominator) of L(s).
 """
 
 import math
 from dataclasses import dataclass
 from functools import reduce
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 
+from crazychoir.control.gains import HOLD, Gains
+from crazychoir.platforms import Platform, rotor_speed
+
+Plant = Literal["motors", "lightweight"]
 Polynomial = npt.NDArray[np.floating[Any]]
 Loop = tuple[Polynomial, Polynomial]
 REQUIRED = 0.040  # s, the delay margin that every gain that ships must keep
-HOLD = 0.005  # s, half a tick at 100 Hz: the delay of holding commands, already spent
+MARGINS = {
+    "motors": {"paper": 0.103, "cf21": 0.103, "cf21plus": 0.105, "cf21thrust": 0.110, "cf21bl": 0.102},
+    "lightweight": {"paper": 0.041, "cf21": 0.041, "cf21plus": 0.065, "cf21thrust": 0.072, "cf21bl": 0.103},
+}
+"""s, the delay margin of STANDARD by plant and platform, checked with 1.3 times the identified lag; see `margin`."""
 RATE_LAG = 0.086  # s, the slowest platform: rotor lag of a Crazyflie 2.1 (identified in the drone-models package)
 
 
-def _outer(kp: float, kv: float, cutoff: float) -> Loop:
-    """(kv s F(s) + kp) / s^2 with F = cutoff / (s + cutoff); an infinite cutoff is no filter."""
-    if math.isinf(cutoff):
-        return np.array([kv, kp]), np.array([1.0, 0.0, 0.0])
-    return np.array([kv * cutoff + kp, kp * cutoff]), np.array([1.0, cutoff, 0.0, 0.0])
+def _outer(kp: float, kv: float, cutoff: float, ki: float = 0.0) -> Loop:
+    """(kv s F(s) + kp + ki / s) / s^2 with F = cutoff / (s + cutoff); an infinite cutoff is no filter."""
+    low = np.array([1.0]) if math.isinf(cutoff) else np.array([1.0 / cutoff, 1.0])
+    place = np.polymul([kp, ki] if ki else [kp], low)
+    damping = np.array([kv, 0.0, 0.0] if ki else [kv, 0.0])
+    return np.polyadd(place, damping), np.polymul([1.0, 0.0, 0.0, 0.0] if ki else [1.0, 0.0, 0.0], low)
+
+
+def lag_loop(lag: float) -> Loop:
+    """W(s) = 1 / (lag s + 1)."""
+    return np.array([1.0]), np.array([lag, 1.0])
+
+
+def rate_loop(platform: Platform, axis: int, worse: float = 1.0) -> Loop:
+    """W(s) of the rate loop on board, axis 0, 1, 2 = roll, pitch, yaw; worse: factor on the lag of the rotors.
+
+        W = b (kp s + ki) / (lag s^3 + (1 + b kd) s^2 + b kp s + b ki)
+
+    b: rad/s2 that a command of 1 makes about this axis once the rotors have followed;  kp, ki, kd: of the firmware's
+    rate controller, P on the error, D on the rate. A reaction torque is the slope of the torque curve at hover.
+    """
+    rotor, firmware = platform.rotor, platform.firmware
+    newton = firmware.thrust_max / 65535.0 * math.degrees(1.0)
+    if axis == 2:
+        r = rotor_speed(rotor, platform.weight / 4.0)
+        slope = (rotor.torque[0] + 2.0 * rotor.torque[1] * r) / (rotor.thrust[0] + 2.0 * rotor.thrust[1] * r)
+        b, (kp, ki, kd) = 4.0 * slope * newton / platform.inertia[2], firmware.yaw_rate_pid
+    else:  # half of the command goes to each side
+        b, (kp, ki, kd) = 2.0 * platform.arm * newton / platform.inertia[axis], firmware.rate_pid
+    return np.array([b * kp, b * ki]), np.array([worse * rotor.lag, 1.0 + b * kd, b * kp, b * ki])
 
 
 @dataclass(frozen=True)
 class Inner:
     """What lies between an acceleration and the drone that gives it.
 
-    kr: 1/s;  lag: s, of the body rates;  cutoff: rad/s, of the velocity filter, inf for none;
-    lead, lead_cutoff: rad/s, feed-forward of the rate of the desired attitude (FlatnessAccelerationCtrl).
+    kr: 1/s;  lag: s, of the body rates;  rates: W(s), if it is no such lag;  cutoff: rad/s, of the velocity filter, inf
+    for none;  lead, lead_cutoff: rad/s, feed-forward of the rate of the desired attitude (FlatnessAccelerationCtrl).
     """
 
     kr: float
@@ -40,6 +75,7 @@ class Inner:
     cutoff: float = 50.0
     lead: float = 0.0
     lead_cutoff: float = 50.0
+    rates: Loop | None = None
 
     @property
     def attitude(self) -> Loop:
@@ -47,44 +83,70 @@ class Inner:
         c = self.lead_cutoff
         return np.array([self.kr + self.lead * c, self.kr * c]), np.array([1.0, c])
 
+    @property
+    def response(self) -> Loop:
+        """W(s)."""
+        return lag_loop(self.lag) if self.rates is None else self.rates
 
-def command_loop(kp: float, kv: float, inner: Inner) -> Loop:
+
+def command_loop(kp: float, kv: float, inner: Inner, ki: float = 0.0) -> Loop:
     """The loop opened at the rate command: a delay of commands or of the whole measurement enters here.
 
-        L(s) = (KR + (KR + lead s G) (kv s F + kp) / s^2) / (s (lag s + 1))
+        L(s) = (KR + (KR + lead s G) (kv s F + kp + ki / s) / s^2) W / s
 
-    kp: 1/s2;  kv: 1/s;  F, G: first-order low-passes of the velocity and of the lead.
+    kp: 1/s2;  kv: 1/s;  ki: 1/s3;  F, G: first-order low-passes of the velocity and of the lead.
     """
-    num, den = _outer(kp, kv, inner.cutoff)
+    num, den = _outer(kp, kv, inner.cutoff, ki)
     att, low = inner.attitude
-    return np.polyadd(np.polymul(num, att), inner.kr * np.polymul(den, low)), _product(den, low, [inner.lag, 1.0, 0.0])
+    over, under = inner.response
+    command = np.polyadd(np.polymul(num, att), inner.kr * np.polymul(den, low))
+    return np.polymul(command, over), _product(den, low, under, [1.0, 0.0])
 
 
 def guidance_loop(kp: float, kv: float, inner: Inner) -> Loop:
     """The loop opened at the acceleration reference: a delay of guidance or of the neighbours' data enters here.
 
-        L(s) = (kv s F + kp) / s^2 * (KR + lead s G) / (lag s^2 + s + KR)
+        L(s) = (kv s F + kp) / s^2 * (KR + lead s G) W / (s + KR W)
 
     Symbols as in `command_loop`.
     """
     num, den = _outer(kp, kv, inner.cutoff)
     att, low = inner.attitude
-    return np.polymul(num, att), _product(den, low, [inner.lag, 1.0, inner.kr])
+    over, under = inner.response
+    closed = np.polyadd(np.polymul(under, [1.0, 0.0]), inner.kr * over)
+    return _product(num, att, over), _product(den, low, closed)
 
 
-def vertical_loop(kp: float, kv: float, lag: float = RATE_LAG, cutoff: float = 50.0) -> Loop:
-    """Height: thrust acts without attitude, L(s) = (kv s F + kp) / (s^2 (lag s + 1)), lag of the thrust."""
-    num, den = _outer(kp, kv, cutoff)
+def vertical_loop(kp: float, kv: float, lag: float = RATE_LAG, cutoff: float = 50.0, ki: float = 0.0) -> Loop:
+    """Height: thrust acts without attitude, L(s) = (kv s F + kp + ki / s) / (s^2 (lag s + 1)), lag of the thrust."""
+    num, den = _outer(kp, kv, cutoff, ki)
     return num, np.polymul(den, [lag, 1.0])
 
 
-def heading_loop(kr: float, lag: float = RATE_LAG) -> Loop:
-    """Yaw: L(s) = KR / (s (lag s + 1))."""
-    return np.array([kr]), np.array([lag, 1.0, 0.0])
+def heading_loop(kr: float, rates: Loop) -> Loop:
+    """Yaw: L(s) = KR W / s."""
+    return kr * rates[0], np.polymul(rates[1], [1.0, 0.0])
 
 
 def _product(*factors: Any) -> Polynomial:
     return reduce(np.polymul, factors)
+
+
+def margin(gains: Gains, platform: Platform, plant: Plant = "motors", worse: float = 1.3) -> float:
+    """Smallest delay margin in s of a drone that tracks with these gains, half a tick of 100 Hz already spent.
+
+    plant: "motors": behind its rate loops and rotors;  "lightweight": behind a lag of the rates, and of the thrust, as
+    long as that of its rotors, which is slower than either;  worse: by which factor the lag is longer than identified.
+    """
+    lag = worse * platform.rotor.lag
+    loops = []
+    for axis in (0, 1):
+        rates = rate_loop(platform, axis, worse) if plant == "motors" else lag_loop(lag)
+        inner = Inner(gains.kr[axis], rates=rates)
+        loops.append(command_loop(gains.kp[axis], gains.kv[axis], inner, gains.ki_trim))
+    loops.append(vertical_loop(gains.kp[2], gains.kv[2], lag, ki=gains.ki_thrust))
+    loops.append(heading_loop(gains.kr[2], rate_loop(platform, 2, worse) if plant == "motors" else lag_loop(lag)))
+    return max(min(map(delay_margin, loops)) - HOLD, 0.0)
 
 
 def stable(loop: Loop) -> bool:

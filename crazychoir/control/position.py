@@ -6,7 +6,7 @@ from typing import Protocol
 import numpy as np
 
 from crazychoir.control.gains import FORMATION, STANDARD, Gains
-from crazychoir.control.platform import PAPER, Platform
+from crazychoir.control.trim import Trim
 from crazychoir.math3d import (
     GRAVITY,
     Triple,
@@ -16,23 +16,28 @@ from crazychoir.math3d import (
     dot,
     finite,
     flat_attitude,
+    flat_rates,
     kernel,
     memory,
     real,
     vector,
 )
+from crazychoir.platforms import PAPER, Platform
 from crazychoir.types import State
 
-GAINS = 9  # of Gains.position, before those of Platform.flat in the figures of the kernels
+GAINS = 13  # of Gains.position, before those of Platform.flat in the figures of the kernels
 DESIRED = 13  # thrust N, x_b, y_b, z_b of R_d (3 each), rate feed-forward w_d rad/s in the axes of R_d (3)
 LEAST_LIFT = 0.2 * GRAVITY  # m/s2: the desired thrust always points up, far from F = 0 and from z_b parallel to x_c
 LONGEST_GAP = 0.1  # s between two desired attitudes whose difference still tells a rate
 HEIGHT_SHARE = 0.9  # of the desired force at most upwards: 26 degrees of tilt are left in the fastest climb
+MOST_EARLY = 1.0  # rad/s, fed forward for the delay of the rates: a reference that jumps is not to shake the drone
 HEADROOM = 0.95  # of the thrust for the desired acceleration; the rest is left to the attitude
 
 
 class PositionControl(Protocol):
     """The strategy that turns a reference into a thrust and an attitude."""
+
+    gains: Gains
 
     def desired(self, state: State, reference: Vec, now: float) -> Vec | None:
         """Desired (13,) = thrust N, columns of R_d, rate feed-forward; None if state or reference is not finite.
@@ -66,51 +71,57 @@ def _within_limits(f: Triple, max_tilt: float, most: float) -> Triple:
 
 
 @kernel()
-def _turning(f: Triple, j: Triple, axes: tuple[Triple, Triple, Triple], yaw: float, yaw_rate: float) -> Triple:
-    """Body rates of the flat attitude while f changes by j a second.
-
-        h = (j - (z_b . j) z_b) / |f|,  p = - h . y_b,  q = h . x_b,  r = (p z_b . x_c + yaw' y_b . y_c) / (x_b . x_c)
-
-    The last from y_b . x_c = 0, differentiated.
-    """
-    x, y, z = axes
-    length = math.sqrt(dot(f, f))
-    p, q = -dot(j, y) / length, dot(j, x) / length
-    c, s = math.cos(yaw), math.sin(yaw)
-    return p, q, (p * (z[0] * c + z[1] * s) + yaw_rate * (y[1] * c - y[0] * s)) / (x[0] * c + x[1] * s)
-
-
-@kernel()
 def _wish(x: Vec, ref: Vec, gains: Vec, follow: float, c: int) -> float:
     """Acceleration wanted along axis c: a_d - follow (kp (p - p_d) + kv (v - v_d))."""
     pull: float = gains[c] * (x[c] - ref[c]) + gains[3 + c] * (x[3 + c] - ref[3 + c])
     return float(ref[6 + c]) - follow * pull
 
 
-@kernel(vector, vector, vector, real, memory)
-def _flatness(x: Vec, ref: Vec, figures: Vec, follow: float, out: Vec) -> bool:
-    """The law of FlatnessPositionCtrl (follow = 1), or that of FlatnessAccelerationCtrl but for its lead."""
+@kernel(vector, vector, vector, vector, real, memory)
+def _flatness(x: Vec, ref: Vec, figures: Vec, trim: Vec, follow: float, out: Vec) -> bool:
+    """The law of FlatnessPositionCtrl (follow = 1) but for its delays, or that of FlatnessAccelerationCtrl but for its
+    lead. out: (14,) = desired, and 1 where F was not cut.
+    """
     if not (finite(x) and finite(ref)):
         return False
     gains, platform = figures[:GAINS], figures[GAINS:]
     v = (ref[3], ref[4], ref[5]) if follow > 0.0 else (x[3], x[4], x[5])
     drag, rise = _drag(x, v, platform), _drag(x, (ref[6], ref[7], ref[8]), platform)
+    bx, _, bz = columns((x[6], x[7], x[8], x[9]))
+    n = math.sqrt(max(bx[0] * bx[0] + bx[1] * bx[1], 1e-12))
+    dx, dy = (bx[0] * trim[1] - bx[1] * trim[2]) / n, (bx[1] * trim[1] + bx[0] * trim[2]) / n
     ax, ay, az = (_wish(x, ref, gains, follow, 0), _wish(x, ref, gains, follow, 1), _wish(x, ref, gains, follow, 2))
-    wish = (ax + drag[0], ay + drag[1], az + drag[2] + GRAVITY)
+    wish = (ax + drag[0] + dx, ay + drag[1] + dy, az + drag[2] + GRAVITY)
     f = _within_limits(wish, gains[6], HEADROOM * platform[4] / platform[0])
     axes = flat_attitude(f, ref[12])
     free = 1.0 if f == wish else 0.0
     jerk = (free * (ref[9] + rise[0]), free * (ref[10] + rise[1]), free * (ref[11] + rise[2]))
-    w = _turning(f, jerk, axes, ref[12], ref[13])
-    z = columns((x[6], x[7], x[8], x[9]))[2]
-    out[0] = clip(platform[0] * dot(f, z), 0.0, platform[4])
+    w = flat_rates(f, jerk, axes, ref[12], ref[13])
+    thrust = (1.0 + trim[0]) * platform[0] * (dot(f, bz) + gains[10] * dot(jerk, bz))
+    out[0] = clip(thrust, 0.0, platform[4])
     for c in range(3):
         out[1 + c], out[4 + c], out[7 + c], out[10 + c] = axes[0][c], axes[1][c], axes[2][c], w[c]
+    out[13] = free if thrust < platform[4] else 0.0
     return True
 
 
-@kernel(vector, vector, vector, memory, real, memory)
-def _led(x: Vec, ref: Vec, figures: Vec, mem: Vec, h: float, desired: Vec) -> bool:
+@kernel(vector, vector, vector, vector, memory, real, memory)
+def _tracked(x: Vec, ref: Vec, figures: Vec, trim: Vec, mem: Vec, h: float, out: Vec) -> bool:
+    """The law of FlatnessPositionCtrl, h s after the last call; mem: (3,) = w_r then, NaN before."""
+    if not _flatness(x, ref, figures, trim, 1.0, out):
+        return False
+    f = (ref[6], ref[7], max(ref[8] + GRAVITY, LEAST_LIFT))
+    w = flat_rates(f, (ref[9], ref[10], ref[11]), flat_attitude(f, ref[12]), ref[12], ref[13])
+    early = figures[9] / h if 0.0 < h < LONGEST_GAP and out[13] > 0.0 else 0.0
+    for c in range(3):
+        more = early * (w[c] - mem[c])
+        out[10 + c] += clip(more, -MOST_EARLY, MOST_EARLY) if math.isfinite(more) else 0.0
+        mem[c] = w[c]
+    return True
+
+
+@kernel(vector, vector, vector, vector, memory, real, memory)
+def _led(x: Vec, ref: Vec, figures: Vec, trim: Vec, mem: Vec, h: float, desired: Vec) -> bool:
     """`_flatness` without follow; then the roll and pitch feed-forward are `lead` times the low-passed rate w_f of R_d.
 
         owed += turn of R_d - w_f h,   w_f = owed (1 - exp(-cutoff h)) / h
@@ -120,7 +131,7 @@ def _led(x: Vec, ref: Vec, figures: Vec, mem: Vec, h: float, desired: Vec) -> bo
     mem: (13,) = columns of the last R_d, w_f since then (2), owed rad (2);  h: s since then; 0: nothing new was
     measured, w_f goes on; after a gap, or from NaN on, it starts anew.
     """
-    if not _flatness(x, ref, figures, 0.0, desired):
+    if not _flatness(x, ref, figures, trim, 0.0, desired):
         return False
     x_d, y_d = (desired[1], desired[2], desired[3]), (desired[4], desired[5], desired[6])
     z_d = (desired[7], desired[8], desired[9])
@@ -140,43 +151,66 @@ def _led(x: Vec, ref: Vec, figures: Vec, mem: Vec, h: float, desired: Vec) -> bo
 class FlatnessPositionCtrl:
     """Tracks a flat trajectory: position, velocity, acceleration, jerk and yaw.
 
-        F/m = g e3 + a_d - Kp (p - p_d) - Kv (v - v_d) + (1/m) R A R^T v_d,   thrust = F . R e3
-        R_d: z_b along F, heading yaw_d;   w_d: the rate at which R_d turns when F/m changes by j_d + (1/m) R A R^T a_d
+        F/m = g e3 + a_d - Kp (p - p_d) - Kv (v - v_d) + (1/m) R A R^T v_d + Rz d
+        thrust = (1 + s) (F + T_f F') . R e3,   F'/m = j_d + (1/m) R A R^T a_d
+        R_d: z_b along F, heading yaw_d;   w_d = w(F, F') + T_w w_r'
 
+    w(F, F'): the rate at which R_d turns when F changes by F';  w_r: the same of the reference alone, differentiated
+    from call to call;  T_f, T_w: thrust_delay and rate_delay of the gains: the drone is late, so what is known of the
+    reference comes earlier;  s, d: of `trim`, which learns from each call while F is not cut.
     F keeps within the tilt and the thrust of the platform, height first; when it is cut, w_d has no jerk.
     Source: Mellinger & Kumar 2011; rotor drag as in Kai et al. 2017 and Faessler et al. 2018.
     """
 
-    def __init__(self, gains: Gains = STANDARD, platform: Platform = PAPER) -> None:
-        self.gains, self.platform = gains, platform
-        self._figures, self._out = np.array([*gains.position, *platform.flat]), np.zeros(DESIRED)
+    def __init__(self, gains: Gains = STANDARD, platform: Platform = PAPER, trim: Trim | None = None) -> None:
+        self.trim = Trim() if trim is None else trim
+        self.platform = platform
+        self._out = np.zeros(DESIRED + 1)
+        self._desired = self._out[:DESIRED]
+        self._memory, self._time = np.full(3, np.nan), -math.inf
+        self.gains = gains
+
+    @property
+    def gains(self) -> Gains:
+        """The gains; new ones act from the next call on."""
+        return self._gains
+
+    @gains.setter
+    def gains(self, gains: Gains) -> None:
+        self._gains = gains
+        self._figures = np.array([*gains.position, *self.platform.flat])
+        self._rates = self._figures[11:13]
 
     def desired(self, state: State, reference: Vec, now: float) -> Vec | None:
         """Thrust, attitude and rate feed-forward (13,); None if state or reference is not finite."""
-        if _flatness(state.flat, reference, self._figures, 1.0, self._out):
-            return self._out
-        return None
+        h, out, flat = now - self._time, self._out, state.flat
+        if not _tracked(flat, reference, self._figures, self.trim.flat, self._memory, h, out):
+            return None
+        self._time = now
+        if 0.0 < h < LONGEST_GAP and out[DESIRED] > 0.0:
+            self.trim.learn(flat, reference, self._rates, h)
+        return self._desired
 
 
 class FlatnessAccelerationCtrl(FlatnessPositionCtrl):
     """Tracks an acceleration, the reference of a double-integrator law; position and velocity are left to that law.
 
-        F/m = g e3 + a_d + (1/m) R A R^T v
+        F/m = g e3 + a_d + (1/m) R A R^T v + Rz d
         w_d = lead * w_f in roll and pitch,  w_f' = cutoff (w(R_d) - w_f),  w(R_d): the rate at which R_d turns
 
     lead, cutoff: of the gains; some lead lets a faster law fly behind the same rate loop, see margin.guidance_loop.
-    The rest as in FlatnessPositionCtrl.
+    s, d: of `trim`, which learns nothing here: there is no place to be at.  The rest as in FlatnessPositionCtrl.
     """
 
-    def __init__(self, gains: Gains = FORMATION, platform: Platform = PAPER) -> None:
-        super().__init__(gains, platform)
-        self._memory, self._time = np.zeros(13), -math.inf
+    def __init__(self, gains: Gains = FORMATION, platform: Platform = PAPER, trim: Trim | None = None) -> None:
+        super().__init__(gains, platform, trim)
+        self._memory = np.zeros(13)
 
     def desired(self, state: State, reference: Vec, now: float) -> Vec | None:
         """Thrust, attitude and rate feed-forward (13,); None if state or reference is not finite."""
         measured = max(now - state.age, self._time)
         h = measured - self._time
-        if _led(state.flat, reference, self._figures, self._memory, h, self._out):
+        if _led(state.flat, reference, self._figures, self.trim.flat, self._memory, h, self._out):
             self._time = measured
-            return self._out
+            return self._desired
         return None

@@ -5,7 +5,20 @@ from typing import Protocol
 
 import numpy as np
 
-from crazychoir.math3d import GRAVITY, Vec, columns, dot, exponential, kernel, memory, product, real, unit, vector
+from crazychoir.math3d import (
+    GRAVITY,
+    Triple,
+    Vec,
+    columns,
+    dot,
+    exponential,
+    kernel,
+    memory,
+    product,
+    real,
+    unit,
+    vector,
+)
 
 STEP = 0.01  # s, of the integration at most
 RATE_LAG = 0.05  # s, from a commanded body rate to that of the drone, delays of command and measurement included
@@ -60,28 +73,41 @@ def _turn(x: Vec, u: Vec, h: float) -> None:
         x[10 + c] = u[1 + c] + keep * (x[10 + c] - u[1 + c])
 
 
+@kernel()
+def fly(x: Vec, u: Vec, platform: Vec, floor: float, push: Triple, t: float) -> bool:
+    """Replace x (13,) by what the law of Commanded makes of it in t s; returns whether it stands on the floor then.
+
+    push: m/s2, world, a constant acceleration that the law does not know.
+    """
+    steps = math.ceil(t / STEP)
+    lowest = min(x[2], floor)  # who is seen below the floor stays there: it is not where it was thought to be
+    stands = False
+    for _ in range(steps):
+        h = t / steps
+        _turn(x, u, 0.5 * h)
+        bx, by, bz = columns((x[6], x[7], x[8], x[9]))
+        stands = x[2] < floor + STANDING and u[0] * bz[2] <= platform[0] * GRAVITY
+        if stands:
+            _stand(x)
+            continue
+        v = (x[3], x[4], x[5])
+        drag = (platform[1] * dot(bx, v), platform[2] * dot(by, v), platform[3] * dot(bz, v) - u[0])
+        for c in range(3):
+            a = -(drag[0] * bx[c] + drag[1] * by[c] + drag[2] * bz[c]) / platform[0] - (GRAVITY if c == 2 else 0.0)
+            x[c] += h * (v[c] + 0.5 * h * (a + push[c]))
+            x[3 + c] += h * (a + push[c])
+        _turn(x, u, 0.5 * h)
+        if x[2] < lowest:
+            x[2] = lowest
+            _stand(x)
+    return stands
+
+
 @kernel(vector, vector, vector, real, real, memory)
 def _fly(x: Vec, u: Vec, platform: Vec, floor: float, t: float, out: Vec) -> None:
     """The law of Commanded, t s on from x, into out (13,)."""
     out[:] = x
-    steps = math.ceil(t / STEP)
-    for _ in range(steps):
-        h = t / steps
-        _turn(out, u, 0.5 * h)
-        bx, by, bz = columns((out[6], out[7], out[8], out[9]))
-        if out[2] < floor + STANDING and u[0] * bz[2] <= platform[0] * GRAVITY:
-            _stand(out)
-            continue
-        v = (out[3], out[4], out[5])
-        drag = (platform[1] * dot(bx, v), platform[2] * dot(by, v), platform[3] * dot(bz, v) - u[0])
-        for c in range(3):
-            a = -(drag[0] * bx[c] + drag[1] * by[c] + drag[2] * bz[c]) / platform[0] - (GRAVITY if c == 2 else 0.0)
-            out[c] += h * (v[c] + 0.5 * h * a)
-            out[3 + c] += h * a
-        _turn(out, u, 0.5 * h)
-        if out[2] < floor:
-            out[2] = floor
-            _stand(out)
+    fly(out, u, platform, floor, (0.0, 0.0, 0.0), t)
 
 
 class Commanded:

@@ -10,7 +10,7 @@ from crazychoir.types import Pose, State
 
 
 @kernel(vector)
-def _readable(pose: Vec) -> bool:
+def readable(pose: Vec) -> bool:
     """Whether a pose (7,) is finite, and its quaternion one that only has to be brought to length 1."""
     for c in range(7):
         if not math.isfinite(pose[c]):
@@ -25,7 +25,7 @@ def _measure(pose: Vec, mem: Vec, h: float, cutoff: float, t: float, out: Vec) -
 
     Returns the speed in m/s; -1, and nothing is changed, for a pose that is not readable.
     """
-    if not _readable(pose):
+    if not readable(pose):
         return -1.0
     keep = math.exp(-cutoff * h)
     gain = (1.0 - keep) / h
@@ -43,6 +43,13 @@ def _measure(pose: Vec, mem: Vec, h: float, cutoff: float, t: float, out: Vec) -
 TRUST = 0.002  # in the instant at which a pose seems to be measured; the rest in the rate of the cameras
 ROUNDING = 1e-9  # s
 EARLY = 0.25  # of a period that a pose may seem to be early; it may seem to be later by what is left
+
+
+def lateness(h: float, period: float) -> float:
+    """What to take off the time h since the last pose, s, when the cameras see one every `period` s."""
+    whole = period * int(h / period + EARLY)
+    late = h - whole
+    return (1.0 - TRUST) * late if whole and abs(late) > ROUNDING else 0.0
 
 
 class VelocityFilter:
@@ -85,10 +92,8 @@ class VelocityFilter:
         if self._state is None:
             return self._start(pose, now)
         if self.period > 0.0:  # their rate tells it better than a clock
-            whole = self.period * int(h / self.period + EARLY)
-            if whole and abs(h - whole) > ROUNDING:
-                late = (1.0 - TRUST) * (h - whole)
-                age, h = age + late, h - late
+            late = lateness(h, self.period)
+            age, h = age + late, h - late
         out, t = np.empty(13), age if age < self.horizon else self.horizon
         speed = _measure(pose.flat, self._memory, h, self.cutoff, t, out)
         if speed >= 0.0:
@@ -114,7 +119,7 @@ class VelocityFilter:
 
     def _start(self, pose: Pose, now: float) -> State | None:
         """Take the first pose, at rest."""
-        if not _readable(pose.flat):
+        if not readable(pose.flat):
             self.refused += 1
             return None
         self._memory[0:3], self._memory[6:10] = pose.p, pose.q / np.linalg.norm(pose.q)

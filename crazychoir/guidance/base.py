@@ -11,8 +11,11 @@ from typing import Any, Concatenate, Generic, ParamSpec, TypeVar, overload
 import numpy as np
 
 from crazychoir.bus.topics import STATE
+from crazychoir.control.position import HEADROOM
 from crazychoir.errors import CrazyChoirError
 from crazychoir.guidance.hearing import Hearing, VelocitySum
+from crazychoir.planning.feasibility import Limits, check
+from crazychoir.planning.trajectory import Trajectory
 from crazychoir.runtime.clock import SECOND, Clock, wake
 from crazychoir.runtime.mailbox import Call
 from crazychoir.runtime.watchdog import Watchdog
@@ -150,8 +153,8 @@ class CFGuidance:
         if np.linalg.norm(goal - self.state.p) > RISEN:
             await self.go_to(goal)
 
-    async def go_to(self, p: Point, duration: float = 0.0) -> None:
-        """Fly to p (3,) m, world, and be there: a flight that the safety table has stopped is flown again.
+    async def go_to(self, p: Point, duration: float = 0.0, yaw: float | None = None) -> None:
+        """Fly to p (3,) m, world, yaw rad (None: as it is), and be there; stopped by the safety table, it flies again.
 
         It waits, at most PATIENCE s, while an operator holds the drone or the safety table brakes it.
         Raises Interrupted when the pilot lands, and when p cannot be reached, as outside the fence.
@@ -159,7 +162,7 @@ class CFGuidance:
         attempts, ends = 0, self.member.clock.now() + PATIENCE
         while attempts < ATTEMPTS and self.member.clock.now() < ends:
             self._may_fly()
-            seconds = self.member.pilot.go_to(p, duration=duration)
+            seconds = self.member.pilot.go_to(p, yaw, duration)
             attempts += seconds > 0.0
             await self._while(seconds or SETTLE, Mode.TAKEOFF, Mode.FOLLOW)
             if np.linalg.norm(self.state.p - np.asarray(p)) < ARRIVED:
@@ -167,6 +170,34 @@ class CFGuidance:
         place = np.round(np.asarray(p), 2).tolist()
         why = "held by its operator" if self.member.pilot.held else self.member.pilot.note
         raise Interrupted(f"drone {self.id}: does not reach {place}: {why}")
+
+    async def fly(self, trajectory: Trajectory) -> None:
+        """Go to where a trajectory begins, fly it, and be at its end.
+
+        Raises ConfigError, before it leaves, if the trajectory leaves the fence or is faster than [flight] allows;
+        Interrupted when the flight is stopped on the way, as by a hold, or not ended where the trajectory ends.
+        """
+        self._require_feasible(trajectory)
+        start, end = trajectory.sample(0.0), trajectory.sample(trajectory.duration)
+        await self.go_to(start.p, yaw=start.yaw)
+        pilot = self.member.pilot
+        seconds = pilot.fly(trajectory)
+        await self._while(seconds, Mode.FOLLOW)
+        if seconds == 0.0 or np.linalg.norm(self.state.p - end.p) > ARRIVED:
+            why = "held by its operator" if pilot.held else pilot.note
+            raise Interrupted(f"drone {self.id}: its trajectory of {trajectory.duration:.1f} s was not flown: {why}")
+
+    def _require_feasible(self, trajectory: Trajectory) -> None:
+        pilot, flight = self.member.pilot, self.member.config.flight
+        platform = pilot.controls.platform
+        check(
+            trajectory,
+            Limits(
+                v_max=flight.speed_limit, a_max=flight.acceleration_limit, mass=platform.mass,
+                thrust_max=HEADROOM * platform.max_thrust, rate_max=platform.max_rate, low=pilot.fence.low,
+                high=pilot.fence.high,
+            ),
+        )  # fmt: skip
 
     async def land(self) -> None:
         """Come down and stop the motors; a drone that its operator holds waits in the air, at most PATIENCE s.

@@ -6,9 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from crazychoir.control.gains import FORMATION, Gains
+from crazychoir.control.gains import FORMATION, HOLD, Gains
 from crazychoir.control.margin import (
-    HOLD,
     RATE_LAG,
     REQUIRED,
     Inner,

@@ -1,35 +1,22 @@
 """Flights of several legs, and the way down."""
 
+from crazychoir.planning.piecewise import Piecewise, joined
 from crazychoir.planning.point_to_point import PointToPoint
-from crazychoir.types import FullState
 
 
-class Legs:
-    """One flight after the other, each from where the one before comes to rest.
-
-    duration: s of all.
-    """
+class Legs(Piecewise):
+    """One flight after the other, each from where the one before comes to rest."""
 
     def __init__(self, *legs: PointToPoint) -> None:
+        flight, last = joined(legs), legs[-1]
+        super().__init__(flight.coefficients, flight.durations)
         self.legs = legs
-        self.duration = sum(leg.duration for leg in legs)
+        self._end[0:12] = last.sample(last.duration).flat[0:12]  # to the last digit
 
     @property
     def last(self) -> PointToPoint:
         """The leg at whose goal it ends."""
         return self.legs[-1]
-
-    def sample(self, t: float) -> FullState:
-        """The reference t seconds after the start."""
-        for leg in self.legs[:-1]:
-            if t < leg.duration:
-                return leg.sample(t)
-            t -= leg.duration
-        return self.last.sample(t)
-
-    def done(self, t: float) -> bool:
-        """Is the goal reached at t?"""
-        return t >= self.duration
 
 
 class Landing(Legs):

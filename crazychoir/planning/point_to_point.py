@@ -6,7 +6,8 @@ from collections.abc import Callable
 import numpy as np
 
 from crazychoir.errors import ConfigError
-from crazychoir.math3d import Mat, Vec, kernel, matrix, memory, real, table, vector, wrap
+from crazychoir.math3d import Vec, wrap
+from crazychoir.planning.polynomial import Polynomial7th
 from crazychoir.types import FullState
 
 PEAK_SPEED = 35.0 / 16.0  # of a rest-to-rest flight of 1 m in 1 s
@@ -16,103 +17,21 @@ STOP = PEAK_DECELERATION / 2.0  # m, of a stop from 1 m/s with 1 m/s2
 SHORTEST = 0.1  # s, of a flight to where one is
 
 
-@kernel(vector, vector, real, real, table)
-def _coefficients(start: Vec, goal: Vec, yaw: float, duration: float, out: Vec) -> None:
-    """Coefficients out (4, 8) of x, y, z, yaw in s = t / T, ascending, from `start` (14,) to rest at goal (3,), yaw.
-
-    c0..c3 are the start; c4..c7 close the remaining gaps of p, p', p'', p''' at s = 1.
-    """
-    for axis in range(4):
-        c = out[axis]
-        if axis < 3:
-            p, v, a, j, end = start[axis], start[3 + axis], start[6 + axis], start[9 + axis], goal[axis]
-        else:
-            p, v, a, j, end = start[12], start[13], 0.0, 0.0, start[12] + wrap(yaw - start[12])
-        c[0], c[1], c[2], c[3] = p, v * duration, a * duration**2 / 2.0, j * duration**3 / 6.0
-        g0 = end - c[0] - c[1] - c[2] - c[3]
-        g1 = -c[1] - 2.0 * c[2] - 3.0 * c[3]
-        g2 = -2.0 * c[2] - 6.0 * c[3]
-        g3 = -6.0 * c[3]
-        c[4] = 35.0 * g0 - 15.0 * g1 + 2.5 * g2 - g3 / 6.0
-        c[5] = -84.0 * g0 + 39.0 * g1 - 7.0 * g2 + 0.5 * g3
-        c[6] = 70.0 * g0 - 34.0 * g1 + 6.5 * g2 - 0.5 * g3
-        c[7] = -20.0 * g0 + 10.0 * g1 - 2.0 * g2 + g3 / 6.0
-
-
-@kernel(matrix, real, real, memory)
-def _sample(coefficients: Mat, duration: float, t: float, out: Vec) -> None:
-    """The flat output at t, 0 <= t <= T, into out (14,)."""
-    s = t / duration
-    for axis in range(4):
-        c = coefficients[axis]
-        p = v = a = j = 0.0
-        for n in range(7, -1, -1):  # Horner's scheme of the polynomial and of its Taylor coefficients at s
-            j = j * s + a
-            a = a * s + v
-            v = v * s + p
-            p = p * s + c[n]
-        v, a, j = v / duration, 2.0 * a / duration**2, 6.0 * j / duration**3
-        if axis < 3:
-            out[axis], out[3 + axis], out[6 + axis], out[9 + axis] = p, v, a, j
-        else:
-            out[12], out[13] = p, v
-
-
-@kernel(matrix, real, memory)
-def _peaks(coefficients: Mat, duration: float, out: Vec) -> None:
-    """Largest speed, acceleration and yaw rate on the way, sampled at 33 instants, into out (3,)."""
-    at = np.empty(14)
-    out[:] = 0.0
-    for k in range(33):
-        _sample(coefficients, duration, duration * k / 32.0, at)
-        out[0] = max(out[0], math.sqrt(at[3] ** 2 + at[4] ** 2 + at[5] ** 2))
-        out[1] = max(out[1], math.sqrt(at[6] ** 2 + at[7] ** 2 + at[8] ** 2))
-        out[2] = max(out[2], abs(at[13]))
-
-
-class PointToPoint:
+class PointToPoint(Polynomial7th):
     """Polynomial of degree 7 from a state of the flat output to rest at a goal.
 
-        p(t) = sum_n c_n (t / T)^n,  n = 0..7:  p, v, a, j are the start's at 0 and the goal's, at rest, at T
+        p(t) = sum_n c_n t^n,  n = 0..7:  p, v, a, j are the start's at 0 and the goal's, at rest, at T
 
     start: any FullState, so a flight can be replanned under way without a jump down to the jerk's;  goal: (3,) m world;
     yaw: rad, reached the short way;  duration: T, s.  After T it holds the goal, before 0 the start's first instant.
     """
 
     def __init__(self, start: FullState, goal: Vec, yaw: float, duration: float) -> None:
-        if np.shape(goal) != (3,) or not np.all(np.isfinite([*goal, yaw, *start.flat])):
-            raise ConfigError("PointToPoint: goal", [*goal, yaw], "finite numbers; start too")
-        if not (math.isfinite(duration) and duration > 0.0):
-            raise ConfigError("PointToPoint: duration", duration, "a positive number of seconds")
-        self.duration = float(duration)
-        self._coefficients = np.empty((4, 8))
-        _coefficients(start.flat, np.asarray(goal, dtype=float), float(yaw), self.duration, self._coefficients)
-        self._end = np.zeros(14)
-        self._end[0:3], self._end[12] = goal, start.flat[12] + wrap(yaw - start.flat[12])
-
-    def sample(self, t: float) -> FullState:
-        """The reference t seconds after the start."""
-        if t >= self.duration:
-            return FullState(self._end.copy())
-        out = np.empty(14)
-        _sample(self._coefficients, self.duration, max(t, 0.0), out)
-        return FullState(out)
-
-    def done(self, t: float) -> bool:
-        """Is the goal reached at t?"""
-        return t >= self.duration
-
-    @property
-    def goal(self) -> Vec:
-        """(3,) m, where it ends."""
-        return self._end[0:3]
-
-    @property
-    def peaks(self) -> tuple[float, float, float]:
-        """Largest speed m/s, acceleration m/s2 and yaw rate rad/s on the way."""
-        out = np.empty(3)
-        _peaks(self._coefficients, self.duration, out)
-        return float(out[0]), float(out[1]), float(out[2])
+        if np.shape(goal) != (3,):
+            raise ConfigError("PointToPoint: goal", np.asarray(goal).tolist(), "three numbers, m")
+        rest = np.zeros(14)
+        rest[0:3], rest[12] = goal, yaw
+        super().__init__(start, FullState(rest), duration)
 
 
 def duration_for(

@@ -8,17 +8,18 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache, lru_cache
 from json import dumps
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_args
 
 import numpy as np
 
 from crazychoir.bus.codec import decode
 from crazychoir.bus.plain import plain
+from crazychoir.bus.topics import Topic
 from crazychoir.math3d import Vec, columns, dot, kernel, memory, vector
 from crazychoir.recording.cdr import Layout, Leaf, leaves, schema
 from crazychoir.runtime.clock import SECOND
 from crazychoir.swarm.rounds import AHEAD, CREDIT, DATA, FIN, FIN_TOO, KIND_BITS, KINDS, REPEAT, WANT
-from crazychoir.types import FPQR, Acceleration, FullState, Goto, Pose, State, Status
+from crazychoir.types import FPQR, FRPY, XYZ, Acceleration, FullState, Goto, Pose, State, Status, Vel
 
 DEFINITIONS = {
     "builtin_interfaces/Time": "int32 sec\nuint32 nanosec",
@@ -58,6 +59,22 @@ float64 duration  # s, 0: as fast as the limits allow""",
 std_msgs/Header header
 float64 thrust  # N, along the body's z
 geometry_msgs/Vector3 rates  # p, q, r rad/s, body""",
+    "crazychoir_msgs/FRPY": """\
+std_msgs/Header header
+float64 thrust  # N, along the body's z
+float64 roll  # rad
+float64 pitch  # rad, positive: nose down
+float64 yaw_rate  # rad/s""",
+    "crazychoir_msgs/Vel": """\
+std_msgs/Header header
+geometry_msgs/Vector3 v  # m/s, world
+float64 yaw_rate  # rad/s""",
+    "crazychoir_msgs/XYZ": """\
+std_msgs/Header header
+string verb
+geometry_msgs/Point p  # m, world
+float64 yaw  # rad
+float64 duration  # s""",
     "crazychoir_msgs/Status": """\
 std_msgs/Header header
 string phase
@@ -145,7 +162,10 @@ def _layout(message: Message, drone: int) -> Layout:
     return Layout(message.leaves, constants)
 
 
-def packer(message: Message, drone: int) -> Callable[[Any, int], bytes]:
+Pack = Callable[[Any, int], bytes]
+
+
+def packer(message: Message, drone: int) -> Pack:
     """The function that makes a message of a value of this drone that was born at that time, in ns."""
     pack, values = message.layout(drone).pack, message.values
     if not message.stamped:
@@ -198,9 +218,17 @@ MESSAGES: dict[Any, Message] = {
     FullState: Message("crazychoir_msgs/FullState", lambda wanted: wanted.flat.tolist()),
     Goto: Message("crazychoir_msgs/Goto", lambda wanted: (*map(float, wanted.p), wanted.yaw, wanted.duration)),
     FPQR: Message("crazychoir_msgs/FPQR", lambda command: command.flat.tolist()),
+    FRPY: Message("crazychoir_msgs/FRPY", lambda command: command.flat.tolist()),
+    Vel: Message("crazychoir_msgs/Vel", lambda command: command.flat.tolist()),
+    XYZ: Message("crazychoir_msgs/XYZ", lambda command: (command.verb, *command.flat.tolist())),
     Status: Message("crazychoir_msgs/Status", lambda status: [getattr(status, n) for n in status.__struct_fields__]),
     str: Message("std_msgs/String", lambda line: (line,)),
     dict: Message("crazychoir_msgs/Value", lambda value: (in_json(value),)),
     Exchanged: Message("crazychoir_msgs/Round", exchanged),
 }
-"""By the type that a topic carries."""
+"""By the type of a value; any other value is written as a dictionary is."""
+
+
+def usual(topic: Topic) -> Any:
+    """The type whose messages have the topic's name alone: its only one, or the first of several."""
+    return (get_args(topic.type) or (topic.type,))[0]

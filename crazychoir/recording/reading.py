@@ -19,7 +19,7 @@ from crazychoir.bus.topics import BY_NAME
 from crazychoir.errors import ConfigError
 from crazychoir.recording.cdr import Layout
 from crazychoir.recording.file import ABOUT, SWARM_FILE
-from crazychoir.recording.messages import MESSAGES
+from crazychoir.recording.messages import MESSAGES, usual
 from crazychoir.runtime.clock import SECOND
 from crazychoir.types import Mat
 
@@ -175,7 +175,7 @@ class _Series:
         topic = channel.metadata.get("topic", "")
         if topic not in self._topics or channel.id in self._layouts:
             return
-        message, schema = MESSAGES[BY_NAME[topic].type], self._schemas[channel.schema_id]
+        message, schema = MESSAGES[usual(BY_NAME[topic])], self._schemas[channel.schema_id]
         if (schema.name, schema.data.decode()) != (message.type, message.schema):
             do = "Plot it with the version that recorded it."
             raise ConfigError(str(self._path), f"another {schema.name} for {topic}", message.type, do)

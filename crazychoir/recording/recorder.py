@@ -12,9 +12,9 @@ from functools import partial
 from typing import Any
 
 from crazychoir.bus.local import Bus
-from crazychoir.bus.topics import BY_NAME, OBSERVABLE, ROUND
+from crazychoir.bus.topics import BY_NAME, OBSERVABLE, ROUND, Topic
 from crazychoir.recording.file import Entry, RecordingFile, Series
-from crazychoir.recording.messages import MESSAGES, Exchanged, packer
+from crazychoir.recording.messages import MESSAGES, Exchanged, Pack, packer, usual
 from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import SECOND
 from crazychoir.runtime.mailbox import Call
@@ -50,15 +50,15 @@ class Recorder(Actor):
     def __init__(self, bus: Bus, ids: Sequence[int], file: RecordingFile, observer: int | None = None) -> None:
         self.bus, self.clock, self.file = bus, bus.clock, file
         self.lost = 0
+        self._series: dict[tuple[int, str, Any], tuple[Series, Pack]] = {}
         self._waiting: list[Entry] = []
         self._bytes = 0
         self._said = False
         for i in ids:
             for topic in map(BY_NAME.__getitem__, OBSERVABLE):
-                take = partial(self._take, *self._series(i, topic.name, topic.type))
+                take = partial(self._take, i, topic)
                 bus.subscribe(topic, i, i if observer is None else observer, Call(self.clock, take))
         if observer is None:
-            self._rounds = {i: self._series(i, ROUND.name, Exchanged) for i in ids}
             self._next, bus.tap = bus.tap, self._tap
 
     async def run(self) -> None:
@@ -83,20 +83,24 @@ class Recorder(Actor):
         file = self.file
         return asdict(Recorded(str(file.path), file.written, self.lost, file.error))
 
-    def _series(self, drone: int, topic: str, kind: Any) -> tuple[Series, Any]:
-        message = MESSAGES[kind]
-        return Series(drone, topic, message), packer(message, drone)
+    def _open(self, drone: int, topic: Topic, kind: Any) -> tuple[Series, Pack]:
+        """The messages of one type under one topic: each type has a series of its own."""
+        name = topic.name if kind in (usual(topic), Exchanged) else f"{topic.name}/{kind.__name__.lower()}"
+        message = MESSAGES.get(kind, MESSAGES[dict])
+        opened = self._series[drone, topic.name, kind] = Series(drone, name, message), packer(message, drone)
+        return opened
 
-    def _take(self, series: Series, pack: Any, value: Any, age: float) -> None:
+    def _take(self, drone: int, topic: Topic, value: Any, age: float) -> None:
         """A value has come. Who publishes it must not suffer from what is wrong here."""
         if self.file.error:
             return
-        came_ns = self.clock.now_ns() + self.clock.epoch_ns
+        came_ns, kind = self.clock.now_ns() + self.clock.epoch_ns, type(value)
         try:
+            series, pack = self._series.get((drone, topic.name, kind)) or self._open(drone, topic, kind)
             born_ns = max(0, came_ns - round(age * SECOND)) if age else came_ns
             data = pack(value, born_ns)
         except Exception as error:  # noqa: BLE001 - see above
-            self._lose(f"{series.name}: {type(error).__name__}: {error}")
+            self._lose(f"{topic.name} of drone {drone}: {type(error).__name__}: {error}")
             return
         self._bytes += len(data)
         if self._bytes > MOST_WAITING:
@@ -116,5 +120,5 @@ class Recorder(Actor):
         """A message has arrived: one of a round is recorded under its sender."""
         if self._next is not None:
             self._next(to, topic, source, number, payload, channel, flags, age)
-        if topic == ROUND.number and source in self._rounds:
-            self._take(*self._rounds[source], Exchanged(to, number, flags, channel, payload), age)
+        if topic == ROUND.number:
+            self._take(source, ROUND, Exchanged(to, number, flags, channel, payload), age)

@@ -14,24 +14,25 @@ import numpy as np
 
 from crazychoir.bus.local import Port
 from crazychoir.bus.topics import COMMAND, LOG, POSE, REFERENCE, STATE
-from crazychoir.control.attitude import GeometryAttitudeCtrl
-from crazychoir.control.controller import HierarchicalController
-from crazychoir.control.gains import FORMATION, STANDARD
-from crazychoir.control.handlers import AccelerationTraj, FPQRSender, FullStateTraj
-from crazychoir.control.platform import PAPER
-from crazychoir.control.position import HEADROOM, HEIGHT_SHARE, FlatnessAccelerationCtrl, FlatnessPositionCtrl
+from crazychoir.control.choice import Controls, controls
+from crazychoir.control.parameters import Parameters
+from crazychoir.control.position import HEADROOM, HEIGHT_SHARE
+from crazychoir.control.senders import FPQRSender
+from crazychoir.filters.kalman import KalmanFilter
 from crazychoir.filters.motion import Commanded
+from crazychoir.filters.state_filter import StateFilter
 from crazychoir.filters.velocity import VelocityFilter
-from crazychoir.math3d import GRAVITY, yaw_of
-from crazychoir.planning.landing import Landing, Legs
-from crazychoir.planning.point_to_point import PEAK_SPEED, PointToPoint, duration_for, stopping
+from crazychoir.math3d import yaw_of
+from crazychoir.planning.landing import Landing
+from crazychoir.planning.trajectory import Trajectory
 from crazychoir.runtime.actor import Actor, Restart
 from crazychoir.runtime.clock import SECOND
 from crazychoir.runtime.mailbox import Call
-from crazychoir.safety.guard import INSET, Action, Fence, Guard, Throttle, Verdict
+from crazychoir.safety.flights import Flights, braking
+from crazychoir.safety.guard import Action, Fence, Guard, Throttle, Verdict
 from crazychoir.safety.limits import ReferenceLimits
 from crazychoir.swarm.tables import Flight
-from crazychoir.types import FPQR, Acceleration, FullState, Goto, Point, Pose, Reference, State
+from crazychoir.types import Acceleration, Command, FullState, Goto, Point, Pose, Reference, State
 
 log = logging.getLogger(__name__)
 ON_THE_FLOOR = 0.04
@@ -39,13 +40,13 @@ ON_THE_FLOOR = 0.04
 TOUCHDOWN_LATE = 2.0
 """s after the planned touch-down when a drone at rest (below AT_REST m/s) counts as landed."""
 AT_REST = 0.05
-LIFT = HEIGHT_SHARE * HEADROOM * PAPER.max_thrust / PAPER.mass - GRAVITY
-"""m/s2, with which the controllers can stop a fall."""
 GIVE_UP_HOVER = 2.0
 """s of hovering after guidance has failed, before the landing."""
 GIVE_UP_TICKS = 0.5
 """s of failed ticks, within 10 s, after which the pilot is given up: as long as it flies on without a pose."""
 
+LIFTED = 0.03
+"""m above where it stood at which a drone flies: below, its controllers learn nothing from an error of the height."""
 BLIND = 2.0
 """s, how far it predicts its own motion without a pose: as long as the safety table lets it fly so."""
 
@@ -70,7 +71,7 @@ GUIDED = (Mode.FOLLOW, Mode.HOVER, Mode.TAKEOFF)
 class Link(Protocol):
     """The way to the drone: a simulated world, or later a radio."""
 
-    def send(self, command: FPQR) -> None:
+    def send(self, command: Command) -> None:
         """Let the drone obey this until the next one."""
         ...
 
@@ -94,6 +95,17 @@ def flyable(reference: object) -> bool:
             return False
 
 
+def filter_of(name: str, chosen: Controls, ground: float, rate: float) -> StateFilter:
+    """The filter of [control], "kalman" or "derivative"; it knows what is commanded, if that is thrust and body rates.
+
+    ground: m, height of the floor;  rate: Hz, of the poses.
+    """
+    motion = Commanded(chosen.platform.flat, ground) if isinstance(chosen.sender, FPQRSender) else None
+    if name == "kalman":
+        return KalmanFilter(horizon=BLIND, period=1.0 / rate, motion=motion)
+    return VelocityFilter(horizon=BLIND, period=1.0 / rate, motion=motion)
+
+
 class Pilot(Actor):
     """Flies one drone; guidance calls `take_off`, `go_to`, `follow`, `hover`, `land`, its operator `hold` too.
 
@@ -102,10 +114,19 @@ class Pilot(Actor):
 
     name = "pilot"
 
-    def __init__(self, port: Port, link: Link, limits: Flight, fence: Fence, rate: float = 100.0) -> None:
+    def __init__(
+        self, port: Port, link: Link, limits: Flight, fence: Fence, rate: float = 100.0,
+        chosen: Controls | None = None, state_filter: StateFilter | None = None,
+    ) -> None:  # fmt: skip
         self.port, self.link, self.limits = port, link, limits
+        self.controls = controls() if chosen is None else chosen
+        self.parameters = Parameters(self.controls)
+        platform = self.controls.platform
+        a_max = braking(limits, platform, HEIGHT_SHARE * HEADROOM)
         self.fence = fence.with_floor(max(fence.low[2], limits.ground))
-        self.reference_limits = ReferenceLimits(limits, STANDARD)
+        self.flights = Flights(limits, self.fence, a_max)
+        self.guard = Guard(self.fence, a_max=a_max, ground=limits.ground)
+        self.reference_limits = ReferenceLimits(limits, self.controls.gains)
         self.clock, self._stages = port.bus.clock, port.bus.stages
         self.drone = port.address
         self.mode = Mode.GROUND
@@ -114,31 +135,23 @@ class Pilot(Actor):
         self.brought_down = ""
         """Why the safety table has first ended a flight by landing it; empty if it never did."""
         self.held = False
-        self.controller = HierarchicalController(
-            FlatnessPositionCtrl(STANDARD), GeometryAttitudeCtrl(STANDARD), FPQRSender(), FullStateTraj()
-        )
-        self.follower = HierarchicalController(
-            FlatnessAccelerationCtrl(FORMATION), GeometryAttitudeCtrl(FORMATION), FPQRSender(), AccelerationTraj()
-        )
-        self.filter = VelocityFilter(horizon=BLIND, period=1.0 / rate, motion=Commanded(PAPER.flat, limits.ground))
-        self._braking = min(limits.acceleration_limit, LIFT)  # m/s2, with which it comes to rest, from any direction
-        self.guard = Guard(self.fence, a_max=self._braking, ground=limits.ground)
+        self._models = isinstance(self.controls.sender, FPQRSender)
+        self.filter = filter_of("kalman", self.controls, limits.ground, rate) if state_filter is None else state_filter
         self._reference: Reference | None = None
         self._reference_ns = 0
         port.bus.subscribe(POSE, self.drone, self.drone, Call(self.clock, self._posed, f"drone {self.drone} pose"))
         self.period_ns = round(SECOND / rate)
         self.restart = Restart(limit=max(5, round(GIVE_UP_TICKS * rate)), backoff=0.0)  # a drone in flight cannot wait
-        self._plan: PointToPoint | Legs | None = None
-        self._plan_start = 0.0
         self._goto: tuple[float, ...] = ()  # the last Goto that was flown, and its plan
-        self._goto_plan: PointToPoint | Legs | None = None
+        self._goto_plan: Trajectory | None = None
         self._flown: FullState | None = None  # in the last tick, if it was a FullState
+        self._lift_off = 0.0  # m, the height above which a drone that takes off flies
         self._obeyed = Action.NOMINAL  # the last verdict
         self._ticked_ns = 0
         self._cut_for = ""
         self._said = Throttle()
         self._braked = 0  # how often, in this flight
-        self._idle, self._level = FPQR(np.zeros(4)), FPQR(np.array([PAPER.weight, 0.0, 0.0, 0.0]))
+        self._idle, self._level = self.controls.sender.idle, self.controls.sender.steady(platform.weight)
         self._run: asyncio.Future[None] | None = None
 
     async def run(self) -> None:
@@ -169,15 +182,14 @@ class Pilot(Actor):
         if not self.airborne:
             return
         try:
-            self.link.send(self._level)
-            self.filter.commanded = self._level.flat
+            self._send(self._level)
         except Exception as error:  # noqa: BLE001 - it may be the link that has failed
             self._say("link", f"no command reaches the drone: {type(error).__name__}: {error}")
 
     def on_restart(self) -> None:
         """Whatever made a tick fail is forgotten: it comes to rest and hovers, or goes on landing, from where it is."""
-        self._reference = None
-        self._plan = self._flown = None
+        self._reference = self._flown = None
+        self.flights.clear()
         if self.mode is Mode.LAND:
             self._descend()
         elif self.mode in GUIDED:
@@ -224,14 +236,20 @@ class Pilot(Actor):
         if state is None or (run is not None and run.done()):
             return
         try:
-            command = self._command(state, self._ticked_ns / SECOND)
-            self.link.send(command)
-            self.filter.commanded = command.flat
-            self.port.publish(COMMAND, command)
+            self._send(self._command(state, self._ticked_ns / SECOND))
             if self._flown is not None:
                 self.port.publish(REFERENCE, self._flown)
         except BaseException as error:  # noqa: BLE001 - see _fail
             self._fail(error)
+
+    def _send(self, command: Command | None) -> None:
+        """Let the drone obey it; None: it goes on as it does."""
+        if command is None:
+            return
+        self.link.send(command)
+        if self._models:
+            self.filter.commanded = command.flat
+        self.port.publish(COMMAND, command)
 
     # What guidance asks ---------------------------------------------------------------------------------------
 
@@ -260,7 +278,9 @@ class Pilot(Actor):
         goal[2] = self.limits.ground + rise
         goal[2] = self.fence.nearest(goal)[2]
         start = FullState.at(self.state.p, yaw=yaw_of(self.state.q))
-        duration = self._fly_to(start, goal, start.yaw, 0.0)
+        duration = self.flights.go_to(start, goal, start.yaw, 0.0, self.clock.now())
+        self._flown = start
+        self._lift_off = self.state.p[2] + LIFTED
         self.mode = Mode.TAKEOFF
         return duration
 
@@ -275,11 +295,26 @@ class Pilot(Actor):
         self.guard.excuse("reference")
         if self.guard.acts:
             return 0.0
-        start = self._departure()
+        start, now = self._departure(), self.clock.now()
         goal = self.fence.nearest(np.asarray(p, dtype=float), inset=0.0)
-        seconds = self._fly_to(start, goal, start.yaw if yaw is None else yaw, duration)
+        seconds = self.flights.go_to(start, goal, start.yaw if yaw is None else yaw, duration, now)
+        self._flown = start
         self.mode, self._obeyed = Mode.HOVER, NOMINAL
         return seconds
+
+    def fly(self, trajectory: Trajectory) -> float:
+        """Fly a trajectory from its beginning, now, and hover at its end; returns the time it takes, 0 as `go_to`.
+
+        Whoever calls has looked that it begins where the drone is, inside the fence and within its limits.
+        """
+        if self.mode not in GUIDED or self.held:
+            return 0.0
+        self.guard.excuse("reference")
+        if self.guard.acts:
+            return 0.0
+        self._flown = trajectory.sample(0.0)
+        self.mode, self._obeyed = Mode.HOVER, NOMINAL
+        return self.flights.fly(trajectory, self.clock.now())
 
     def follow(self, reference: Reference) -> bool:
         """Fly this reference from the next tick on; it must be renewed before it is stale. False: it never can.
@@ -295,6 +330,10 @@ class Pilot(Actor):
             wanted: Reference | None = self.reference_limits.acceleration(reference, state, self.filter.speed)
         else:
             wanted = reference if flyable(reference) else None
+        if isinstance(reference, Acceleration) and self.controls.follower is None:
+            kind = self.controls.sender.kind
+            self._say("sender", f"an Acceleration cannot be sent as {kind}: not flown. Send fpqr or frpy")
+            return False
         if wanted is None:
             self._say("reference", f"{type(reference).__name__} is no finite reference of its shape: not flown")
             return False
@@ -308,11 +347,12 @@ class Pilot(Actor):
     def _fly_goto(self, wanted: Goto) -> None:
         """Begin the flight that a Goto wants, unless it has begun: a law may want the same in each of its steps."""
         asked = (*np.asarray(wanted.p, dtype=float).tolist(), wanted.yaw, wanted.duration)
-        begun = self.mode is not FOLLOW and self._plan is self._goto_plan and self._plan is not None
+        plan = self.flights.plan
+        begun = self.mode is not FOLLOW and plan is self._goto_plan and plan is not None
         if begun and asked == self._goto:
             return
         if self.go_to(wanted.p, wanted.yaw, wanted.duration):
-            self._goto, self._goto_plan = asked, self._plan
+            self._goto, self._goto_plan = asked, self.flights.plan
 
     def hover(self) -> None:
         """Come to rest, at the shortest distance that the limits allow, and stay; one that does stays where it is."""
@@ -352,7 +392,7 @@ class Pilot(Actor):
 
     def remaining(self) -> float:
         """s until the flight that is planned is over."""
-        return 0.0 if self._plan is None else max(0.0, self._plan_start + self._plan.duration - self.clock.now())
+        return self.flights.remaining(self.clock.now())
 
     @property
     def airborne(self) -> bool:
@@ -361,7 +401,7 @@ class Pilot(Actor):
 
     # The chain ------------------------------------------------------------------------------------------------
 
-    def _command(self, state: State, now: float) -> FPQR:
+    def _command(self, state: State, now: float) -> Command | None:
         mode = self.mode
         if mode is FOLLOW:
             verdict = self.guard.check(now, state, state.age, (self._ticked_ns - self._reference_ns) / SECOND)
@@ -381,26 +421,27 @@ class Pilot(Actor):
     def _is_down(self, state: State, now: float) -> bool:
         """Low enough; or the descent is long over and it moves no more, whatever height cameras and floor say."""
         low = state.flat[2] < self.limits.ground + ON_THE_FLOOR
-        plan = self._plan
-        over = isinstance(plan, Landing) and plan.done(now - self._plan_start - TOUCHDOWN_LATE)
+        over = isinstance(self.flights.plan, Landing) and self.flights.done(now, TOUCHDOWN_LATE)
         return bool(low or (over and np.linalg.norm(state.v) < AT_REST))
 
-    def _follow(self, state: State, now: float) -> FPQR:
+    def _follow(self, state: State, now: float) -> Command | None:
+        chosen, flights = self.controls, self.flights
         if self.mode is FOLLOW and self._obeyed is NOMINAL:
             reference = self._reference
-            if isinstance(reference, Acceleration):
-                self._flown, self._plan = None, None
-                return self.follower.command(state, reference, now)
+            if isinstance(reference, Acceleration) and chosen.follower is not None:
+                self._flown, flights.plan = None, None
+                return chosen.follower.command(state, reference, now)
             if isinstance(reference, FullState):
-                self._flown, self._plan = self.reference_limits.full_state(reference, state), None
-                return self.controller.command(state, self._flown, now)
-        if self._plan is None:
+                self._flown, flights.plan = self.reference_limits.full_state(reference, state), None
+                chosen.trim.frozen = self._flown is not reference
+                return chosen.tracker.command(state, self._flown, now)
+        if flights.plan is None:
             self._brake()
-        assert self._plan is not None  # noqa: S101 - _brake has set it
-        self._flown = self._plan.sample(now - self._plan_start)
-        if self.mode is Mode.TAKEOFF and self._plan.done(now - self._plan_start):
+        self._flown = flights.sample(now)
+        if self.mode is Mode.TAKEOFF and flights.done(now):
             self.mode = Mode.HOVER
-        return self.controller.command(state, self._flown, now)
+        chosen.trim.frozen = self.mode is Mode.TAKEOFF and state.flat[2] < self._lift_off
+        return chosen.tracker.command(state, self._flown, now)
 
     def _obey(self, verdict: Verdict) -> None:
         """Do what the safety table says, on its edges."""
@@ -419,52 +460,25 @@ class Pilot(Actor):
             self._brake()
 
     def _brake(self) -> None:
-        start = self._departure()
-        self._fly(start, Legs(*self._stop(start, self.fence)))
+        self._flown = start = self._departure()
+        self.flights.brake(start, self.clock.now())
 
     def _descend(self) -> float:
         """Land from where it is; s until its motors stop."""
-        start, limits = self._departure(), self.limits
-        stop = self._stop(start, self.fence.with_floor(limits.ground - INSET))
-        above, floor = FullState.at(stop[-1].goal, yaw=start.yaw), stop[-1].goal.copy()
-        floor[2] = limits.ground - 0.05
-        fastest = duration_for(above, floor, start.yaw, limits.speed_limit, limits.acceleration_limit)
-        slow = PEAK_SPEED * (above.p[2] - floor[2]) / limits.landing_speed
-        landing = Landing(*stop, PointToPoint(above, floor, start.yaw, max(slow, fastest)))
-        self._fly(start, landing)
+        self._flown = start = self._departure()
         self.mode = LAND
-        return landing.reaches(limits.ground + ON_THE_FLOOR)
-
-    def _stop(self, start: FullState, fence: Fence) -> list[PointToPoint]:
-        """To rest, the shortest way; where that ends outside a fence, from there to the nearest place inside."""
-        stop = stopping(start, self._braking)
-        inside = fence.nearest(stop.goal)
-        if np.array_equal(inside, stop.goal):
-            return [stop]
-        outside = FullState.at(stop.goal, yaw=start.yaw)
-        duration = duration_for(outside, inside, start.yaw, self.limits.speed_limit, self._braking)
-        return [stop, PointToPoint(outside, inside, start.yaw, duration)]
+        return self.flights.descend(start, self.clock.now(), self.limits.ground + ON_THE_FLOOR)
 
     def _departure(self) -> FullState:
-        """Where a new plan begins: on its own plan if it flies one, else at the state, with the speed it has."""
-        if self._plan is not None:
-            return self._plan.sample(self.clock.now() - self._plan_start)
-        state = self.state
-        assert state is not None  # noqa: S101 - callers fly, and who flies has a state
-        return FullState.at(state.p, state.v, yaw=yaw_of(state.q))
-
-    def _fly_to(self, start: FullState, goal: np.ndarray, yaw: float, duration: float) -> float:
-        limits = self.limits
-        fastest = duration_for(start, goal, yaw, limits.speed_limit, limits.acceleration_limit)
-        return self._fly(start, PointToPoint(start, goal, yaw, max(duration, fastest)))
-
-    def _fly(self, start: FullState, plan: PointToPoint | Legs) -> float:
-        self._plan, self._plan_start, self._flown = plan, self.clock.now(), start
-        return plan.duration
+        """Where a new plan begins."""
+        assert self.state is not None  # noqa: S101 - callers fly, and who flies has a state
+        return self.flights.departure(self.state, self.clock.now())
 
     def _landed(self) -> None:
         self.mode = Mode.GROUND
-        self._plan = self._flown = None
+        self._flown = None
+        self.flights.clear()
+        self.controls.trim.frozen = True
         self._obeyed = Action.NOMINAL
         if self._braked > 1:
             text = f"the safety table has braked it {self._braked} times in this flight"

@@ -6,9 +6,9 @@ from typing import Literal
 
 import numpy as np
 
-from crazychoir.control.platform import PAPER, Platform
 from crazychoir.errors import ConfigError
 from crazychoir.math3d import GRAVITY, Mat, Triple, Vec, clip, columns, dot, kernel, matrix, memory, real, table, vector
+from crazychoir.platforms import PAPER, Platform
 from crazychoir.types import State
 
 THRUST, MAX_THRUST, MASS = 0, 4, 0  # columns of a command and of Platform.flat

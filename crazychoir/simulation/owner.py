@@ -9,7 +9,7 @@ from crazychoir.math3d import Mat, rotation
 from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import SECOND, WORLD
 from crazychoir.simulation.world import World
-from crazychoir.types import FPQR, Pose
+from crazychoir.types import Command, Pose
 
 MOST_CATCH_UP = 20
 """Steps of a world that was late: simulated drones go on falling while nobody computes."""
@@ -37,7 +37,7 @@ class SimulatedLink:
     def __init__(self, world: World, drone: int) -> None:
         self.world, self.drone = world, drone
 
-    def send(self, command: FPQR) -> None:
+    def send(self, command: Command) -> None:
         """Held until the next one."""
         self.world.command(self.drone, command.flat)
 
@@ -53,7 +53,7 @@ class EulerRatesLink(SimulatedLink):
     psi' = (q sin phi + r cos phi) / cos theta
     """
 
-    def send(self, command: FPQR) -> None:
+    def send(self, command: Command) -> None:
         """Turn body rates p, q, r into Euler-angle rates at the drone's present attitude."""
         thrust, p, q, r = command.flat.tolist()
         # The last row of R = (-sin theta, sin phi cos theta, cos phi cos theta).

@@ -22,7 +22,7 @@ OLDEST_POSE = 0.10
 def check(swarm: Swarm, where: str) -> None:
     """Raise ConfigError for the first rule that does not hold; `where` is the file's name."""
     _ids(swarm, where)
-    for rule in (_uris, _box, _homes, _cameras, _hosts, _placement, _processes, _start, _ports, _links, _partitions):
+    for rule in RULES:
         rule(swarm, where)
     graph_of(swarm, where)
 
@@ -101,6 +101,18 @@ def _known(ids: list[int], named_ids: tuple[int, ...], key: str) -> None:
                 f"Add a [[drones]] with id = {j}, or mend the list.",
                 f"there is no drone {j}",
             )
+
+
+def _roles(swarm: Swarm, where: str) -> None:
+    names = [row.name for row in swarm.roles]
+    for n, name in enumerate(names):
+        if name in names[:n]:
+            raise ConfigError(f"{where}: roles[{n}].name", show(name), "each role is there once", "Rename it.")
+    for n, drone in enumerate(swarm.drones):
+        if names and drone.role and drone.role not in names:
+            problem = "there is no such [[roles]]"
+            allowed = f"one of {', '.join(names)}, or nothing"
+            raise ConfigError(f"{where}: drones[{n}].role", show(drone.role), allowed, "Mend the name.", problem)
 
 
 def _ids(swarm: Swarm, where: str) -> None:
@@ -281,3 +293,9 @@ def _partitions(swarm: Swarm, where: str) -> None:
         if twice := [i for a, b in combinations(cut.groups, 2) for i in a if i in b]:
             problem = f"drone {twice[0]} is in two groups"
             raise ConfigError(f"{key}.groups", show(cut.groups), "groups are disjoint", "Mend the groups.", problem)
+
+
+RULES = (
+    _uris, _roles, _box, _homes, _cameras, _hosts, _placement, _processes, _start, _ports, _links, _partitions,
+)  # fmt: skip
+"""In the order of their errors."""

@@ -12,7 +12,7 @@ from crazychoir.errors import ConfigError
 from crazychoir.swarm.checks import check, graph_of
 from crazychoir.swarm.graph import Graph, span
 from crazychoir.swarm.reading import parse, read, require_plain
-from crazychoir.swarm.tables import Drone, Swarm, Table
+from crazychoir.swarm.tables import Control, Drone, Swarm, Table
 
 LOCAL = "127.0.0.1"
 SPACING = 0.6
@@ -89,6 +89,11 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
             if drone.id == i:
                 return drone
         raise ConfigError(f"swarm {self.name}", f"drone {i}", span(self.ids))
+
+    def control_of(self, i: int) -> Control:
+        """The [[roles]] of drone i, else [control]."""
+        role = self.drone(i).role
+        return next((row for row in self.roles if row.name == role), self.control)
 
     def graph(self) -> Graph:
         """The communication graph."""

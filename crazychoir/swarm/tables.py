@@ -56,6 +56,18 @@ Inputs = Annotated[
     Literal["rates", "euler"],
     Meta(description='what steers it: "rates" (of the body) or "euler" (of the Euler angles)', examples=["rates"]),
 ]
+Sender = Annotated[
+    Literal["fpqr", "frpy", "vel", "xyz"],
+    Meta(
+        description='what is sent: "fpqr" (force, body rates), "frpy" (force, roll, pitch), "vel" or "xyz" (places)',
+        examples=["fpqr"],
+    ),
+]
+Filter = Annotated[
+    Literal["derivative", "kalman"],
+    Meta(description='how velocities come from poses: "derivative" or "kalman"', examples=["kalman"]),
+]
+Rate = Annotated[float, Meta(ge=0, le=1000, description="a rate in Hz, 0 (each tick) to 1000", examples=[50])]
 Hosts = Annotated[
     dict[str, str], Meta(description="a table of names and addresses", examples=[{"laptop": "192.168.1.10"}])
 ]
@@ -150,6 +162,27 @@ class Plant(Table, frozen=True, kw_only=True):
     command_delay: Seconds = 0.02
 
 
+class Control(Table, frozen=True, kw_only=True):
+    """[control]: sender: what the drone is sent;  gains: of the tracking controller, instead of the standard;
+    position_rate: Hz, of the position strategy, 0: each tick;  filter: of the poses.
+    """
+
+    sender: Sender = "fpqr"
+    gains: Free = field(default_factory=dict)
+    position_rate: Rate = 0.0
+    filter: Filter = "kalman"
+
+
+class Role(Control, frozen=True, kw_only=True):
+    """One [[roles]]: a [control] of its own for the drones with this `role`."""
+
+    name: Text
+
+
+Roles = Annotated[
+    tuple[Role, ...],
+    Meta(description="a list of tables [[roles]]", examples=[[{"name": "scout", "sender": "frpy"}]]),
+]
 Drones = Annotated[
     tuple[Drone, ...],
     Meta(description="a list of drones: one table [[drones]] each", examples=[[{"id": 0, "home": [0.0, 0.6, 0.0]}]]),
@@ -194,3 +227,5 @@ class Swarm(Table, frozen=True, kw_only=True):
     fence: Fence = Fence()
     mocap: Mocap = Mocap()
     plant: Plant = Plant()
+    control: Control = Control()
+    roles: Roles = ()

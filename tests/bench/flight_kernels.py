@@ -11,10 +11,12 @@ import numpy as np
 
 from crazychoir.control.attitude import GeometryAttitudeCtrl
 from crazychoir.control.controller import HierarchicalController
-from crazychoir.control.handlers import AccelerationTraj, FPQRSender, FullStateTraj
+from crazychoir.control.handlers import AccelerationTraj, FullStateTraj
 from crazychoir.control.position import FlatnessAccelerationCtrl, FlatnessPositionCtrl
+from crazychoir.control.senders import FPQRSender
 from crazychoir.filters.velocity import VelocityFilter
 from crazychoir.mocap.simulated import SimulatedMocap
+from crazychoir.planning.minimum_snap import minimum_snap
 from crazychoir.planning.point_to_point import PointToPoint
 from crazychoir.safety.guard import Guard
 from crazychoir.simulation.integrator import CFIntegrator
@@ -50,6 +52,7 @@ def bench() -> dict[str, float]:
     velocity, plan = VelocityFilter(), PointToPoint(FullState.at((0, 0, 0)), np.ones(3), 0.0, 3.0)
     tracking = HierarchicalController(FlatnessPositionCtrl(), GeometryAttitudeCtrl(), FPQRSender(), FullStateTraj())
     led = HierarchicalController(FlatnessAccelerationCtrl(), GeometryAttitudeCtrl(), FPQRSender(), AccelerationTraj())
+    pieces = minimum_snap(np.random.default_rng(0).uniform(-1.0, 1.0, (101, 3)), np.arange(101.0))
     reference, acceleration, guard = FullState.at((0, 0, 1)), Acceleration(np.zeros(3)), Guard()
     place = np.random.default_rng(0).uniform(0.5, 9.0, (100, 3))
     world, mocap = CFIntegrator(range(100), place), SimulatedMocap(range(100), 0)
@@ -62,6 +65,7 @@ def bench() -> dict[str, float]:
         "guard": microseconds(lambda: guard.check(0.0, here, 0.01, 0.02)),
         "world step, 100 drones": microseconds(world.step, 500),
         "mocap sample, 100 drones": microseconds(lambda: mocap.sample(world.states, next(tick)), 500),
+        "planner, 100 pieces": microseconds(lambda: pieces.sample(50.3)),
         "separation, 100 drones": microseconds(world.min_separation, 500),
     }
     found["sum: filter, planner, controller, guard"] = sum(list(found.values())[:3]) + found["guard"]

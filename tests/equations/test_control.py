@@ -8,10 +8,10 @@ from hypothesis.extra.numpy import arrays
 
 from crazychoir.control.attitude import GeometryAttitudeCtrl
 from crazychoir.control.gains import FORMATION, STANDARD
-from crazychoir.control.platform import PAPER
 from crazychoir.control.position import FlatnessAccelerationCtrl, FlatnessPositionCtrl
 from crazychoir.math3d import GRAVITY, exponential, quaternion, rotation, rotation_from_flat
 from crazychoir.planning.point_to_point import PointToPoint
+from crazychoir.platforms import PAPER
 from crazychoir.types import FullState, State
 
 small = arrays(float, 3, elements=st.floats(-0.5, 0.5))

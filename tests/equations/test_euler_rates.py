@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from crazychoir.control.platform import PAPER
 from crazychoir.math3d import quaternion
+from crazychoir.platforms import PAPER
 from crazychoir.simulation.integrator import CFIntegrator
 from crazychoir.simulation.owner import EulerRatesLink
 from crazychoir.types import FPQR

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from crazychoir.control.platform import PAPER
 from crazychoir.math3d import GRAVITY, exponential, quaternion, rotation
+from crazychoir.platforms import PAPER
 from crazychoir.simulation.integrator import CFIntegrator
 
 U = np.array([1.1 * PAPER.weight, 2.0, -1.5, 1.0])

@@ -5,9 +5,10 @@ import pytest
 from scipy.signal import tf2ss
 
 from crazychoir.control import margin
-from crazychoir.control.gains import SHIPPED, STANDARD
-from crazychoir.control.margin import HOLD, REQUIRED, Inner, command_loop, delay_margin, guidance_loop
+from crazychoir.control.gains import HOLD, SHIPPED, STANDARD
+from crazychoir.control.margin import REQUIRED, Inner, command_loop, delay_margin, guidance_loop
 from crazychoir.filters.velocity import VelocityFilter
+from crazychoir.platforms import PLATFORMS, rotor_speed
 
 
 def closed_loop_with_delay(loop, delay, until=60.0):
@@ -59,7 +60,7 @@ def test_every_shipped_row_keeps_40_ms_horizontally(name, axis):
 def test_every_shipped_row_keeps_40_ms_in_height_and_heading(name):
     gains = SHIPPED[name]
     assert delay_margin(margin.vertical_loop(gains.kp[2], gains.kv[2])) - HOLD >= REQUIRED
-    assert delay_margin(margin.heading_loop(gains.kr[2])) - HOLD >= REQUIRED
+    assert delay_margin(margin.heading_loop(gains.kr[2], margin.lag_loop(margin.RATE_LAG))) - HOLD >= REQUIRED
 
 
 @pytest.mark.parametrize(("kr", "enough"), [(8.0, True), (10.0, True), (12.0, True), (16.0, False)])
@@ -96,3 +97,35 @@ def test_with_lead_and_filter_the_loops_are_those_of_their_docstrings():
     np.testing.assert_allclose(np.polyval(num, s) / np.polyval(den, s), (2.0 + lead * outer) / (s * (0.086 * s + 1)))
     num, den = guidance_loop(6.0, 4.0, inner)
     np.testing.assert_allclose(np.polyval(num, s) / np.polyval(den, s), lead * outer / (0.086 * s**2 + s + 2.0))
+
+
+@pytest.mark.parametrize("plant", margin.MARGINS)
+@pytest.mark.parametrize("name", PLATFORMS)
+def test_the_standard_gains_keep_the_margin_that_the_table_says_on_every_platform(plant, name):
+    left = margin.margin(STANDARD, PLATFORMS[name], plant)
+    assert left == pytest.approx(margin.MARGINS[plant][name], abs=0.0006)
+    assert left >= REQUIRED
+
+
+def test_the_rate_loop_is_the_firmwares_controller_around_rotors_and_body():
+    platform, s = PLATFORMS["cf21"], 1j * np.array([0.5, 3.0, 20.0])
+    for axis, (kp, ki, kd), arm in ((0, (250.0, 500.0, 2.5), 0.5 * platform.arm), (2, (120.0, 16.7, 0.0), None)):
+        if arm is None:
+            h, b, c = 1e-9, *platform.rotor.torque
+            f = platform.weight / 4.0
+            speeds = np.array([rotor_speed(platform.rotor, f - h), rotor_speed(platform.rotor, f + h)])
+            arm = np.diff(b * speeds + c * speeds**2)[0] / (2.0 * h)
+        torque = 4.0 * arm * 0.12 / 65535.0 / (platform.rotor.lag * s + 1.0)  # N m of one unit of command
+        turn = torque / platform.inertia[axis] / s * math.degrees(1.0)  # deg/s of one unit, per s
+        num, den = margin.rate_loop(platform, axis)
+        expected = turn * (kp + ki / s) / (1.0 + turn * (kp + ki / s + kd * s))
+        np.testing.assert_allclose(np.polyval(num, s) / np.polyval(den, s), expected, rtol=1e-6)
+
+
+def test_an_integral_is_in_the_loop_and_too_much_of_it_unstable():
+    s = 1j * np.array([0.5, 3.0, 20.0])
+    num, den = command_loop(6.0, 4.0, Inner(8.0, 0.086, math.inf), 3.0)
+    outer = (4.0 * s + 6.0 + 3.0 / s) / s**2
+    np.testing.assert_allclose(np.polyval(num, s) / np.polyval(den, s), 8.0 * (1 + outer) / (s * (0.086 * s + 1)))
+    assert delay_margin(command_loop(6.0, 4.0, Inner(8.0), 30.0)) == 0.0
+    assert delay_margin(command_loop(6.0, 4.0, Inner(8.0), 3.0)) > 0.0

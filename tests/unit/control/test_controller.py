@@ -4,13 +4,14 @@ import pytest
 from crazychoir.control.attitude import GeometryAttitudeCtrl
 from crazychoir.control.controller import HierarchicalController
 from crazychoir.control.gains import STANDARD, Gains
-from crazychoir.control.handlers import AccelerationTraj, FPQRSender, FullStateTraj
-from crazychoir.control.platform import PAPER
+from crazychoir.control.handlers import AccelerationTraj, FullStateTraj
 from crazychoir.control.position import FlatnessAccelerationCtrl, FlatnessPositionCtrl
+from crazychoir.control.senders import FPQRSender
 from crazychoir.filters.velocity import VelocityFilter
 from crazychoir.math3d import GRAVITY
 from crazychoir.mocap.simulated import SimulatedMocap
 from crazychoir.planning.point_to_point import PointToPoint, duration_for
+from crazychoir.platforms import PAPER
 from crazychoir.simulation.integrator import CFIntegrator
 from crazychoir.types import Acceleration, FullState, State
 

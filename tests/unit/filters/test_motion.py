@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from crazychoir.control.platform import PAPER
 from crazychoir.filters.motion import RATE_LAG, Commanded, ConstantVelocity
 from crazychoir.math3d import conjugate, exponential, logarithm, product, rotation
+from crazychoir.platforms import PAPER
 from crazychoir.simulation.integrator import CFIntegrator
 from crazychoir.types import State
 
@@ -71,6 +71,13 @@ def test_what_falls_stops_at_the_floor():
     fallen = Commanded(PAPER.flat, 0.4).after(State.at((0.0, 0.0, 1.0), (1.0, 0.0, 0.0)).flat, np.zeros(4), 2.0)
     assert fallen[2] == pytest.approx(0.4)
     np.testing.assert_array_equal(fallen[3:6], 0.0)
+
+
+def test_who_is_below_the_floor_neither_jumps_onto_it_nor_falls_deeper():
+    low, motion = State.at((0.0, 0.0, 0.35)), Commanded(PAPER.flat, 0.4)
+    for thrust, height in ((0.0, 0.35), (1.1 * PAPER.weight, 0.35 + 0.5 * 0.98 * 0.1**2)):
+        after = motion.after(low.flat, np.array([thrust, 0.0, 0.0, 0.0]), 0.1)
+        assert after[2] == pytest.approx(height, abs=1e-3)
 
 
 def test_constant_velocity_asks_for_no_command():

@@ -3,9 +3,9 @@ import math
 import numpy as np
 import pytest
 
-from crazychoir.control.platform import PAPER
 from crazychoir.filters.motion import Commanded
 from crazychoir.filters.velocity import VelocityFilter
+from crazychoir.platforms import PAPER
 from crazychoir.types import Pose
 
 

@@ -4,8 +4,9 @@ import pytest
 from crazychoir.control.attitude import GeometryAttitudeCtrl
 from crazychoir.control.controller import HierarchicalController
 from crazychoir.control.gains import FORMATION, STANDARD
-from crazychoir.control.handlers import AccelerationTraj, FPQRSender, FullStateTraj
+from crazychoir.control.handlers import AccelerationTraj, FullStateTraj
 from crazychoir.control.position import FlatnessAccelerationCtrl, FlatnessPositionCtrl
+from crazychoir.control.senders import FPQRSender
 from crazychoir.errors import ConfigError, Refused
 from crazychoir.filters.velocity import VelocityFilter
 from crazychoir.guidance.bearing import KP, KV, bearing_laplacian, check_formation

@@ -17,7 +17,7 @@ from crazychoir.recording.file import RecordingFile
 from crazychoir.recording.recorder import Recorder
 from crazychoir.runtime.clock import run_virtual, run_wall
 from crazychoir.runtime.supervisor import Supervisor
-from crazychoir.types import FPQR, FullState, Pose, State, Status
+from crazychoir.types import FPQR, FullState, Goto, Pose, State, Status, Vel
 
 ABOUT = {"version": "1.2"}
 
@@ -85,6 +85,21 @@ def test_ages_make_times_of_birth(tmp_path):
     assert fields["header"]["stamp"] == {"sec": 0, "nanosec": 850_000_000}
 
 
+def test_each_type_of_a_topic_has_messages_of_its_own(tmp_path):
+    async def work(clock, bus):
+        for value in (VALUES[COMMAND], Vel(np.arange(4.0)), VALUES[COMMAND], Goto(np.ones(3)), 7):
+            bus.ports[0].publish(COMMAND, value)
+
+    path = tmp_path / "a.mcap"
+    assert recorded(path, work)["lost"] == 0
+    found = by_mcap_ros2(path)
+    assert found == by_rosbags(path)
+    names = ["command", "command/vel", "command", "command/goto", "command/int"]
+    assert [name for name, *_ in found] == [f"/drone0/{name}" for name in names]
+    assert [kind.split("/")[-1] for _, kind, *_ in found] == ["FPQR", "Vel", "FPQR", "Goto", "Value"]
+    assert found[4][3]["json"] == "7", "whatever it is, as JSON"
+
+
 def test_rounds_are_recorded_under_their_sender(tmp_path):
     async def work(clock, bus):
         bus.ports[0].send(ROUND, (1,), encode([1, 2]), 5, "sum", 8)
@@ -129,7 +144,7 @@ def test_what_cannot_be_written_hurts_nobody(tmp_path, caplog):
     result = recorded(tmp_path / "a.mcap", work)
     assert (result["messages"], result["lost"]) == (1, 4)
     assert len(caplog.records) == 1
-    assert "/drone0/status" in caplog.text
+    assert "status of drone 0" in caplog.text
 
 
 def test_a_full_disk_ends_the_recording_not_the_flight(tmp_path, monkeypatch, caplog):

@@ -11,9 +11,9 @@ from virtual_time import virtual
 from crazychoir.bus.local import Bus
 from crazychoir.bus.topics import LOG, POSE
 from crazychoir.control.gains import STANDARD
-from crazychoir.control.platform import PAPER
 from crazychoir.errors import ConfigError
 from crazychoir.planning.point_to_point import STOP, stopping
+from crazychoir.platforms import PAPER
 from crazychoir.runtime.clock import run_virtual
 from crazychoir.runtime.mailbox import DropOldest
 from crazychoir.runtime.supervisor import Supervisor
@@ -538,7 +538,7 @@ async def test_whoever_brakes_at_the_fence_comes_to_rest_first_and_then_goes_ins
         t = clock.now() - t0
         drone.pilot.follow(FullState.at([0.5 * t, 0.0, 1.0], [0.5, 0.0, 0.0]))
         if drone.pilot._obeyed is Action.BRAKE:
-            plans.append(drone.pilot._plan)
+            plans.append(drone.pilot.flights.plan)
 
     await drone.fly(6.5, each=out)
     way = [plans[0].sample(t) for t in np.linspace(0.0, plans[0].duration, 100)]
@@ -636,7 +636,7 @@ async def gone_to(clock, duration):
 
     def again():
         drone.pilot.follow(Goto(place, 0.3, duration))
-        plans.add(id(drone.pilot._plan))
+        plans.add(id(drone.pilot.flights.plan))
 
     await drone.fly(1.5, each=again)
     assert drone.p[0] > 0.1
@@ -802,7 +802,7 @@ async def test_a_landing_near_the_fence_stays_inside(clock):
 async def test_a_landing_outside_the_fence_comes_down_inside(clock):
     drone = Flown(clock)
     await drone.hovering()
-    drone.pilot.fence = Fence.box((-3.0, 0.2, -0.2), (-0.1, 3.0, 2.5))
+    drone.pilot.flights.fence = Fence.box((-3.0, 0.2, -0.2), (-0.1, 3.0, 2.5))
     await drone.fly(drone.pilot.land() + 0.5)
     assert drone.pilot.mode is Mode.GROUND
     assert drone.p == pytest.approx([-0.2, 0.3, 0.0], abs=0.02)
@@ -812,9 +812,9 @@ async def test_a_landing_outside_the_fence_comes_down_inside(clock):
 async def test_hovering_ends_a_flight_under_way_and_leaves_one_at_rest_alone(clock):
     drone = Flown(clock)
     await drone.hovering()
-    plan = drone.pilot._plan
+    plan = drone.pilot.flights.plan
     drone.pilot.hover()
-    assert drone.pilot._plan is plan
+    assert drone.pilot.flights.plan is plan
     drone.pilot.go_to([2.5, 0.0, 1.0])
     await drone.fly(2.0)
     here = drone.p[0]
@@ -854,10 +854,10 @@ async def test_no_flight_begins_while_the_safety_table_brakes(clock):
     drone = Flown(clock)
     await drone.hovering()
     await drone.fly(0.2, poses=False)
-    plan = drone.pilot._plan
+    plan = drone.pilot.flights.plan
     assert drone.pilot.go_to([2.0, 0.0, 1.0]) == 0.0
     drone.pilot.follow(Goto([2.0, 0.0, 1.0]))
-    assert drone.pilot._plan is plan
+    assert drone.pilot.flights.plan is plan
     await drone.fly(1.0)
     assert drone.pilot.go_to([2.0, 0.0, 1.0]) > 0.0
 
@@ -870,11 +870,11 @@ async def test_a_flight_may_begin_where_references_were_missing_and_a_lost_pose_
     await drone.fly(1.0)
     assert drone.pilot._obeyed is Action.BRAKE
     assert drone.pilot.go_to([2.0, 0.0, 1.0]) > 0.0
-    plan = drone.pilot._plan
+    plan = drone.pilot.flights.plan
     await drone.fly(0.2)
-    assert drone.pilot._plan is plan
+    assert drone.pilot.flights.plan is plan
     await drone.fly(0.2, poses=False)
-    assert drone.pilot._plan is not plan
+    assert drone.pilot.flights.plan is not plan
 
 
 @virtual
@@ -886,11 +886,11 @@ async def test_a_pose_that_is_lost_in_the_first_tick_of_a_flight_brakes_it(clock
     await drone.fly(0.05, poses=False)
     await clock.sleep(0.04)
     assert drone.pilot.go_to([2.0, 0.0, 1.0]) > 0.0
-    plan = drone.pilot._plan
+    plan = drone.pilot.flights.plan
     await clock.sleep(0.05)
     drone.pilot.tick(None)
     drone.bus.stages.run()
-    assert drone.pilot._plan is not plan
+    assert drone.pilot.flights.plan is not plan
 
 
 @virtual

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from crazychoir.control.platform import PAPER
 from crazychoir.errors import ConfigError
+from crazychoir.platforms import PAPER
 from crazychoir.simulation.integrator import CFIntegrator
 from crazychoir.simulation.world import World
 

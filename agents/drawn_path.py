@@ -1,0 +1,110 @@
+"""One drone, or several side by side, fly what a hand has drawn: by default the word "Casy".
+
+crazychoir run drawn_path --fast --picture out/casy.png
+
+[mission_options]: drawing: a CSV file of rows stroke, t, x, y;  scale: of the drawing;  yaw: rad, or "along" the path;
+timing: "even" or "drawn", as fast as the hand was where the limits allow;  lift: m between strokes.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+from crazychoir import CFGuidance, SwarmConfig
+from crazychoir.errors import ConfigError
+from crazychoir.planning.drawing import Drawing, Pen, drawing
+from crazychoir.planning.feasibility import Limits
+from crazychoir.planning.stroke import read_strokes
+
+Results = dict[int, dict[str, Any]]
+WORD = Path(__file__).parent / "data" / "casy.csv"
+DEFAULTS: dict[str, Any] = {"drawing": str(WORD), "scale": 1.0, "yaw": 0.0, "timing": "even", "lift": 0.1}
+
+
+class Writer(CFGuidance):
+    """Flies a drawing."""
+
+    def __init__(self, drawn: Drawing) -> None:
+        self.drawn = drawn
+
+    async def mission(self) -> dict[str, Any]:
+        """Up, along the drawing, home, down."""
+        await self.take_off()
+        await self.rendezvous()
+        home = self.state.p.copy()
+        await self.fly(self.drawn.path)
+        await self.go_to(home)
+        await self.land()
+        return {"place": self.state.p.tolist()}
+
+
+def drawn(config: SwarmConfig, i: int) -> Drawing:
+    """What drone i flies: the drawing, its middle over the drone's home."""
+    options, flight, home = DEFAULTS | config.mission_options, config.flight, config.drone(i).home
+    strokes = read_strokes(options["drawing"])
+    places = np.vstack([stroke[:, 1:] for stroke in strokes])
+    middle = 0.5 * (places.min(axis=0) + places.max(axis=0))
+    placed = [
+        np.column_stack([stroke[:, 0], home[:2] + options["scale"] * (stroke[:, 1:] - middle)]) for stroke in strokes
+    ]
+    pen = Pen(
+        height=flight.ground + flight.takeoff_height, lift=options["lift"], yaw=options["yaw"], timing=options["timing"]
+    )
+    return drawing(placed, pen, Limits(v_max=flight.speed_limit, a_max=flight.acceleration_limit))
+
+
+def guidance(i: int, config: SwarmConfig) -> CFGuidance:
+    """Drone i writes over its home."""
+    return Writer(drawn(config, i))
+
+
+def swarm(drones: int | None) -> SwarmConfig:
+    """Side by side, 1.5 m apart along y, each with room for the word."""
+    n = drones or 1
+    return SwarmConfig.of(
+        {
+            "name": "writers",
+            "mission": "drawn_path",
+            "graph": "ring" if n > 1 else "empty",
+            "drones": [{"id": i, "home": [0.0, 1.5 * i, 0.0]} for i in range(n)],
+            "fence": {"min": [-3.0, -3.0, 0.0], "max": [3.0, 1.5 * n + 1.5, 3.0]},
+        }
+    )
+
+
+def check(config: SwarmConfig, force: bool = False) -> list[str]:
+    """The options are those that there are, and the drawing can be flown; says how it will be."""
+    for key, value in config.mission_options.items():
+        if key not in DEFAULTS:
+            raise ConfigError(f"swarm {config.name}: mission_options.{key}", value, f"one of {', '.join(DEFAULTS)}")
+    flown = drawn(config, config.ids[0])
+    return [
+        f"the drawing takes {flown.path.duration:.1f} s, at most {flown.speed:.2f} m/s and {flown.acceleration:.2f} m/s2, "
+        f"{1e3 * flown.deviation:.1f} mm from what was drawn"
+    ]
+
+
+def report(config: SwarmConfig, results: Results) -> dict[str, Any]:
+    """How the drawing is flown."""
+    flown = drawn(config, config.ids[0])
+    return {
+        "drawing_s": flown.path.duration,
+        "speed_m_s": flown.speed,
+        "acceleration_m_s2": flown.acceleration,
+        "deviation_mm": 1e3 * flown.deviation,
+    }
+
+
+def picture(config: SwarmConfig, results: Results, path: str) -> None:
+    """What was drawn, and the path that is flown."""
+    shown, axes = plt.subplots(figsize=(7.0, 3.5))
+    for i in config.ids:
+        flown = drawn(config, i).path
+        x, y, _ = np.array([flown.sample(t).p for t in np.arange(0.0, flown.duration, 0.02)]).T
+        axes.plot(x, y, linewidth=1.2, label=f"drone {i}")
+    axes.set(xlabel="x in m", ylabel="y in m", aspect="equal")
+    axes.legend(fontsize=7)
+    shown.savefig(path, dpi=200, bbox_inches="tight")
+    plt.close(shown)

@@ -1,0 +1,51 @@
+"""What of a drone's controllers can be read and changed while it flies, by name."""
+
+from dataclasses import asdict
+from typing import Any
+
+from crazychoir.control.choice import Controls, changed
+from crazychoir.errors import ConfigError
+
+READ_ONLY = ("trim.thrust", "trim.roll_rad", "trim.pitch_rad", "platform.name", "platform.mass")
+
+
+class Parameters:
+    """The parameters of one drone: `control.kp`, `control.kr`, ... may be set within their stable range.
+
+    `trim.thrust`, `trim.roll_rad`, `trim.pitch_rad`: what the drone has learnt of itself, to be read.
+    """
+
+    def __init__(self, controls: Controls) -> None:
+        self.controls = controls
+
+    def all(self) -> dict[str, Any]:
+        """Every parameter by name."""
+        controls = self.controls
+        pitch, roll = controls.trim.tilt
+        return {f"control.{name}": value for name, value in asdict(controls.gains).items()} | {
+            "trim.thrust": controls.trim.thrust,
+            "trim.roll_rad": -float(roll),
+            "trim.pitch_rad": float(pitch),
+            "platform.name": controls.platform.name,
+            "platform.mass": controls.platform.mass,
+        }
+
+    def get(self, name: str) -> Any:
+        """One of them; ConfigError names those that there are."""
+        known = self.all()
+        if name not in known:
+            raise ConfigError(name, "no such parameter", f"one of {', '.join(known)}")
+        return known[name]
+
+    def values(self, name: str | None) -> dict[str, Any]:
+        """One of them by its name, or all."""
+        return self.all() if name is None else {name: self.get(name)}
+
+    def set(self, name: str, value: Any) -> Any:
+        """Change one, and return it; ConfigError if it is read-only, of another kind, or would not be stable."""
+        self.get(name)
+        if name in READ_ONLY:
+            raise ConfigError(name, value, "nothing: it can only be read")
+        gains = changed(self.controls.gains, {name.removeprefix("control."): value}, "control")
+        self.controls.retune(gains)
+        return self.get(name)

@@ -1,0 +1,90 @@
+"""What a controller sends: communication handlers make the messages that the drone, or its simulation, obeys."""
+
+from typing import Protocol
+
+import numpy as np
+
+from crazychoir.math3d import Vec
+from crazychoir.types import FPQR, FRPY, XYZ, Command, Vel
+
+STOP = XYZ("stop", np.zeros(5))
+
+
+class CommunicationHandler(Protocol):
+    """Makes the messages of one kind, as a swarm file names it."""
+
+    topic: str
+    kind: str
+
+    @property
+    def idle(self) -> Command:
+        """Motors off."""
+        ...
+
+    def message(self, u: Vec) -> Command:
+        """The command of the input u, which may be kept."""
+        ...
+
+    def steady(self, weight: float) -> Command | None:
+        """What keeps a drone of this weight in N in the air when nothing is known; None: whatever it does now."""
+        ...
+
+
+class FPQRSender:
+    """Sends force and body rates p, q, r, from u (4,) = thrust N, rates rad/s."""
+
+    topic, kind = "cmd", "fpqr"
+    idle: Command = FPQR(np.zeros(4))
+
+    def message(self, u: Vec) -> FPQR:
+        """The command of u (4,), not copied."""
+        return FPQR(u)
+
+    def steady(self, weight: float) -> FPQR:
+        """Hover thrust without rates."""
+        return FPQR(np.array([weight, 0.0, 0.0, 0.0]))
+
+
+class FRPYSender:
+    """Sends force, roll, pitch and the rate of the yaw, from u (4,) = thrust N, angles rad, rad/s."""
+
+    topic, kind = "cmd", "frpy"
+    idle: Command = FRPY(np.zeros(4))
+
+    def message(self, u: Vec) -> FRPY:
+        """The command of u (4,), not copied."""
+        return FRPY(u)
+
+    def steady(self, weight: float) -> FRPY:
+        """Hover thrust, level."""
+        return FRPY(np.array([weight, 0.0, 0.0, 0.0]))
+
+
+class VelSender:
+    """Sends velocities, from u (4,) = velocity m/s world, yaw rate rad/s."""
+
+    topic, kind = "cmd", "vel"
+    idle: Command = STOP
+
+    def message(self, u: Vec) -> Vel:
+        """The command of u (4,), not copied."""
+        return Vel(u)
+
+    def steady(self, weight: float) -> Vel:
+        """Stay."""
+        return Vel(np.zeros(4))
+
+
+class XYZSender:
+    """Sends places to the planner on board, from u (5,) = place m world, yaw rad, duration s."""
+
+    topic, kind = "cmd", "xyz"
+    idle: Command = STOP
+
+    def message(self, u: Vec) -> XYZ:
+        """A straight line at constant velocity from where its set-point is now."""
+        return XYZ("line", u)
+
+    def steady(self, weight: float) -> None:
+        """The planner on board needs nobody."""
+        return

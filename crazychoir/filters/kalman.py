@@ -1,0 +1,322 @@
+"""A Kalman filter of the poses of motion capture, which knows what its drone was commanded."""
+
+import math
+
+import numpy as np
+
+from crazychoir.filters.motion import Commanded, fly
+from crazychoir.filters.velocity import ROUNDING, lateness, readable
+from crazychoir.math3d import (
+    Mat,
+    Triple,
+    Vec,
+    conjugate,
+    exponential,
+    finite,
+    kernel,
+    logarithm,
+    memory,
+    product,
+    real,
+    table,
+    unit,
+    vector,
+)
+from crazychoir.types import Pose, State
+
+GATE = 25.0  # chi-square of 3 degrees of freedom: beyond it is one good pose of 65 000
+SLACK_P, SLACK_ANGLE = 0.002, 0.035  # m, rad: standard deviations of what a manoeuvre adds, for the gate alone
+DOUBTS = 5  # poses in a row beyond the gate: then it is the filter that is wrong
+UNKNOWN_V, UNKNOWN_D, UNKNOWN_W = 1.0, 5.0, 3.0  # m/s, m/s2, rad/s: standard deviations at a start
+FADE, FADE_TOLD = 0.5, 2.0  # s, in which d fades where nothing is measured: an acceleration; a thrust that is off
+HISTORY = 512  # commands that are remembered: 2.1 s at 240 Hz
+
+# The memory: x (13,) of the instant of the measurement, d (3,), the upper triangles of both covariances, the time of
+# the last call, the row of the newest command.
+D, P, A, CALLED, NEWEST, MEMORY = 13, 16, 22, 25, 26, 27
+# The figures: variances of a pose, densities, 1/s of the fading, whether commands are told, the floor, Platform.flat.
+R_P, R_ANGLE, JERK, PUSH, SWING, FADING, TOLD, FLOOR, PLATFORM = 0, 1, 2, 3, 4, 5, 6, 7, 8
+
+
+@kernel()
+def _record(mem: Vec, history: Mat, u: Vec, now: float) -> None:
+    """The drone was told u from the last call until now: a new row (since s, thrust N, rates rad/s) if that is new."""
+    k = int(mem[NEWEST])
+    fresh = False
+    for c in range(4):
+        fresh = fresh or history[k, 1 + c] != u[c]
+    if fresh and finite(u):
+        k = (k + 1) % history.shape[0]
+        mem[NEWEST], history[k, 0] = k, mem[CALLED]
+        history[k, 1:5] = u
+    mem[CALLED] = now
+
+
+@kernel()
+def _move(x: Vec, d: Triple, u: Vec, figures: Vec, h: float) -> bool:
+    """Replace x by what comes h s later under u and the acceleration d; returns whether it stands on the floor."""
+    if figures[TOLD] > 0.0 and u[0] > 0.0:  # motors that are off tell nothing: it falls, or stands somewhere
+        return bool(fly(x, u, figures[PLATFORM:], figures[FLOOR], d, h))
+    for c in range(3):
+        x[c] += h * (x[3 + c] + 0.5 * h * d[c])
+        x[3 + c] += h * d[c]
+    x[6], x[7], x[8], x[9] = product((x[6], x[7], x[8], x[9]), exponential(h * x[10], h * x[11], h * x[12]))
+    return False
+
+
+@kernel()
+def _advance(x: Vec, d: Triple, mem: Vec, history: Mat, figures: Vec, t: float, end: float, fade: float) -> Triple:
+    """Move x from the instant t to `end` under what was commanded meanwhile; returns d then.
+
+    d fades with the rate `fade`, 1/s; each part of the way takes its mean.
+    """
+    newest, rows = int(mem[NEWEST]), history.shape[0]
+    k = newest
+    for _ in range(rows - 1):
+        if history[k, 0] <= t:
+            break
+        k = (k - 1) % rows
+    while t < end:
+        after = (k + 1) % rows
+        until = end if k == newest else min(end, history[after, 0])
+        h = until - t
+        if h > ROUNDING:
+            keep = math.exp(-fade * h)
+            mean = (1.0 - keep) / (fade * h) if fade > 0.0 else 1.0
+            stands = _move(x, (mean * d[0], mean * d[1], mean * d[2]), history[k, 1:5], figures, h)
+            d = (0.0, 0.0, 0.0) if stands else (keep * d[0], keep * d[1], keep * d[2])
+        t, k = max(t, until), after
+    return d
+
+
+@kernel()
+def _grow(mem: Vec, figures: Vec, h: float) -> tuple[Triple, Triple, Triple]:
+    """Both covariances h s later: (pp, pv, pd), (vv, vd, dd) and, of the attitude, (aa, aw, ww)."""
+    pp, pv, pd, vv, vd, dd = mem[P], mem[P + 1], mem[P + 2], mem[P + 3], mem[P + 4], mem[P + 5]
+    j, s, g = figures[JERK], figures[PUSH], figures[SWING]
+    h2, h3 = h * h, h * h * h
+    pp += 2.0 * h * pv + h2 * (vv + pd) + h3 * vd + 0.25 * h2 * h2 * dd + j * h2 * h3 / 20.0 + s * h3 / 3.0
+    pv += h * (vv + pd) + 1.5 * h2 * vd + 0.5 * h3 * dd + j * h2 * h2 / 8.0 + s * h2 / 2.0
+    pd += h * vd + 0.5 * h2 * dd + j * h3 / 6.0
+    vv += 2.0 * h * vd + h2 * dd + j * h3 / 3.0 + s * h
+    vd += h * dd + j * h2 / 2.0
+    aa = mem[A] + 2.0 * h * mem[A + 1] + h2 * mem[A + 2] + g * h3 / 3.0
+    aw = mem[A + 1] + h * mem[A + 2] + g * h2 / 2.0
+    return (pp, pv, pd), (vv, vd, dd + j * h), (aa, aw, mem[A + 2] + g * h)
+
+
+@kernel()
+def _joseph(p: float, p_1m: float, p_1n: float, k_m: float, k_n: float, s: float) -> float:
+    """Element (m, n) of (I - K H) P (I - K H)^T + K r K^T where H = (1, 0, ..): p is that of P, s = P_11 + r."""
+    return p - k_m * p_1n - k_n * p_1m + k_m * k_n * s
+
+
+@kernel()
+def _correct_place(mem: Vec, x: Vec, d: Triple, e: Triple, first: Triple, second: Triple, r: float) -> None:
+    """Take in the innovation e of the position: x in place, d and the covariance into the memory."""
+    (pp, pv, pd), (vv, vd, dd) = first, second
+    s = pp + r
+    kp, kv, kd = pp / s, pv / s, pd / s
+    for c in range(3):
+        x[c] += kp * e[c]
+        x[3 + c] += kv * e[c]
+        mem[D + c] = d[c] + kd * e[c]
+    mem[P] = _joseph(pp, pp, pp, kp, kp, s)
+    mem[P + 1] = _joseph(pv, pp, pv, kp, kv, s)
+    mem[P + 2] = _joseph(pd, pp, pd, kp, kd, s)
+    mem[P + 3] = _joseph(vv, pv, pv, kv, kv, s)
+    mem[P + 4] = _joseph(vd, pv, pd, kv, kd, s)
+    mem[P + 5] = _joseph(dd, pd, pd, kd, kd, s)
+
+
+@kernel()
+def _correct_attitude(mem: Vec, x: Vec, e: Triple, grown: Triple, r: float) -> None:
+    """Take in the innovation e of the attitude, rad, body: x in place, the covariance into the memory."""
+    aa, aw, ww = grown
+    s = aa + r
+    ka, kw = aa / s, aw / s
+    x[6], x[7], x[8], x[9] = unit(product((x[6], x[7], x[8], x[9]), exponential(ka * e[0], ka * e[1], ka * e[2])))
+    for c in range(3):
+        x[10 + c] += kw * e[c]
+    mem[A] = _joseph(aa, aa, aa, ka, ka, s)
+    mem[A + 1] = _joseph(aw, aa, aw, ka, kw, s)
+    mem[A + 2] = _joseph(ww, aw, aw, kw, kw, s)
+
+
+@kernel()
+def _beyond(e: Triple, variance: float) -> bool:
+    """Whether an innovation of this variance an axis is beyond the gate; one that is not finite is."""
+    return not (e[0] * e[0] + e[1] * e[1] + e[2] * e[2] <= GATE * variance)
+
+
+@kernel()
+def _speed(x: Vec) -> float:
+    """m/s."""
+    return math.sqrt(x[3] * x[3] + x[4] * x[4] + x[5] * x[5])
+
+
+@kernel(vector, memory, table, vector, vector, real, real, real, real, memory)
+def _measure(
+    pose: Vec, mem: Vec, history: Mat, figures: Vec, u: Vec, last: float, h: float, t: float, now: float, out: Vec
+) -> float:
+    """Take in a pose of the instant last + h; `last`: s, of the one before; out: (13,) the state t s after it.
+
+    Returns the speed in m/s. For a pose that is not readable -1, for one beyond the gate -2: then only u is recorded.
+    """
+    _record(mem, history, u, now)
+    if not readable(pose):
+        return -1.0
+    out[:] = mem[0:D]
+    d = _advance(out, (mem[D], mem[D + 1], mem[D + 2]), mem, history, figures, last, last + h, 0.0)
+    first, second, attitude = _grow(mem, figures, h)
+    e = (pose[0] - out[0], pose[1] - out[1], pose[2] - out[2])
+    q = unit((pose[3], pose[4], pose[5], pose[6]))
+    turn = logarithm(product(conjugate((out[6], out[7], out[8], out[9])), q))
+    if _beyond(e, first[0] + figures[R_P] + SLACK_P**2):
+        return -2.0
+    if _beyond(turn, attitude[0] + figures[R_ANGLE] + SLACK_ANGLE**2):
+        return -2.0
+    _correct_place(mem, out, d, e, first, second, figures[R_P])
+    _correct_attitude(mem, out, turn, attitude, figures[R_ANGLE])
+    mem[0:D] = out
+    d = (mem[D], mem[D + 1], mem[D + 2])
+    _advance(out, d, mem, history, figures, last + h, last + h + t, figures[FADING])
+    return _speed(out)
+
+
+@kernel(vector, memory, table, vector, vector, real, real, real, real, memory)
+def _go_on(
+    x: Vec, mem: Vec, history: Mat, figures: Vec, u: Vec, measured: float, t: float, end: float, now: float, out: Vec
+) -> float:
+    """Carry x (13,) from the instant t to `end` into out; measured: s, the instant of the memory; returns the speed."""
+    _record(mem, history, u, now)
+    out[:] = x
+    fade = figures[FADING]
+    left = math.exp(fade * (measured - t))
+    _advance(out, (left * mem[D], left * mem[D + 1], left * mem[D + 2]), mem, history, figures, t, end, fade)
+    return _speed(out)
+
+
+class KalmanFilter:
+    """Kalman filter of position and velocity, and an error-state one of attitude and body rates, right at any rate.
+
+        p' = v,  v' = f(q, u) + d + n_s,  d' = n_j,      z_p = p + n_p
+        q' = 1/2 q (w, 0),  w' = (u_2..4 - w) / RATE_LAG + n_g,      z_q = q exp(n_a)
+
+    f: acceleration of the paper's dynamics under the commands u, as in Commanded, d what is left: a thrust that is not
+    what was commanded, wind. Without a `motion`, or with motors off, f = 0, d is the whole acceleration, and w' = n_g.
+    The white noises are the same in all axes, so one covariance (p, v, d) serves x, y and z, and one (a, w) the three
+    angles of the error a, q = q_est exp(a). Both are discretised exactly for the measured time h between two poses:
+
+        F = [1 h h^2/2; 0 1 h; 0 0 1]
+        Q = jerk [h^5/20 h^4/8 h^3/6; h^4/8 h^3/3 h^2/2; h^3/6 h^2/2 h] + push [h^3/3 h^2/2 0; h^2/2 h 0; 0 0 0]
+        F_a = [1 h; 0 1],  Q_a = swing [h^3/3 h^2/2; h^2/2 h]
+
+    F_a leaves the lag of the rates out: it is known too badly to be trusted. The update has Joseph's form, its upper
+    triangle is all that is kept. A pose whose innovation e has |e|^2 / variance beyond GATE, in position or attitude,
+    is refused and counts as missing, as one that is not finite or whose quaternion has a length outside 0.5 to 2. The
+    DOUBTS-th in a row beyond it is believed: the filter starts again there, with the velocities it had. So it does
+    after a gap longer than the horizon, with the mean velocity of the gap.
+
+    The state is carried from the instant of the measurement to `now` under the commands of that time, which are
+    remembered: `commanded` holds from one call to the next. While no pose comes it goes on so, and d fades: within
+    FADE_TOLD s, or within FADE s if it is the whole acceleration. The instants follow the period of the cameras as in
+    VelocityFilter, whose attributes this has too.
+
+    horizon: s, how far a prediction goes at most;  period: s of the cameras, 0 if they have no rate;
+    noise_p: m, noise_angle: rad, standard deviations of a pose, an axis: a good motion capture, 0.5 mm and 0.25 deg;
+    jerk: m2/s5, density of n_j: a thrust that is 10 % off where the jerk is 10 m/s3, for some 0.1 s. A filter that is
+    told no commands has all of the jerk in d: there 0.1 is right for eights at 1 m/s, 3 for those at 2 m/s;
+    push: m2/s3, of n_s: what g times the noise of the attitude, 2 mrad behind the filter for 0.03 s, leaves in f;
+    swing: rad2/s3, of n_g: a lag of the rates off by 10 ms where they change by 20 rad/s2, for some 0.03 s.
+    Source of Q: Bar-Shalom, Li & Kirubarajan 2001, the Wiener process acceleration model; of the error state: Lefferts,
+    Markley & Shuster 1982.
+    """
+
+    def __init__(
+        self,
+        horizon: float = 0.5,
+        period: float = 0.0,
+        motion: Commanded | None = None,
+        noise_p: float = 0.0005,
+        noise_angle: float = math.radians(0.25),
+        jerk: float = 0.1,
+        push: float = 3e-5,
+        swing: float = 0.3,
+    ) -> None:
+        self.horizon, self.period = horizon, period
+        self.cutoff = math.inf
+        self.commanded: Vec = np.zeros(4)
+        self.refused = 0
+        self.speed = 0.0
+        self.measured = -math.inf
+        model = (1.0 / FADE, 0.0) if motion is None else (1.0 / FADE_TOLD, 1.0, motion.floor, *motion.platform)
+        self._figures = np.array([noise_p**2, noise_angle**2, jerk, push, swing, *model])
+        self._memory, self._history = np.zeros(MEMORY), np.zeros((HISTORY, 5))
+        self._memory[CALLED] = -math.inf
+        self._history[:, 0] = -math.inf
+        self._doubted = 0
+        self._state: State | None = None
+
+    def update(self, pose: Pose, now: float) -> State | None:
+        """The state at `now` with a new pose; None only before the first pose that counts."""
+        age, horizon = pose.age, self.horizon
+        last = self.measured
+        h = now - age - last
+        if h <= 1e-6:  # a repeated or an older pose says nothing new
+            return self.predict(now)
+        if h > horizon:  # the first one too: h is infinite
+            return self._begin(pose, now, h)
+        if self.period > 0.0:  # their rate tells it better than a clock
+            late = lateness(h, self.period)
+            age, h = age + late, h - late
+        out, t = np.empty(13), age if age < horizon else horizon
+        speed = _measure(pose.flat, self._memory, self._history, self._figures, self.commanded, last, h, t, now, out)
+        if speed < 0.0:
+            return self._refuse(pose, now, doubtful=speed < -1.5)
+        out.setflags(False)  # type: ignore[call-arg]  # by place: faster than by name, in every tick
+        self.speed, self.measured, self._doubted = speed, now - age, 0
+        self._state = state = State(out, age)
+        return state
+
+    def predict(self, now: float) -> State | None:
+        """The state at `now` when no pose has come, by the commands; None before the first."""
+        last = self._state
+        if last is None:
+            return None
+        measured, horizon = self.measured, self.horizon
+        age = now - measured
+        t, end = measured + min(last.age, horizon), measured + min(age, horizon)
+        out = np.empty(13)
+        self.speed = _go_on(
+            last.flat, self._memory, self._history, self._figures, self.commanded, measured, t, end, now, out
+        )
+        out.setflags(False)  # type: ignore[call-arg]
+        self._state = state = State(out, age)
+        return state
+
+    def _refuse(self, pose: Pose, now: float, doubtful: bool) -> State | None:
+        """Count a pose that is missing; or believe it after all, when too many in a row were doubtful."""
+        self._doubted += doubtful
+        if doubtful and self._doubted >= DOUBTS:
+            return self._start(pose, now, self._memory[3:6].copy(), self._memory[10:13].copy())
+        self.refused += 1
+        return self.predict(now)
+
+    def _begin(self, pose: Pose, now: float, h: float) -> State | None:
+        """Start after a gap of h s, without body rates."""
+        if not readable(pose.flat):
+            self.refused += 1
+            return self.predict(now)
+        return self._start(pose, now, (pose.p - self._memory[0:3]) / h, np.zeros(3))
+
+    def _start(self, pose: Pose, now: float, v: Vec, w: Vec) -> State | None:
+        """Take this readable pose for the truth, and v (3,) m/s, w (3,) rad/s for a guess."""
+        memory, (r_p, r_angle) = self._memory, self._figures[:2]
+        memory[0:3], memory[3:6], memory[6:10], memory[10:13] = pose.p, v, pose.q / np.linalg.norm(pose.q), w
+        memory[D:P] = 0.0
+        memory[P:A] = r_p, 0.0, 0.0, UNKNOWN_V**2, 0.0, UNKNOWN_D**2
+        memory[A:CALLED] = r_angle, 0.0, UNKNOWN_W**2
+        self.measured, self._doubted = now - pose.age, 0
+        self._state = State(memory[:D].copy())
+        return self.predict(now)

@@ -1,0 +1,168 @@
+"""Circles and eights, from rest to rest, with analytic velocity, acceleration and jerk."""
+
+import math
+from collections.abc import Sequence
+from typing import Literal
+
+import numpy as np
+
+from crazychoir.errors import ConfigError
+from crazychoir.math3d import Triple, Vec, kernel, memory, real, vector
+from crazychoir.types import FullState
+
+Yaw = float | Literal["along"]
+GIVEN, ALONG = 0.0, 1.0  # kinds of yaw
+
+
+@kernel()
+def _eased(s: float, w: float, ramp: float) -> tuple[float, float, float, float]:
+    """phi, phi', phi'', phi''' at s, 0 <= s <= ramp: phi' grows from 0 to w along 10 s^3 - 15 s^4 + 6 s^5."""
+    x = s / ramp
+    phi = w * ramp * x**4 * (2.5 + x * (-3.0 + x))
+    first = w * x**3 * (10.0 + x * (-15.0 + 6.0 * x))
+    second = w / ramp * 30.0 * x**2 * (1.0 - x) ** 2
+    third = w / ramp**2 * 60.0 * x * (1.0 - x) * (1.0 - 2.0 * x)
+    return phi, first, second, third
+
+
+@kernel()
+def _phase(t: float, w: float, ramp: float, duration: float) -> tuple[float, float, float, float]:
+    """phi and its derivatives at t, 0 <= t <= duration."""
+    whole = w * (duration - ramp)
+    if t < ramp:
+        return _eased(t, w, ramp)
+    if t > duration - ramp:
+        phi, first, second, third = _eased(duration - t, w, ramp)
+        return whole - phi, first, -second, third
+    return w * (t - 0.5 * ramp), w, 0.0, 0.0
+
+
+@kernel()
+def _curve(phi: float, size: float, n: float, offset: float) -> tuple[float, float, float, float]:
+    """size sin(n phi + offset) and its derivatives by phi."""
+    s, c = size * math.sin(n * phi + offset), size * math.cos(n * phi + offset)
+    return s, n * c, -n * n * s, -n * n * n * c
+
+
+@kernel()
+def _heading(
+    x: tuple[float, float, float, float], y: tuple[float, float, float, float], is_circle: bool, phi: float
+) -> tuple[float, float]:
+    """Direction of (x', y'), unwrapped, and its derivative by phi; an eight never heads to +y."""
+    yaw = 0.5 * math.pi + phi if is_circle else math.atan2(x[1], -y[1]) - 0.5 * math.pi
+    return yaw, (x[1] * y[2] - y[1] * x[2]) / (x[1] * x[1] + y[1] * y[1])
+
+
+@kernel(vector, real, memory)
+def _sample(g: Vec, t: float, out: Vec) -> None:
+    """The flat output at t into out (14,);  g: see Figure."""
+    phi, d1, d2, d3 = _phase(t, g[3], g[4], g[5])
+    x, y = _curve(phi, g[6], g[7], g[8]), _curve(phi, g[9], g[10], 0.0)
+    for c in range(2):
+        q = x if c == 0 else y
+        out[c] = g[c] + q[0]
+        out[3 + c] = q[1] * d1
+        out[6 + c] = q[2] * d1 * d1 + q[1] * d2
+        out[9 + c] = q[3] * d1**3 + 3.0 * q[2] * d1 * d2 + q[1] * d3
+    out[2], out[5], out[8], out[11] = g[2], 0.0, 0.0, 0.0
+    if g[11] == ALONG:
+        out[12], rate = _heading(x, y, g[7] == g[10], phi)
+        out[13] = rate * d1
+    else:
+        out[12], out[13] = g[12] + g[13] * phi, g[13] * d1
+
+
+class Figure:
+    """x = A sin(n_x phi + d), y = B sin(n_y phi) about a centre, at constant height, whole laps from rest to rest.
+
+        phi' = w S(t / R) at first, then w, at last w S((T - t) / R),  S(s) = 10 s^3 - 15 s^4 + 6 s^5
+        T = 2 pi laps / w + R;  v = q' phi',  a = q'' phi'^2 + q' phi'',  j = q''' phi'^3 + 3 q'' phi' phi'' + q' phi'''
+
+    so that p, v, a and j are continuous, and v, a, j are 0 at both ends. Made by `circle` and `eight`.
+    figures: (14,) = centre (3,) m, w rad/s, R s, T s, A m, n_x, d rad, B m, n_y, then the yaw: kind, at the start rad,
+    its turn a rad of phi.
+    """
+
+    def __init__(self, figures: Vec) -> None:
+        self._figures, self.duration = figures, float(figures[5])
+
+    def sample(self, t: float) -> FullState:
+        """The reference t seconds after the start."""
+        out = np.empty(14)
+        _sample(self._figures, min(max(t, 0.0), self.duration), out)
+        return FullState(out)
+
+    def done(self, t: float) -> bool:
+        """Is the end reached at t?"""
+        return t >= self.duration
+
+
+def circle(
+    center: Sequence[float] | Vec,
+    radius: float,
+    period: float,
+    laps: float = 1.0,
+    ramp: float | None = None,
+    yaw: Yaw = 0.0,
+    yaw_rate: float = 0.0,
+) -> Figure:
+    """Counter-clockwise circle: x = r cos phi, y = r sin phi, from (r, 0), at the speed 2 pi r / period.
+
+    center: (3,) m;  radius: m;  period: s of a lap at full speed;  laps: at full speed and in the ramps;
+    ramp: s from rest to full speed, half a period without;  yaw: rad at the start, or "along" the path;
+    yaw_rate: rad/s at full speed, where the yaw is not that of the path.
+    """
+    w = _frequency("circle", period, radius=radius)
+    return _figure("circle", center, w, laps, ramp, (radius, 1.0, 0.5 * math.pi), (radius, 1.0), yaw, yaw_rate)
+
+
+def eight(
+    center: Sequence[float] | Vec,
+    a: float,
+    b: float,
+    period: float,
+    laps: float = 1.0,
+    ramp: float | None = None,
+    yaw: Yaw = 0.0,
+    yaw_rate: float = 0.0,
+) -> Figure:
+    """Eight: x = A sin phi, y = B sin 2 phi, from its middle, at peak w sqrt(A^2 + 4 B^2) m/s fast.
+
+    center: (3,) m;  a, b: A and B m;  w = 2 pi / period;  the rest as in `circle`.
+    """
+    w = _frequency("eight", period, a=a, b=b)
+    return _figure("eight", center, w, laps, ramp, (a, 1.0, 0.0), (b, 2.0), yaw, yaw_rate)
+
+
+def _frequency(name: str, period: float, **sizes: float) -> float:
+    for key, value in {"period": period, **sizes}.items():
+        if not (math.isfinite(value) and value > 0.0):
+            raise ConfigError(f"{name}: {key}", value, "a positive number")
+    return 2.0 * math.pi / period
+
+
+def _figure(
+    name: str,
+    center: Sequence[float] | Vec,
+    w: float,
+    laps: float,
+    ramp: float | None,
+    x: Triple,
+    y: tuple[float, float],
+    yaw: Yaw,
+    yaw_rate: float,
+) -> Figure:
+    if not (math.isfinite(laps) and laps > 0.0):
+        raise ConfigError(f"{name}: laps", laps, "a positive number")
+    period = 2.0 * math.pi / w
+    ramp = 0.5 * period * min(laps, 1.0) if ramp is None else ramp
+    if not 0.0 < ramp <= laps * period:
+        raise ConfigError(f"{name}: ramp", ramp, f"between 0 and {laps * period:g} s, the time of the laps")
+    along = isinstance(yaw, str)
+    if along and (yaw != "along" or yaw_rate != 0.0):
+        raise ConfigError(f"{name}: yaw, yaw_rate", [yaw, yaw_rate], 'rad and rad/s, or "along" without a rate')
+    angle = 0.0 if isinstance(yaw, str) else yaw
+    if len(center) != 3 or not np.all(np.isfinite([*center, angle, yaw_rate])):
+        raise ConfigError(f"{name}: center, yaw, yaw_rate", [*center, yaw, yaw_rate], "three m, rad, rad/s: finite")
+    kind = ALONG if along else GIVEN
+    return Figure(np.array([*center, w, ramp, laps * period + ramp, *x, *y, kind, angle, yaw_rate / w]))

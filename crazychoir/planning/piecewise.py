@@ -1,0 +1,158 @@
+"""Piecewise polynomials of the flat output: what every planned flight is made of."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from crazychoir.errors import ConfigError
+from crazychoir.math3d import Mat, Vec, kernel, matrix, memory, real, table, vector, wrap
+from crazychoir.types import FullState
+
+DEGREE = 7
+FACTORIALS = np.array([math.factorial(n) for n in range(DEGREE + 1)], dtype=float)
+
+
+@kernel(matrix, vector, real, memory)
+def _sample(coefficients: Mat, knots: Vec, t: float, out: Vec) -> None:
+    """The flat output at t, from the first knot to the last, into out (14,)."""
+    low, high = 0, knots.shape[0] - 1
+    while high - low > 1:
+        middle = (low + high) // 2
+        if t >= knots[middle]:
+            low = middle
+        else:
+            high = middle
+    s = t - knots[low]
+    for axis in range(4):
+        c = coefficients[4 * low + axis]
+        p = v = a = j = 0.0
+        for n in range(7, -1, -1):  # Horner's scheme of the polynomial and of its Taylor coefficients at s
+            j = j * s + a
+            a = a * s + v
+            v = v * s + p
+            p = p * s + c[n]
+        if axis < 3:
+            out[axis], out[3 + axis], out[6 + axis], out[9 + axis] = p, v, 2.0 * a, 6.0 * j
+        else:
+            out[12], out[13] = p, v
+
+
+@kernel(matrix, vector, memory)
+def _peaks(coefficients: Mat, knots: Vec, out: Vec) -> None:
+    """Largest speed, acceleration and yaw rate on the way, at 33 instants of each piece, into out (3,)."""
+    at = np.empty(14)
+    out[:] = 0.0
+    for i in range(knots.shape[0] - 1):
+        for k in range(33):
+            _sample(coefficients, knots, knots[i] + (knots[i + 1] - knots[i]) * k / 32.0, at)
+            out[0] = max(out[0], math.sqrt(at[3] ** 2 + at[4] ** 2 + at[5] ** 2))
+            out[1] = max(out[1], math.sqrt(at[6] ** 2 + at[7] ** 2 + at[8] ** 2))
+            out[2] = max(out[2], abs(at[13]))
+
+
+@kernel(matrix, vector, vector, table)
+def _samples(coefficients: Mat, knots: Vec, t: Vec, out: Mat) -> None:
+    """The flat outputs at times t (n,), from the first knot to the last, into out (n, 14)."""
+    for k in range(t.shape[0]):
+        _sample(coefficients, knots, t[k], out[k])
+
+
+class Piecewise:
+    """Polynomials of degree 7, one after the other.
+
+        p(t) = sum_n c_in (t - t_i)^n,  n = 0..7,  t_i <= t < t_i+1,  t_0 = 0,  t_i+1 = t_i + T_i
+
+    coefficients: c (k, 4, 8) of x, y, z m and yaw rad, ascending, per s^n;  durations: T (k,) s, positive.
+    Before its start it holds the first instant; at the end it has the state of the last piece, after that it stands.
+    """
+
+    def __init__(self, coefficients: npt.ArrayLike, durations: npt.ArrayLike) -> None:
+        c, d = np.asarray(coefficients, dtype=float), np.asarray(durations, dtype=float)
+        if c.shape != (d.size, 4, DEGREE + 1) or d.ndim != 1 or d.size == 0:
+            raise ConfigError("Piecewise: shapes", f"{c.shape} and {d.shape}", "(k, 4, 8) and (k,), k at least 1")
+        if not np.isfinite(c).all():
+            raise ConfigError("Piecewise: coefficients of piece", int(np.argmin(np.isfinite(c).all((1, 2)))), "numbers")
+        if not (np.isfinite(d).all() and d.min() > 0.0):
+            worst = int(np.argmin(np.isfinite(d) & (d > 0.0)))
+            raise ConfigError(f"Piecewise: duration of piece {worst}", float(d[worst]), "a positive number of seconds")
+        rows, knots = np.ascontiguousarray(c.reshape(-1, DEGREE + 1)), np.concatenate([[0.0], np.cumsum(d)])
+        end = np.empty(14)
+        _sample(rows, knots, knots[-1], end)
+        self._fill(rows, knots, end)
+
+    def _fill(self, rows: Mat, knots: Vec, end: Vec) -> None:
+        """rows: (4 k, 8), coefficients;  knots: (k + 1,) s;  end: (14,), the state there, exactly."""
+        self._rows, self.knots, self.duration, self._end = rows, knots, float(knots[-1]), end
+
+    @property
+    def durations(self) -> Vec:
+        """T (k,) s."""
+        return np.diff(self.knots)
+
+    @property
+    def coefficients(self) -> npt.NDArray[np.float64]:
+        """c (k, 4, 8)."""
+        return self._rows.reshape(-1, 4, DEGREE + 1)
+
+    def sample(self, t: float) -> FullState:
+        """The reference t seconds after the start."""
+        if t >= self.duration:
+            return self._at_end(t)
+        out = np.empty(14)
+        _sample(self._rows, self.knots, max(t, 0.0), out)
+        return FullState(out)
+
+    def _at_end(self, t: float) -> FullState:
+        out = self._end.copy()
+        if t > self.duration:
+            out[3:12], out[13] = 0.0, 0.0
+        return FullState(out)
+
+    def samples(self, t: Vec) -> Mat:
+        """The references (n, 14) at times t (n,), 0 <= t <= duration."""
+        out = np.empty((len(t), 14))
+        _samples(self._rows, self.knots, t, out)
+        return out
+
+    def done(self, t: float) -> bool:
+        """Is the end reached at t?"""
+        return t >= self.duration
+
+    @property
+    def peaks(self) -> tuple[float, float, float]:
+        """Largest speed m/s, acceleration m/s2 and yaw rate rad/s on the way."""
+        out = np.empty(3)
+        _peaks(self._rows, self.knots, out)
+        return float(out[0]), float(out[1]), float(out[2])
+
+    @property
+    def jumps(self) -> Mat:
+        """(4, 8): largest jump of each derivative of x, y, z, yaw, from the 0th to the 7th, at the inner knots.
+
+        p^(m)(t_i+1 -) = sum_n n! / (n - m)! c_in T_i^(n - m),  p^(m)(t_i+1 +) = m! c_(i+1)m:  exact, not sampled
+        """
+        c, jumps = self.coefficients, np.zeros((4, DEGREE + 1))
+        for m in range(DEGREE + 1):
+            n = np.arange(m, DEGREE + 1)
+            powers = self.durations[:-1, None, None] ** (n - m)
+            ends = np.sum(FACTORIALS[n] / FACTORIALS[n - m] * c[:-1, :, m:] * powers, axis=2)
+            jumps[:, m] = np.max(np.abs(ends - FACTORIALS[m] * c[1:, :, m]), axis=0, initial=0.0)
+        return jumps
+
+    def slowed(self, factor: float) -> "Piecewise":
+        """The same path, `factor` times as long: q(t) = p(t / factor)."""
+        return Piecewise(self.coefficients / factor ** np.arange(DEGREE + 1.0), self.durations * factor)
+
+
+def joined(parts: Sequence[Piecewise]) -> Piecewise:
+    """One after the other, the yaw of each shifted by whole turns to where the one before ends."""
+    coefficients, yaw = [], parts[0].sample(0.0).yaw
+    for part in parts:
+        c = part.coefficients.copy()
+        turns = yaw + wrap(c[0, 3, 0] - yaw) - c[0, 3, 0]
+        c[:, 3, 0] += turns
+        coefficients.append(c)
+        yaw = part.sample(part.duration).yaw + turns
+    return Piecewise(np.concatenate(coefficients), np.concatenate([part.durations for part in parts]))

@@ -1,0 +1,85 @@
+"""The same path in another time."""
+
+import math
+
+import numpy as np
+
+from crazychoir.errors import ConfigError
+from crazychoir.math3d import GRAVITY, Mat, Vec
+from crazychoir.planning.feasibility import THRUST, Limits, demands, references
+from crazychoir.planning.piecewise import Piecewise
+from crazychoir.planning.trajectory import Trajectory
+from crazychoir.types import FullState
+
+SLOWEST = 1e4  # times as long: what does not keep the limits then never does
+HEADROOM = 1e-3  # of each limit, left for what lies between the instants that were looked at
+
+
+def _slowed(references: Mat, factor: float) -> Mat:
+    """References (n, 14) of the path that takes `factor` times as long."""
+    powers = factor ** -np.array([*[0.0] * 3, *[1.0] * 3, *[2.0] * 3, *[3.0] * 3, 0.0, 1.0])
+    return np.asarray(references * powers)
+
+
+class Slowed:
+    """A trajectory that takes `factor` times as long.
+
+    q(t) = p(t / k),  q' = p' / k,  q'' = p'' / k^2,  q''' = p''' / k^3
+    """
+
+    def __init__(self, trajectory: Trajectory, factor: float) -> None:
+        if not (math.isfinite(factor) and factor > 0.0):
+            raise ConfigError("Slowed: factor", factor, "a positive number")
+        self.trajectory, self.factor = trajectory, float(factor)
+        self.duration = factor * trajectory.duration
+
+    def sample(self, t: float) -> FullState:
+        """The reference t seconds after the start."""
+        return FullState(_slowed(self.trajectory.sample(t / self.factor).flat, self.factor))
+
+    def done(self, t: float) -> bool:
+        """Is the end reached at t?"""
+        return t >= self.duration
+
+
+def slowdown(trajectory: Trajectory, limits: Limits) -> float:
+    """The smallest k such that the path flown in k times the time keeps the limits; below 1 there is time to spare.
+
+    To 1e-4.  Errors: ConfigError where it leaves the fence, which no time changes, or where no k to 10 000 is enough.
+    """
+    _, x = references(trajectory)
+    limits.check_places(x[:, 0:3], "trajectory: set-point")
+    largest = _with_headroom(limits)
+
+    def keeps(k: float) -> bool:
+        return bool(np.all(demands(_slowed(x, k), limits.mass) <= largest))
+
+    fast, slow = 1.0 / SLOWEST, SLOWEST
+    if not keeps(slow):
+        raise ConfigError("trajectory: scaling", f"{SLOWEST:g} times as slow", "limits that it keeps at some speed")
+    while slow / fast > 1.0 + 1e-4:
+        middle = math.sqrt(fast * slow)
+        fast, slow = (fast, middle) if keeps(middle) else (middle, slow)
+    return slow
+
+
+def _with_headroom(limits: Limits) -> Vec:
+    """(9,) what the instants that are looked at may ask for: of the thrust, the share above the weight counts."""
+    largest = limits.largest * (1.0 - HEADROOM)
+    weight = limits.mass * GRAVITY
+    largest[THRUST] = weight + (limits.thrust_max - weight) * (1.0 - HEADROOM)
+    return largest
+
+
+def scaled(trajectory: Trajectory, limits: Limits) -> Trajectory:
+    """The trajectory slowed down as little as the limits need; itself where it keeps them.
+
+    One that starts or ends moving, does so more slowly: where that may not be, plan it anew with more time.
+    """
+    k = max(1.0, slowdown(trajectory, limits))
+    return trajectory if k == 1.0 else slowed(trajectory, k)
+
+
+def slowed(trajectory: Trajectory, factor: float) -> Trajectory:
+    """The trajectory in `factor` times its time; pieces stay pieces."""
+    return trajectory.slowed(factor) if isinstance(trajectory, Piecewise) else Slowed(trajectory, factor)

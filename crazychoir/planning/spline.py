@@ -1,0 +1,107 @@
+"""Clamped splines through places at given times."""
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+from scipy.interpolate import BSpline, make_interp_spline
+
+from crazychoir.errors import ConfigError
+from crazychoir.math3d import Mat, Vec, wrap
+from crazychoir.planning.piecewise import DEGREE, FACTORIALS, Piecewise
+from crazychoir.types import FullState
+
+DERIVATIVES = {3: 1, 5: 2, 7: 3}  # how many of v, a, j a spline of that degree can be given at an end
+NAMES = ("velocity", "acceleration", "jerk")
+
+
+def spline(
+    times: npt.ArrayLike,
+    places: npt.ArrayLike,
+    yaws: npt.ArrayLike | None = None,
+    start: FullState | None = None,
+    goal: FullState | None = None,
+    degree: int = 5,
+) -> Piecewise:
+    """The spline of `degree` through the places at the times, with the derivatives of `start` and `goal` at its ends.
+
+        p(t_i) = p_i;  degree 3: C2, v at the ends;  5: C4, v and a;  7: C6, v, a and j
+
+    times: (k,) s, increasing, the first becomes t = 0;  places: (k, 3) m world;  yaws: (k,) rad, 0 without, each turned
+    to the short way from the one before, along a cubic spline that ends at the yaw rates of start and goal;
+    start, goal: at rest without; of them only derivatives are taken.  Errors: ConfigError.
+    Source: Biagiotti & Melchiorri 2008, Trajectory Planning for Automatic Machines and Robots, chapter 4.
+    """
+    if degree not in DERIVATIVES:
+        raise ConfigError("spline: degree", degree, "3, 5 or 7")
+    t, p = _checked(times, places)
+    psi = unwrapped(np.zeros(len(t)) if yaws is None else yaws, len(t))
+    ends = [FullState(np.zeros(14)) if end is None else end for end in (start, goal)]
+    rates = [end.flat[13] for end in ends]
+    flat = make_interp_spline(t, p, degree, bc_type=(_honoured(ends[0], degree), _honoured(ends[1], degree)))
+    heading = make_interp_spline(t, psi, 3, bc_type=([(1, rates[0])], [(1, rates[1])]))
+    coefficients = np.zeros((len(t) - 1, 4, DEGREE + 1))
+    coefficients[:, 0:3] = _taylor(flat, t).transpose(0, 2, 1)
+    coefficients[:, 3] = _taylor(heading, t)
+    return Piecewise(coefficients, np.diff(t))
+
+
+def _checked(times: npt.ArrayLike, places: npt.ArrayLike) -> tuple[Vec, Mat]:
+    p = checked_places(places, "spline: places")
+    t = np.asarray(times, dtype=float)
+    if t.shape != (len(p),) or not np.isfinite(t).all():
+        raise ConfigError("spline: times", t.tolist(), f"{len(p)} finite numbers, one a place")
+    if not np.all(np.diff(t) > 0.0):
+        k = int(np.argmin(np.diff(t) > 0.0))
+        raise ConfigError(f"spline: times[{k + 1}]", float(t[k + 1]), f"more than times[{k}] = {t[k]:g}")
+    return t - t[0], p
+
+
+def checked_places(places: npt.ArrayLike, where: str) -> Mat:
+    """places as (k, 3) m; ConfigError where there are fewer than two, or where one is no place."""
+    p = np.asarray(places, dtype=float)
+    if p.ndim != 2 or p.shape[1] != 3 or len(p) < 2:
+        raise ConfigError(where, f"shape {p.shape}", "(k, 3), k at least 2", "One place alone is a goal: PointToPoint.")
+    if not np.isfinite(p).all():
+        k = int(np.argmin(np.isfinite(p).all(axis=1)))
+        raise ConfigError(f"{where}[{k}]", p[k].tolist(), "three finite numbers, m")
+    return p
+
+
+def unwrapped(yaws: npt.ArrayLike, k: int) -> Vec:
+    """yaws (k,) rad, each turned to the short way from the one before."""
+    psi = np.asarray(yaws, dtype=float)
+    if psi.shape != (k,) or not np.isfinite(psi).all():
+        raise ConfigError("yaws", psi.tolist(), f"{k} finite numbers, rad, one a place")
+    turns = [wrap(turn) for turn in np.diff(psi).tolist()]
+    return np.cumsum([psi[0], *turns])
+
+
+def _honoured(end: FullState, degree: int) -> list[tuple[int, Vec]]:
+    """The derivatives (order, value (3,)) of an end that the degree has room for."""
+    given = [end.flat[3 * n : 3 * n + 3] for n in (1, 2, 3)]
+    room = DERIVATIVES[degree]
+    for name, value in zip(NAMES[room:], given[room:], strict=True):
+        if np.any(value != 0.0):
+            raise ConfigError(f"spline: {name} at an end", value.tolist(), f"0 at degree {degree}", "Take degree 7.")
+    if not np.isfinite(end.flat).all():
+        raise ConfigError("spline: state at an end", end.flat.tolist(), "finite numbers")
+    return [(n + 1, given[n]) for n in range(room)]
+
+
+def _taylor(curve: BSpline, t: Vec) -> npt.NDArray[np.float64]:
+    """Coefficients (k - 1, 8, ...) at each knot but the last, per s^n."""
+    orders = range(curve.k + 1)
+    values = np.array([curve(t[:-1], nu=n) / FACTORIALS[n] for n in orders])
+    padding = [(0, DEGREE - curve.k)] + [(0, 0)] * (values.ndim - 1)
+    return np.asarray(np.moveaxis(np.pad(values, padding), 0, 1))
+
+
+def chord_times(places: Mat, speed: float) -> Vec:
+    """Times (k,) s of places (k, 3) flown at `speed` m/s on straight lines; equal neighbours are refused."""
+    lengths = np.linalg.norm(np.diff(places, axis=0), axis=1)
+    if lengths.min() < 1e-6:
+        k = int(np.argmin(lengths))
+        raise ConfigError(f"places[{k + 1}]", places[k + 1].tolist(), "another place than the one before",
+                          "Leave it out, or give times, to wait there.")  # fmt: skip
+    return np.concatenate([[0.0], np.cumsum(lengths)]) / (speed if math.isfinite(speed) else 1.0)

@@ -1,0 +1,48 @@
+"""What all references over time have in common, and their set-points."""
+
+import math
+from typing import Protocol
+
+import numpy as np
+
+from crazychoir.errors import ConfigError
+from crazychoir.math3d import Mat, Vec
+from crazychoir.planning.piecewise import Piecewise
+from crazychoir.types import FullState
+
+MOST_SETPOINTS = 1_000_000  # of one trajectory: a rate or a duration beyond that is a mistake
+
+
+class Trajectory(Protocol):
+    """A reference over time, t = 0 at its start; before it stands at its start, after the end at its last place."""
+
+    @property
+    def duration(self) -> float:
+        """s."""
+        ...
+
+    def sample(self, t: float) -> FullState:
+        """The reference t seconds after the start."""
+        ...
+
+    def done(self, t: float) -> bool:
+        """Is the end reached at t?"""
+        ...
+
+
+def instants(duration: float, rate: float) -> Vec:
+    """t_k = k / rate from 0 to the duration s, and the duration itself;  rate: Hz."""
+    if not (math.isfinite(rate) and rate > 0.0):
+        raise ConfigError("set-points: rate", rate, "a positive number of hertz")
+    if duration * rate > MOST_SETPOINTS:
+        raise ConfigError("set-points: number", duration * rate, f"at most {MOST_SETPOINTS}", "Lower the rate.")
+    t = np.arange(math.ceil(duration * rate - 1e-9)) / rate
+    return np.append(t, duration)
+
+
+def setpoints(trajectory: Trajectory, rate: float) -> tuple[Vec, Mat]:
+    """Times (n,) s, each 1 / rate and the end, and the references (n, 14) then, rows laid out as FullState.flat."""
+    t = instants(trajectory.duration, rate)
+    if isinstance(trajectory, Piecewise):
+        return t, trajectory.samples(t)
+    return t, np.array([trajectory.sample(k).flat for k in t.tolist()])

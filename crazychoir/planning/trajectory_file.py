@@ -1,0 +1,92 @@
+"""Trajectories in CSV files: samples, or polynomial pieces as crazyswarm and uav_trajectories write them."""
+
+from pathlib import Path
+
+import numpy as np
+from scipy.interpolate import BPoly, PPoly
+
+from crazychoir.math3d import Mat
+from crazychoir.planning.piecewise import DEGREE, Piecewise
+from crazychoir.planning.spline import spline, unwrapped
+from crazychoir.planning.table import TableError, check_increasing, read_table, write_table
+from crazychoir.planning.trajectory import Trajectory, setpoints
+
+PLACE = ("t", "x", "y", "z", "yaw")
+DERIVATIVES = (("vx", "vy", "vz"), ("ax", "ay", "az"), ("jx", "jy", "jz"))
+YAW_RATE = ("yaw_rate",)
+PIECE = ("duration", *(f"{axis}^{n}" for axis in ("x", "y", "z", "yaw") for n in range(DEGREE + 1)))
+LARGEST_JUMP = (0.01, 0.1)  # m and rad, m/s and rad/s, between two pieces: more is a mistake, not rounding
+
+
+def write_samples(path: str | Path, trajectory: Trajectory, rate: float = 100.0) -> None:
+    """t, x, y, z, yaw, then v, a, j and the yaw rate, `rate` times a second and at the end; s, m, rad."""
+    t, x = setpoints(trajectory, rate)
+    names = [*PLACE, *(name for group in DERIVATIVES for name in group), *YAW_RATE]
+    write_table(path, names, np.column_stack([t, x[:, 0:3], x[:, 12], x[:, 3:12], x[:, 13]]))
+
+
+def read_samples(path: str | Path) -> Piecewise:
+    """The trajectory through the samples of a CSV file.
+
+    Columns t s, x, y, z m, yaw rad; then, if given, vx, vy, vz; with these ax, ay, az; with these jx, jy, jz; yaw_rate.
+    With derivatives, the Hermite polynomials that have all of them at each sample; without, the clamped cubic spline,
+    at rest at both ends. The yaw goes the short way from each row to the next; it is cubic.
+    Errors: TableError naming file, line and column.
+    """
+    table = read_table(path, PLACE, [*DERIVATIVES, YAW_RATE])
+    check_increasing(path, table, "t")
+    t = table["t"] - table["t"][0]
+    if len(t) < 2:
+        raise TableError(f"{path}", "one row", "at least two: where it starts and where it ends")
+    given = [np.column_stack([table[name] for name in group]) for group in DERIVATIVES if group[0] in table]
+    if [group[0] in table for group in DERIVATIVES] != [n < len(given) for n in range(len(DERIVATIVES))]:
+        raise TableError(f"{path}, line 1", "a higher derivative without the lower ones", "v; v and a; v, a and j")
+    places, yaws = np.column_stack([table[name] for name in PLACE[1:4]]), unwrapped(table["yaw"], len(t))
+    plain = spline(t, places, yaws, degree=3)
+    coefficients = plain.coefficients.copy()
+    if given:
+        coefficients[:, 0:3] = _hermite(t, [places, *given])
+    if YAW_RATE[0] in table:
+        coefficients[:, 3:] = _hermite(t, [yaws[:, None], table["yaw_rate"][:, None]])
+    return Piecewise(coefficients, np.diff(t))
+
+
+def _hermite(t: Mat, derivatives: list[Mat]) -> Mat:
+    """Coefficients (k - 1, n, 8) of the polynomials with these derivatives (k, n) at the times t (k,)."""
+    curve = PPoly.from_bernstein_basis(BPoly.from_derivatives(t, np.stack(derivatives, axis=1)))
+    c = np.asarray(curve.c)[::-1].transpose(1, 2, 0)
+    return np.pad(c, [(0, 0), (0, 0), (0, DEGREE + 1 - c.shape[2])])
+
+
+def write_pieces(path: str | Path, flight: Piecewise) -> None:
+    """duration, x^0..x^7, y^0..y^7, z^0..z^7, yaw^0..yaw^7, a row a piece; s, m, rad, in time since its start."""
+    k = len(flight.durations)
+    write_table(path, PIECE, np.column_stack([flight.durations, flight.coefficients.reshape(k, -1)]))
+
+
+def read_pieces(path: str | Path) -> Piecewise:
+    """The pieces of a CSV file with the columns of `write_pieces`.
+
+    Errors: TableError naming file, line and column; also where a piece starts more than 0.01 m or 0.1 m/s (rad, rad/s)
+    from where the one before ends.
+    """
+    table = read_table(path, PIECE)
+    short = table["duration"] <= 0.0
+    if short.any():
+        k = int(np.argmax(short))
+        where = f"{path}, line {table['line'][k]:.0f}, column {list(table).index('duration') + 1} (duration)"
+        raise TableError(where, f"{table['duration'][k]:g}", "a positive number of seconds")
+    coefficients = np.column_stack([table[name] for name in PIECE[1:]]).reshape(-1, 4, DEGREE + 1)
+    flight = Piecewise(coefficients, table["duration"])
+    _check_joints(path, flight, table["line"])
+    return flight
+
+
+def _check_joints(path: str | Path, flight: Piecewise, lines: Mat) -> None:
+    for k in range(1, len(lines)):
+        two = Piecewise(flight.coefficients[k - 1 : k + 1], flight.durations[k - 1 : k + 1])
+        for order, (name, most) in enumerate(zip(("place", "velocity"), LARGEST_JUMP, strict=True)):
+            jump = float(two.jumps[:, order].max())
+            if jump > most:
+                found = f"a {name} {jump:.3g} off the end of the piece before"
+                raise TableError(f"{path}, line {lines[k]:.0f}", found, f"at most {most:g}", "Pieces must join.")

@@ -1,0 +1,106 @@
+"""The filter beside the textbook's matrices, and its model beside the one that it is told."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+from crazychoir.filters.kalman import CALLED, UNKNOWN_D, UNKNOWN_V, UNKNOWN_W, A, D, KalmanFilter, P
+from crazychoir.filters.motion import Commanded
+from crazychoir.math3d import exponential, product
+from crazychoir.platforms import PAPER
+from crazychoir.types import Pose
+
+JERK, PUSH, SWING, R_P, R_A = 0.7, 2e-3, 0.4, 1e-6, 2.5e-5
+WIENER = np.diag([1.0, 1.0], 1)
+
+
+def discretised(a, q, h):
+    """F and Q of x' = a x + n, n with density q: Van Loan 1978."""
+    n = len(a)
+    big = expm(h * np.block([[-a, q], [np.zeros((n, n)), a.T]]))
+    f = big[n:, n:].T
+    return f, f @ big[:n, n:]
+
+
+def textbook(x, cov, z, f, q, r):
+    """One step of the Kalman filter that measures the first element of x."""
+    x, cov = f @ x, f @ cov @ f.T + q
+    s = cov[0, 0] + r
+    gain = cov[:, 0] / s
+    return x + gain * (z - x[0]), cov - np.outer(gain, gain) * s
+
+
+def upper(cov):
+    return cov[np.triu_indices(len(cov))]
+
+
+@pytest.mark.parametrize("mean_step", [0.02, 0.01, 1 / 240])
+def test_position_and_its_covariance_are_those_of_the_textbook_at_uneven_steps(mean_step):
+    draw = np.random.default_rng(1)
+    f = KalmanFilter(noise_p=math.sqrt(R_P), jerk=JERK, push=PUSH)
+    x, cov, t = np.zeros(3), np.diag([R_P, UNKNOWN_V**2, UNKNOWN_D**2]), 0.0
+    f.update(Pose(np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0])), 0.0)
+    for _ in range(100):
+        h = mean_step * draw.uniform(0.2, 3.0)
+        t += h
+        z = math.sin(2.0 * t) + 1e-3 * draw.standard_normal()
+        state = f.update(Pose(np.array([z, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0])), t)
+        x, cov = textbook(x, cov, z, *discretised(WIENER, np.diag([0.0, PUSH, JERK]), h), R_P)
+        np.testing.assert_allclose([state.p[0], state.v[0]], x[:2], atol=1e-9)
+        np.testing.assert_allclose(f._memory[P:A], upper(cov), rtol=1e-6)
+
+
+@pytest.mark.parametrize("mean_step", [0.02, 0.01, 1 / 240])
+def test_an_angle_about_one_axis_and_its_covariance_are_those_of_the_textbook(mean_step):
+    draw = np.random.default_rng(2)
+    f = KalmanFilter(noise_angle=math.sqrt(R_A), swing=SWING)
+    x, cov, t = np.zeros(2), np.diag([R_A, UNKNOWN_W**2]), 0.0
+    f.update(Pose(np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0])), 0.0)
+    for k in range(100):
+        h = mean_step * draw.uniform(0.2, 3.0)
+        t += h
+        z = 6.0 * math.sin(0.7 * t) + 5e-3 * draw.standard_normal()  # beyond pi
+        sign = -1.0 if k % 2 else 1.0  # motion capture may give either sign
+        q = sign * np.array(exponential(0.0, z, 0.0))
+        state = f.update(Pose(np.array([0.0, 0.0, 1.0, *q])), t)
+        x, cov = textbook(x, cov, z, *discretised(WIENER[:2, :2], np.diag([0.0, SWING]), h), R_A)
+        np.testing.assert_allclose(state.w, [0.0, x[1], 0.0], atol=1e-8)
+        assert abs(state.q @ exponential(0.0, x[0], 0.0)) == pytest.approx(1.0, abs=1e-12)
+        np.testing.assert_allclose(f._memory[A:CALLED], upper(cov), rtol=1e-6)
+
+
+def test_what_obeys_the_commands_leaves_nothing_unexplained():
+    """Poses of the paper's dynamics: all is met, changes of the acceleration too, but for the integration's step."""
+    motion = Commanded(PAPER.flat, 0.0)
+    f = KalmanFilter(motion=motion)
+    x = np.array([0.0, 0.0, 9.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+    for k in range(300):
+        state = f.update(Pose(np.array([*x[:3], *x[6:10]])), 0.01 * k)
+        np.testing.assert_allclose(state.flat, x, atol=3e-4)
+        np.testing.assert_allclose(f._memory[D:P], 0.0, atol=5e-3)
+        f.commanded = PAPER.weight * np.array([1.0 + 0.2 * math.sin(0.1 * k), 0, 0, 0])
+        f.commanded[1:] = 2.0 * math.sin(0.07 * k), math.cos(0.11 * k), -1.0
+        x = motion.after(x, f.commanded, 0.01)
+
+
+def test_a_steady_force_that_nobody_commanded_becomes_d():
+    """A drone that weighs 10 % more than its model: d = -0.1 g / 1.1, and its velocity is met all the same."""
+    f, a = KalmanFilter(motion=Commanded(PAPER.flat, -math.inf)), -0.1 / 1.1 * 9.80665
+    for k in range(200):
+        t = 0.01 * k
+        state = f.update(Pose(np.array([0.0, 0.0, 5.0 + 0.5 * a * t * t, 0.0, 0.0, 0.0, 1.0])), t)
+        f.commanded = np.array([PAPER.weight, 0.0, 0.0, 0.0])
+    fall = (PAPER.weight - PAPER.drag[2] * a * 1.99) / PAPER.mass - 9.80665
+    assert f._memory[D + 2] == pytest.approx(a - fall, abs=0.05)
+    assert state.v[2] == pytest.approx(a * 1.99, abs=0.01)
+
+
+def test_a_constant_body_rate_about_any_axis_is_found():
+    f, w, h = KalmanFilter(), np.array([0.3, -0.2, 3.0]), 0.01
+    q = (0.0, 0.0, 0.0, 1.0)
+    for k in range(400):
+        state = f.update(Pose(np.array([0.0, 0.0, 1.0, *((-1.0) ** k * np.array(q))])), k * h)
+        q = product(q, exponential(*(h * w)))
+    np.testing.assert_allclose(state.w, w, atol=1e-6)

@@ -1,0 +1,65 @@
+import numpy as np
+import pytest
+
+from crazychoir.control.choice import controls
+from crazychoir.control.gains import STANDARD
+from crazychoir.control.parameters import Parameters
+from crazychoir.errors import ConfigError
+from crazychoir.platforms import PLATFORMS
+from crazychoir.swarm.tables import Control
+from crazychoir.types import FullState, State
+
+HERE = State.at((0.0, 0.0, 1.0))
+
+
+def test_a_gain_that_is_set_flies_from_the_next_tick_on():
+    chosen = controls()
+    parameters, far = Parameters(chosen), FullState.at((0.5, 0, 1))
+    before = chosen.tracker.command(HERE, far, 0.0).flat[2]
+    assert parameters.set("control.kr", [7.0, 7.0, 4.0]) == (7.0, 7.0, 4.0)
+    assert chosen.tracker.command(HERE, far, 0.5).flat[2] == pytest.approx(7.0 / 8.0 * before, rel=1e-6)
+    assert parameters.get("control.kr") == (7.0, 7.0, 4.0)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "says"),
+    [
+        ("control.kr", [30.0, 30.0, 4.0], "bear 14 ms"),
+        ("control.kp", [6.0, 6.0], "three finite numbers"),
+        ("control.kp", [6.0, float("nan"), 6.0], "three finite numbers"),
+        ("control.max_tilt", "high", "a finite number"),
+        ("control.kx", 1.0, "control.kp"),
+        ("trim.thrust", 1.0, "can only be read"),
+    ],
+)
+def test_what_cannot_be_flown_is_refused_and_changes_nothing(name, value, says):
+    chosen = controls()
+    parameters, before = Parameters(chosen), Parameters(chosen).all()
+    with pytest.raises(ConfigError, match=says):
+        parameters.set(name, value)
+    assert parameters.all() == before
+
+
+def test_gains_of_the_swarm_file_are_checked_before_the_flight():
+    assert controls(Control(gains={"kr": [7, 7, 4]})).gains.kr == (7.0, 7.0, 4.0)
+    with pytest.raises(ConfigError, match=r"roles\[0\].gains = .*Move towards"):
+        controls(Control(gains={"kr": [40, 40, 4]}), where="roles[0]")
+    with pytest.raises(ConfigError, match=r"control.gains.kpp"):
+        controls(Control(gains={"kpp": 3}))
+
+
+@pytest.mark.parametrize("platform", PLATFORMS.values(), ids=lambda row: row.name)
+@pytest.mark.parametrize("sender", ["fpqr", "frpy", "vel", "xyz"])
+def test_every_sender_hovers_every_platform(platform, sender):
+    chosen = controls(Control(sender=sender), platform, "motors")
+    command = chosen.tracker.command(HERE, FullState.at((0, 0, 1)), 0.0)
+    expected = {"fpqr": [platform.weight, 0, 0, 0], "frpy": [platform.weight, 0, 0, 0], "vel": np.zeros(4)}
+    np.testing.assert_allclose(command.flat, expected.get(sender, [0, 0, 1, 0, 0.2]), atol=1e-12)
+    assert (chosen.follower is None) == (sender in ("vel", "xyz"))
+
+
+def test_all_of_it_can_be_read():
+    values = Parameters(controls()).values(None)
+    assert values["control.kp"] == STANDARD.kp
+    assert values["trim.thrust"] == 1.0
+    assert values["platform.name"] == "paper"
