@@ -44,6 +44,9 @@ LAYOUTS: Final = {
     "Goto": (20, 3),
     "FPQR": (21, 4),
     "Status": (22, 0),
+    "FRPY": (23, 4),
+    "Vel": (24, 4),
+    "XYZ": (25, 0),
 }
 """Wire types by class name: kind (16 to 63), and n if the fields are one (n,) float64 vector, then floats; else 0.
 
@@ -271,5 +274,8 @@ _ENCODERS: dict[type, Encode] = {float: _encode_float, np.ndarray: encode_array}
 _DECODERS: list[Decode] = [_unknown] * 256
 _DECODERS[_GENERIC], _DECODERS[_FLOAT] = _decode_generic, _decode_float
 _DECODERS[VECTOR], _DECODERS[ARRAY] = decode_vector, decode_array
-for _cls in (types.Pose, types.State, types.Acceleration, types.FullState, types.Goto, types.FPQR, types.Status):
+for _cls in (
+    types.Pose, types.State, types.Acceleration, types.FullState, types.Goto, types.FPQR, types.Status,
+    types.FRPY, types.Vel, types.XYZ,
+):  # fmt: skip
     register(_cls)

@@ -156,9 +156,9 @@ class Bus:
         opened, value = self._opened
         if payload is opened:
             return value
-        value, expected = decode(payload), BY_NUMBER[topic].type
-        if expected is not None and not isinstance(value, expected):
-            raise CodecError(f"{BY_NUMBER[topic].name}: found a {type(value).__name__}; allowed: {expected.__name__}.")
+        value, row = decode(payload), BY_NUMBER[topic]
+        if row.type is not None and not isinstance(value, row.type):
+            raise CodecError(f"{row.name}: found a {type(value).__name__}; allowed: {row.allowed}.")
         if isinstance(value, Wire):
             self._opened = payload, value
         return value

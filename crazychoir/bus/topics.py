@@ -2,11 +2,12 @@
 
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Any, Literal
+from types import UnionType
+from typing import Any, Literal, get_args
 
 from crazychoir.runtime.clock import Clock
 from crazychoir.runtime.mailbox import AnyMailbox, DropOldest, Latest
-from crazychoir.types import FPQR, FullState, Pose, State, Status
+from crazychoir.types import Command, FullState, Pose, State, Status
 
 
 class Class(IntEnum):
@@ -28,15 +29,15 @@ class Class(IntEnum):
 class Topic:
     """One row of the table.
 
-    type: of its values, None for any;  rate: Hz, of the sender, 0 for when needed;  max_age: s, beyond which a
-    value is stale;  queue: 0 for a mailbox of the latest value, n for the n newest;  latched: a new reader gets the
-    last value;  impaired: the simulated network acts on it between drones;  public: Hz of the copy for other Zenoh
+    type: of its values, one or several, None for any;  rate: Hz, of the sender, 0 for when needed;  max_age: s, beyond
+    which a value is stale;  queue: 0 for a mailbox of the latest value, n for the n newest;  latched: a new reader gets
+    the last value;  impaired: the simulated network acts on it between drones;  public: Hz of the copy for other Zenoh
     programs, 0 for none;  wire: along an edge, to whoever is interested, or to a process.
     """
 
     number: int
     name: str
-    type: type[Any] | None
+    type: type[Any] | UnionType | None
     rate: float
     max_age: float
     queue: int
@@ -45,6 +46,12 @@ class Topic:
     impaired: bool = True
     public: float = 0.0
     wire: Literal["edge", "interest", "process"] = "interest"
+
+    @property
+    def allowed(self) -> str:
+        """Names of the types of its values."""
+        kinds = get_args(self.type) or (self.type,)
+        return " | ".join(kind.__name__ for kind in kinds) if self.type else "any"
 
     def mailbox(self, clock: Clock, name: str = "") -> AnyMailbox:
         """A mailbox with this topic's policy."""
@@ -59,7 +66,7 @@ NEVER_STALE = float("inf")
 POSE = Topic(1, "pose", Pose, 100, 0.1, 0, Class.CONTROL, impaired=False)
 STATE = Topic(2, "state", State, 100, 0.25, 0, Class.CONTROL, public=10)
 REFERENCE = Topic(3, "reference", FullState, 100, 0.5, 0, Class.CONTROL, impaired=False)
-COMMAND = Topic(4, "command", FPQR, 100, 0.1, 0, Class.CONTROL, impaired=False)
+COMMAND = Topic(4, "command", Command, 100, 0.1, 0, Class.CONTROL, impaired=False)
 TRUTH = Topic(5, "truth", State, 20, 0.5, 0, Class.CONTROL, impaired=False)
 STATUS = Topic(6, "status", Status, 4, 2.0, 0, Class.CONTROL, latched=True, impaired=False, public=2)
 RESULT = Topic(7, "result", dict, 0, NEVER_STALE, 0, Class.BULK, latched=True, impaired=False)

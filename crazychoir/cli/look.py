@@ -39,7 +39,7 @@ def topics(as_json: JsonOption = False) -> None:
 
     rows = [
         {
-            "topic": topic.name, "type": topic.type.__name__ if topic.type else "any", "rate_hz": topic.rate,
+            "topic": topic.name, "type": topic.allowed, "rate_hz": topic.rate,
             "max_age_s": topic.max_age, "class": topic.klass.name.lower(), "latched": topic.latched,
             "impaired": topic.impaired, "public_hz": topic.public,
         }

@@ -17,7 +17,7 @@ from crazychoir.recording.file import RecordingFile
 from crazychoir.recording.recorder import Recorder
 from crazychoir.runtime.clock import run_virtual, run_wall
 from crazychoir.runtime.supervisor import Supervisor
-from crazychoir.types import FPQR, FullState, Goto, Pose, State, Status, Vel
+from crazychoir.types import FPQR, FullState, Pose, State, Status, Vel
 
 ABOUT = {"version": "1.2"}
 
@@ -87,16 +87,16 @@ def test_ages_make_times_of_birth(tmp_path):
 
 def test_each_type_of_a_topic_has_messages_of_its_own(tmp_path):
     async def work(clock, bus):
-        for value in (VALUES[COMMAND], Vel(np.arange(4.0)), VALUES[COMMAND], Goto(np.ones(3)), 7):
+        for value in (VALUES[COMMAND], Vel(np.arange(4.0)), VALUES[COMMAND], FullState(np.arange(14.0)), 7):
             bus.ports[0].publish(COMMAND, value)
 
     path = tmp_path / "a.mcap"
     assert recorded(path, work)["lost"] == 0
     found = by_mcap_ros2(path)
     assert found == by_rosbags(path)
-    names = ["command", "command/vel", "command", "command/goto", "command/int"]
+    names = ["command", "command/vel", "command", "command/fullstate", "command/int"]
     assert [name for name, *_ in found] == [f"/drone0/{name}" for name in names]
-    assert [kind.split("/")[-1] for _, kind, *_ in found] == ["FPQR", "Vel", "FPQR", "Goto", "Value"]
+    assert [kind.split("/")[-1] for _, kind, *_ in found] == ["FPQR", "Vel", "FPQR", "FullState", "Value"]
     assert found[4][3]["json"] == "7", "whatever it is, as JSON"
 
 
