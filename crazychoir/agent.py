@@ -138,7 +138,8 @@ class Agent:
         """A drone that the simulated floor has broken."""
         if i not in self.world.crashed:
             return ""
-        impact, allowed = self.world.impact[self.world.row[i]], self.world.platform.max_landing_speed
+        row = self.world.row[i]
+        impact, allowed = self.world.impact[row], self.world.platforms[row].max_landing_speed
         return f"crashed: hit the floor at {impact:.2f} m/s, allowed {allowed:g} m/s"
 
     def _link(self, i: int) -> SimulatedLink:

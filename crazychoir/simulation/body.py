@@ -1,0 +1,160 @@
+"""The body of a quadrotor with four rotors: forces and torques, integrated together; motor commands in.
+
+Motors X: M1 front right, M2 back right, M3 back left, M4 front left. M1 and M3 turn counter-clockwise seen from above,
+so their drag turns the body clockwise. The drones lie in the blocks of `lanes`.
+"""
+
+import math
+
+from crazychoir.math3d import GRAVITY, Triple, Vec, clip, columns, dot, kernel
+from crazychoir.simulation.lanes import (
+    AIRX, AIRY, AIRZ, ALIVE, ARM, BOOST, CEILING, CURVE1, CURVE2, DRAGX, DRAGY, DRAGZ, EX, EY, EZ, F1, FREE, FULL,
+    G1, GROUND, HALF, IJX, IJY, IJZ, INERTIA, JX, JY, JZ, LANES, LEAST, LIFT, LIGHT, MOST, NONE, OX, OY, OZ, PX, PY,
+    PZ, QW, QX, QY, QZ, SLOPE1, SLOPE2, SLOPE3, SLOPE4, SPEED, SPIN, STAGE, SX, SY, SZ, TORQUE1, TORQUE2, TX, TY,
+    TZ, U1, VX, VY, VZ, WX, WY, WZ,
+)  # fmt: skip
+
+ROTOR_HEIGHT = 0.025
+"""m, of the rotors of a drone that stands; the drone is 29 mm high in all (Bitcraze)."""
+
+
+@kernel()
+def obey(m: Vec) -> None:
+    """Goals of the rotors for the commands u: nothing below the least thrust, no more than the battery gives.
+
+        f_c = min(u f_max, f(vbat)),  0 if u f_max < f_min or the motors are cut
+
+    The firmware divides its voltage by the battery's, so a thrust is what was asked for until the duty cycle is 1.
+    """
+    for k in range(LANES):
+        for n in range(0, 4 * LANES, LANES):
+            f = clip(m[U1 + n + k], 0.0, 1.0) * m[MOST + k]
+            f = 0.0 if f < m[LEAST + k] else f
+            m[G1 + n + k] = min(f, m[CEILING + k]) * m[ALIVE + k]
+
+
+@kernel()
+def _rotor(m: Vec, n: int, k: int, decay: float) -> Triple:
+    """Rotor n of lane k when its lag has gone on by `decay`: thrust N, torque N m on its shaft, angular momentum.
+
+        f = f_c + (f(0) - f_c) exp(-t / lag),  r = (s - c1) / (2 c2),  r' = f' / s,  s = sqrt(c1^2 + 4 c2 f)
+        torque = t1 r + t2 r^2 + J r'
+    """
+    off = (m[F1 + n + k] - m[G1 + n + k]) * decay
+    f = m[G1 + n + k] + off
+    c1, c2 = m[CURVE1 + k], m[CURVE2 + k]
+    s = math.sqrt(c1 * c1 + 4.0 * c2 * f)
+    r = (s - c1) * m[SPEED + k]
+    return f, r * (m[TORQUE1 + k] + m[TORQUE2 + k] * r) - m[BOOST + k] * off / s, m[INERTIA + k] * r
+
+
+@kernel()
+def _turn(m: Vec, decay: int) -> None:
+    """What the four rotors do together to the body, about its axes, when the lag has gone on by that of row `decay`.
+
+        LIFT = f1 + f2 + f3 + f4,   TX = arm (-f1 - f2 + f3 + f4),   TY = arm (-f1 + f2 + f3 - f4)
+        TZ = -m1 + m2 - m3 + m4,   SPIN = J (r1 - r2 + r3 - r4)
+    """
+    for k in range(LANES):
+        f1, m1, h1 = _rotor(m, 0, k, m[decay + k])
+        f2, m2, h2 = _rotor(m, LANES, k, m[decay + k])
+        f3, m3, h3 = _rotor(m, 2 * LANES, k, m[decay + k])
+        f4, m4, h4 = _rotor(m, 3 * LANES, k, m[decay + k])
+        m[LIFT + k] = (f1 + f2) + (f3 + f4)
+        m[TX + k] = m[ARM + k] * ((f3 + f4) - (f1 + f2))
+        m[TY + k] = m[ARM + k] * ((f2 + f3) - (f1 + f4))
+        m[TZ + k] = (m2 + m4) - (m1 + m3)
+        m[SPIN + k] = (h1 + h3) - (h2 + h4)
+
+
+@kernel()
+def near_floor(z: float, ground: float) -> float:
+    """By what factor a rotor's thrust grows near the floor.
+
+        f / f_free = 1 / (1 - (R / (4 z))^2)
+
+    z: m, of the drone: its rotors are higher, so the factor has a bound;  ground: (R / 4)^2, m2, R the rotor's radius.
+    Source: Cheeseman & Bennett 1955, ARC R&M 3021.
+    """
+    h = max(z, 0.0) + ROTOR_HEIGHT
+    return h * h / (h * h - ground)
+
+
+@kernel()
+def _go(m: Vec, row: int, at: int, slope: float, ahead: float) -> None:
+    """Keep a slope, and put the next stage where it leads."""
+    m[at + row] = slope
+    m[STAGE + row] = m[row] + ahead * slope
+
+
+@kernel()
+def _stage(m: Vec, at: int, ahead: float) -> None:
+    """One stage of the Runge-Kutta method: the wrench and the slopes at the stage's state.
+
+        p' = v,  v' = -g e3 + R s + F / m,  q' = 1/2 q (w, 0)
+        m s = g(z) LIFT e3 - A R^T (v - wind),  J w' = tau - w x (J w + SPIN e3)
+        tau = g(z) (TX, TY, 0) + (0, 0, TZ) + M
+
+    F, M: force N world and torque N m body from outside;  A = diag kg/s;  the specific force is s + R^T F / m.
+    """
+    for k in range(LANES):
+        s = STAGE + k
+        q = (m[s + QX], m[s + QY], m[s + QZ], m[s + QW])
+        bx, by, bz = columns(q)
+        v = (m[s + VX], m[s + VY], m[s + VZ])
+        w = (m[s + WX], m[s + WY], m[s + WZ])
+        air = (v[0] - m[AIRX + k], v[1] - m[AIRY + k], v[2] - m[AIRZ + k])
+        force = (m[EX + k], m[EY + k], m[EZ + k])
+        g = near_floor(m[s + PZ], m[GROUND + k])
+        light = m[LIGHT + k]
+        sx = (dot(bx, force) - m[DRAGX + k] * dot(bx, air)) * light
+        sy = (dot(by, force) - m[DRAGY + k] * dot(by, air)) * light
+        sz = (dot(bz, force) - m[DRAGZ + k] * dot(bz, air) + g * m[LIFT + k]) * light
+        m[SX + k], m[SY + k], m[SZ + k] = sx, sy, sz
+        jx, jy, jz, spin = m[JX + k], m[JY + k], m[JZ + k], m[SPIN + k]
+        _go(m, PX + k, at, v[0], ahead)
+        _go(m, PY + k, at, v[1], ahead)
+        _go(m, PZ + k, at, v[2], ahead)
+        _go(m, VX + k, at, sx * bx[0] + sy * by[0] + sz * bz[0], ahead)
+        _go(m, VY + k, at, sx * bx[1] + sy * by[1] + sz * bz[1], ahead)
+        _go(m, VZ + k, at, sx * bx[2] + sy * by[2] + sz * bz[2] - GRAVITY, ahead)
+        _go(m, QX + k, at, 0.5 * (q[3] * w[0] + q[1] * w[2] - q[2] * w[1]), ahead)
+        _go(m, QY + k, at, 0.5 * (q[3] * w[1] + q[2] * w[0] - q[0] * w[2]), ahead)
+        _go(m, QZ + k, at, 0.5 * (q[3] * w[2] + q[0] * w[1] - q[1] * w[0]), ahead)
+        _go(m, QW + k, at, -0.5 * (q[0] * w[0] + q[1] * w[1] + q[2] * w[2]), ahead)
+        tx, ty, tz = g * m[TX + k] + m[OX + k], g * m[TY + k] + m[OY + k], m[TZ + k] + m[OZ + k]
+        _go(m, WX + k, at, (tx + (jy - jz) * w[1] * w[2] - w[1] * spin) * m[IJX + k], ahead)
+        _go(m, WY + k, at, (ty + (jz - jx) * w[2] * w[0] + w[0] * spin) * m[IJY + k], ahead)
+        _go(m, WZ + k, at, (tz + (jx - jy) * w[0] * w[1]) * m[IJZ + k], ahead)
+
+
+@kernel()
+def _arrive(m: Vec, h: float) -> None:
+    """End a step: the state and the rotors' thrusts after it; a drone on the floor (FREE = 0) keeps its state."""
+    for k in range(LANES):
+        for c in range(0, 13 * LANES, LANES):
+            middle = m[SLOPE2 + c + k] + m[SLOPE3 + c + k]
+            m[c + k] += m[FREE + k] * (h / 6.0) * (m[SLOPE1 + c + k] + 2.0 * middle + m[SLOPE4 + c + k])
+        n = 1.0 / math.sqrt(m[QX + k] ** 2 + m[QY + k] ** 2 + m[QZ + k] ** 2 + m[QW + k] ** 2)
+        for c in range(QX, QX + 4 * LANES, LANES):
+            m[c + k] *= n
+        for c in range(0, 13 * LANES, LANES):
+            m[STAGE + c + k] = m[c + k]
+        for c in range(0, 4 * LANES, LANES):
+            m[F1 + c + k] = m[G1 + c + k] + (m[F1 + c + k] - m[G1 + c + k]) * m[FULL + k]
+
+
+@kernel()
+def fly(m: Vec, h: float) -> None:
+    """One step of h s by the classical Runge-Kutta method of order 4, the wrench computed anew at each stage.
+
+    The rotors' lag is followed exactly: HALF and FULL must be the decays of h/2 and h.
+    """
+    _turn(m, NONE)
+    _stage(m, SLOPE1, 0.5 * h)
+    _turn(m, HALF)
+    _stage(m, SLOPE2, 0.5 * h)
+    _stage(m, SLOPE3, h)
+    _turn(m, FULL)
+    _stage(m, SLOPE4, 0.0)
+    _arrive(m, h)

@@ -1,0 +1,48 @@
+"""Random numbers as functions of (seed, drone, use, number) alone: no generator's state, no order of calls."""
+
+import math
+
+import numba
+import numpy as np
+import numpy.typing as npt
+
+from crazychoir.math3d import kernel
+
+Keys = npt.NDArray[np.uint64]
+
+GOLDEN, FIRST, SECOND = np.uint64(0x9E3779B97F4A7C15), np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
+S16, S27, S30, S31, S32, S48 = (np.uint64(n) for n in (16, 27, 30, 31, 32, 48))
+LOW = np.uint64(0xFFFF)
+DEVIATION = math.sqrt((65536.0**2 - 1.0) / 3.0)  # of the sum of four uniform 16-bit integers
+
+
+@kernel()
+def scramble(z: np.uint64) -> np.uint64:
+    """64 bits that look random, one to one with z.
+
+    Source: SplitMix64, Steele, Lea & Flood 2014, OOPSLA: its n-th number is scramble(key + n GOLDEN).
+    """
+    z = (z ^ (z >> S30)) * FIRST
+    z = (z ^ (z >> S27)) * SECOND
+    return z ^ (z >> S31)
+
+
+@kernel()
+def normal(key: np.uint64, number: np.uint64) -> float:
+    """Draw `number` of a stream, nearly standard normal: four uniform 16-bit integers summed; never beyond 3.47."""
+    z = scramble(key + GOLDEN * number)
+    total = (z & LOW) + ((z >> S16) & LOW) + ((z >> S32) & LOW) + (z >> S48)
+    return (np.int64(total) - 131070) / DEVIATION
+
+
+@kernel(numba.int64, numba.int64, numba.int64)
+def stream(seed: int, use: int, drone: int) -> int:
+    """The key of a drone's stream for one use."""
+    z: int = scramble(scramble(np.uint64(seed) + GOLDEN * np.uint64(use)) + GOLDEN * np.uint64(drone))
+    return z
+
+
+@kernel(numba.uint64, numba.int64)
+def uniform(key: int, number: int) -> float:
+    """Draw `number` of a stream, uniform in [-1, 1)."""
+    return np.int64(scramble(key + GOLDEN * np.uint64(number))) / 9223372036854775808.0
