@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from crazychoir.math3d import Triple, Vec, clip, kernel, matrix, memory, vector
-from crazychoir.simulation.draws import Keys, normal
+from crazychoir.simulation.draws import Keys, normals
 from crazychoir.simulation.lanes import (
     AIRX, LANES,
 )  # fmt: skip
@@ -52,7 +52,7 @@ def blow(m: Vec, keys: Keys, tick: int, mean: Triple, gust: float, decay: float)
     b = gust * math.sqrt(1.0 - decay * decay)
     for k in range(LANES):
         for c in range(3):
-            n = normal(keys[k], np.uint64(3 * tick + c)) if gust > 0.0 else 0.0
+            n, _ = normals(keys[k], np.uint64(3 * tick + c))
             row = AIRX + c * LANES + k
             m[row] = mean[c] + (m[row] - mean[c]) * decay + b * n
 

@@ -6,12 +6,12 @@ so their drag turns the body clockwise. The drones lie in the blocks of `lanes`.
 
 import math
 
-from crazychoir.math3d import GRAVITY, Triple, Vec, clip, columns, dot, kernel
+from crazychoir.math3d import GRAVITY, Vec, clip, columns, dot, kernel
 from crazychoir.simulation.lanes import (
     AIRX, AIRY, AIRZ, ALIVE, ARM, BOOST, CEILING, CURVE1, CURVE2, DRAGX, DRAGY, DRAGZ, EX, EY, EZ, F1, FREE, FULL,
-    G1, GROUND, HALF, IJX, IJY, IJZ, INERTIA, JX, JY, JZ, LANES, LEAST, LIFT, LIGHT, MOST, NONE, OX, OY, OZ, PX, PY,
-    PZ, QW, QX, QY, QZ, SLOPE1, SLOPE2, SLOPE3, SLOPE4, SPEED, SPIN, STAGE, SX, SY, SZ, TORQUE1, TORQUE2, TX, TY,
-    TZ, U1, VX, VY, VZ, WX, WY, WZ,
+    G1, G2, G3, G4, GROUND, HALF, IJX, IJY, IJZ, INERTIA, JX, JY, JZ, LANES, LEAST, LIFT, LIGHT, MOST, N1, N2, N3,
+    N4, OX, OY, OZ, PX, PY, PZ, QW, QX, QY, QZ, S1, S2, S3, S4, SLOPE1, SLOPE2, SLOPE3, SLOPE4, SPEED, SPIN, STAGE,
+    SX, SY, SZ, TORQUE1, TORQUE2, TX, TY, TZ, U1, VX, VY, VZ, WX, WY, WZ,
 )  # fmt: skip
 
 ROTOR_HEIGHT = 0.025
@@ -34,37 +34,49 @@ def obey(m: Vec) -> None:
 
 
 @kernel()
-def _rotor(m: Vec, n: int, k: int, decay: float) -> Triple:
-    """Rotor n of lane k when its lag has gone on by `decay`: thrust N, torque N m on its shaft, angular momentum.
+def _lag(m: Vec, decay: int) -> None:
+    """Thrusts N and slopes S of the rotors when their lag has gone on by the decay in row `decay`.
 
-        f = f_c + (f(0) - f_c) exp(-t / lag),  r = (s - c1) / (2 c2),  r' = f' / s,  s = sqrt(c1^2 + 4 c2 f)
-        torque = t1 r + t2 r^2 + J r'
+        f(t) = f_c + (f(0) - f_c) exp(-t / lag),  S = df/dr = sqrt(c1^2 + 4 c2 f)
     """
-    off = (m[F1 + n + k] - m[G1 + n + k]) * decay
-    f = m[G1 + n + k] + off
-    c1, c2 = m[CURVE1 + k], m[CURVE2 + k]
-    s = math.sqrt(c1 * c1 + 4.0 * c2 * f)
-    r = (s - c1) * m[SPEED + k]
-    return f, r * (m[TORQUE1 + k] + m[TORQUE2 + k] * r) - m[BOOST + k] * off / s, m[INERTIA + k] * r
+    for k in range(LANES):
+        c1, c2 = m[CURVE1 + k], m[CURVE2 + k]
+        for n in range(0, 4 * LANES, LANES):
+            f = m[G1 + n + k] + (m[F1 + n + k] - m[G1 + n + k]) * m[decay + k]
+            m[N1 + n + k] = f
+            m[S1 + n + k] = math.sqrt(c1 * c1 + 4.0 * c2 * f)
 
 
 @kernel()
-def _turn(m: Vec, decay: int) -> None:
-    """What the four rotors do together to the body, about its axes, when the lag has gone on by that of row `decay`.
+def _drag(m: Vec, k: int, s: float) -> tuple[float, float]:
+    """Speed in rpm and drag in N m of a rotor at the slope s: r = (s - c1) / (2 c2), t1 r + t2 r^2."""
+    r = (s - m[CURVE1 + k]) * m[SPEED + k]
+    return r, r * (m[TORQUE1 + k] + m[TORQUE2 + k] * r)
+
+
+@kernel()
+def _push(m: Vec) -> None:
+    """What the four rotors together do to the body, about its axes.
 
         LIFT = f1 + f2 + f3 + f4,   TX = arm (-f1 - f2 + f3 + f4),   TY = arm (-f1 + f2 + f3 - f4)
-        TZ = -m1 + m2 - m3 + m4,   SPIN = J (r1 - r2 + r3 - r4)
+        TZ = -m1 + m2 - m3 + m4,   m = t1 r + t2 r^2 + J r',   r' = f' / S,   f' = (f_c - f) / lag
+        SPIN = J (r1 - r2 + r3 - r4)
     """
     for k in range(LANES):
-        f1, m1, h1 = _rotor(m, 0, k, m[decay + k])
-        f2, m2, h2 = _rotor(m, LANES, k, m[decay + k])
-        f3, m3, h3 = _rotor(m, 2 * LANES, k, m[decay + k])
-        f4, m4, h4 = _rotor(m, 3 * LANES, k, m[decay + k])
+        f1, f2, f3, f4 = m[N1 + k], m[N2 + k], m[N3 + k], m[N4 + k]
+        s1, s2, s3, s4 = m[S1 + k], m[S2 + k], m[S3 + k], m[S4 + k]
+        r1, m1 = _drag(m, k, s1)
+        r2, m2 = _drag(m, k, s2)
+        r3, m3 = _drag(m, k, s3)
+        r4, m4 = _drag(m, k, s4)
+        # r1' + r3' and r2' + r4' over one denominator: a division costs as much as all the rest.
+        odd = ((m[G1 + k] - f1) * s3 + (m[G3 + k] - f3) * s1) * (s2 * s4)
+        even = ((m[G2 + k] - f2) * s4 + (m[G4 + k] - f4) * s2) * (s1 * s3)
         m[LIFT + k] = (f1 + f2) + (f3 + f4)
         m[TX + k] = m[ARM + k] * ((f3 + f4) - (f1 + f2))
         m[TY + k] = m[ARM + k] * ((f2 + f3) - (f1 + f4))
-        m[TZ + k] = (m2 + m4) - (m1 + m3)
-        m[SPIN + k] = (h1 + h3) - (h2 + h4)
+        m[TZ + k] = (m2 + m4) - (m1 + m3) + m[BOOST + k] * ((even - odd) / ((s1 * s3) * (s2 * s4)))
+        m[SPIN + k] = m[INERTIA + k] * ((r1 + r3) - (r2 + r4))
 
 
 @kernel()
@@ -141,7 +153,7 @@ def _arrive(m: Vec, h: float) -> None:
         for c in range(0, 13 * LANES, LANES):
             m[STAGE + c + k] = m[c + k]
         for c in range(0, 4 * LANES, LANES):
-            m[F1 + c + k] = m[G1 + c + k] + (m[F1 + c + k] - m[G1 + c + k]) * m[FULL + k]
+            m[F1 + c + k] = m[N1 + c + k]
 
 
 @kernel()
@@ -150,11 +162,13 @@ def fly(m: Vec, h: float) -> None:
 
     The rotors' lag is followed exactly: HALF and FULL must be the decays of h/2 and h.
     """
-    _turn(m, NONE)
+    _push(m)
     _stage(m, SLOPE1, 0.5 * h)
-    _turn(m, HALF)
+    _lag(m, HALF)
+    _push(m)
     _stage(m, SLOPE2, 0.5 * h)
     _stage(m, SLOPE3, h)
-    _turn(m, FULL)
+    _lag(m, FULL)
+    _push(m)
     _stage(m, SLOPE4, 0.0)
     _arrive(m, h)

@@ -11,9 +11,9 @@ from crazychoir.math3d import kernel
 Keys = npt.NDArray[np.uint64]
 
 GOLDEN, FIRST, SECOND = np.uint64(0x9E3779B97F4A7C15), np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
-S16, S27, S30, S31, S32, S48 = (np.uint64(n) for n in (16, 27, 30, 31, 32, 48))
-LOW = np.uint64(0xFFFF)
-DEVIATION = math.sqrt((65536.0**2 - 1.0) / 3.0)  # of the sum of four uniform 16-bit integers
+S8, S16, S27, S30, S31, S32 = (np.uint64(n) for n in (8, 16, 27, 30, 31, 32))
+BYTES, LOW = np.uint64(0x00FF00FF00FF00FF), np.uint64(0xFFFF)
+SCALE = math.sqrt(3.0 / (256.0**2 - 1.0))  # 1 over the standard deviation of the sum of four uniform bytes
 
 
 @kernel()
@@ -28,11 +28,12 @@ def scramble(z: np.uint64) -> np.uint64:
 
 
 @kernel()
-def normal(key: np.uint64, number: np.uint64) -> float:
-    """Draw `number` of a stream, nearly standard normal: four uniform 16-bit integers summed; never beyond 3.47."""
+def normals(key: np.uint64, number: np.uint64) -> tuple[float, float]:
+    """Draw `number` of a stream: two values, nearly standard normal, each the sum of four random bytes; within 3.46."""
     z = scramble(key + GOLDEN * number)
-    total = (z & LOW) + ((z >> S16) & LOW) + ((z >> S32) & LOW) + (z >> S48)
-    return (np.int64(total) - 131070) / DEVIATION
+    pairs = (z & BYTES) + ((z >> S8) & BYTES)
+    fours = pairs + (pairs >> S16)
+    return (np.int64(fours & LOW) - 510) * SCALE, (np.int64((fours >> S32) & LOW) - 510) * SCALE
 
 
 @kernel(numba.int64, numba.int64, numba.int64)

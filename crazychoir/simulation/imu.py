@@ -6,13 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from crazychoir.math3d import GRAVITY, Vec, clip, kernel
-from crazychoir.simulation.draws import Keys, normal
+from crazychoir.simulation.draws import Keys, normals
 from crazychoir.simulation.lanes import (
     ACCX, BIAS1, BIAS4, GYROX, LANES, SX, WX,
 )  # fmt: skip
 
 GYRO_RANGE, ACC_RANGE = math.radians(2000.0), 24.0 * GRAVITY
-AXES = np.uint64(6)
 
 
 @dataclass(frozen=True)
@@ -42,12 +41,9 @@ def measure(m: Vec, keys: Keys, tick: int, gyro: float, acc: float) -> None:
 
     What is drawn is a function of (seed, tick, drone, axis) alone.
     """
-    number = np.uint64(tick) * AXES
     for k in range(LANES):
         for c in range(3):
             n = c * LANES + k
-            at = number + np.uint64(c)
-            rate = m[WX + n] + m[BIAS1 + n] + gyro * normal(keys[k], at)
-            m[GYROX + n] = clip(rate, -GYRO_RANGE, GYRO_RANGE)
-            force = m[SX + n] + m[BIAS4 + n] + acc * normal(keys[k], at + np.uint64(3))
-            m[ACCX + n] = clip(force, -ACC_RANGE, ACC_RANGE)
+            a, b = normals(keys[k], np.uint64(3 * tick + c))
+            m[GYROX + n] = clip(m[WX + n] + m[BIAS1 + n] + gyro * a, -GYRO_RANGE, GYRO_RANGE)
+            m[ACCX + n] = clip(m[SX + n] + m[BIAS4 + n] + acc * b, -ACC_RANGE, ACC_RANGE)

@@ -18,10 +18,13 @@ _next = count(6 * 13 * LANES, LANES)
 PX, PY, PZ, VX, VY, VZ, QX, QY, QZ, QW, WX, WY, WZ = range(0, 13 * LANES, LANES)
 STAGE, SLOPE1, SLOPE2, SLOPE3, SLOPE4 = range(13 * LANES, 6 * 13 * LANES, 13 * LANES)
 
-# Rotors 1 to 4: command (share of the firmware's greatest thrust), goal N, thrust N.
+# Rotors 1 to 4: command (share of the firmware's greatest thrust), goal N, thrust N at the beginning of a step; thrust N
+# and its derivative by the speed, N/rpm, at a stage.
 U1, U2, U3, U4 = (next(_next) for _ in range(4))
 G1, G2, G3, G4 = (next(_next) for _ in range(4))
 F1, F2, F3, F4 = (next(_next) for _ in range(4))
+N1, N2, N3, N4 = (next(_next) for _ in range(4))
+S1, S2, S3, S4 = (next(_next) for _ in range(4))
 
 # What all rotors do to the body: force N along z, torques N m, angular momentum kg m2/s along z.
 LIFT, TX, TY, TZ, SPIN = (next(_next) for _ in range(5))
@@ -40,7 +43,7 @@ CHARGE, VOLTAGE, CEILING = (next(_next) for _ in range(3))
 # Constants of the platform.
 MASS, LIGHT, JX, JY, JZ, IJX, IJY, IJZ, ARM, DRAGX, DRAGY, DRAGZ = (next(_next) for _ in range(12))
 CURVE1, CURVE2, SPEED, TORQUE1, TORQUE2, INERTIA, BOOST = (next(_next) for _ in range(7))
-NONE, HALF, FULL, GROUND, MOST, LEAST = (next(_next) for _ in range(6))
+HALF, FULL, GROUND, MOST, LEAST = (next(_next) for _ in range(5))
 CELL_FULL, CELL_EMPTY, RESISTANCE, CAPACITY, IDLE, POWER = (next(_next) for _ in range(6))
 C0, C1, C2, C3 = (next(_next) for _ in range(4))
 SIZE = next(_next)
@@ -58,7 +61,7 @@ def constants(platform: Platform, h: float, ground_effect: bool) -> dict[int, fl
         CURVE1: rotor.thrust[0], CURVE2: rotor.thrust[1], TORQUE1: rotor.torque[0], TORQUE2: rotor.torque[1],
         SPEED: 0.5 / rotor.thrust[1],
         INERTIA: rotor.inertia * math.pi / 30.0, BOOST: rotor.inertia * math.pi / 30.0 / rotor.lag,
-        NONE: 1.0, HALF: math.exp(-0.5 * h / rotor.lag), FULL: math.exp(-h / rotor.lag),
+        HALF: math.exp(-0.5 * h / rotor.lag), FULL: math.exp(-h / rotor.lag),
         GROUND: (0.25 * rotor.radius) ** 2 if ground_effect else 0.0,
         MOST: platform.firmware.thrust_max, LEAST: platform.firmware.thrust_min,
         CELL_FULL: cell.full, CELL_EMPTY: cell.empty, RESISTANCE: cell.resistance, CAPACITY: cell.capacity,

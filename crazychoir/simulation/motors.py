@@ -21,7 +21,7 @@ from crazychoir.simulation.floor import stand
 from crazychoir.simulation.imu import Imu, measure
 from crazychoir.simulation.lanes import (
     ACCX, ACCY, ACCZ, AIRX, AIRY, AIRZ, ALIVE, BIAS1, CHARGE, EX, EZ, F1, FREE, GYROX, GYROY, GYROZ, IMPACT, LANES,
-    LIFT, OX, SIZE, STAGE, SX, U1, VOLTAGE, constants,
+    LIFT, N1, OX, S1, SIZE, STAGE, SX, U1, VOLTAGE, constants,
 )  # fmt: skip
 from crazychoir.simulation.truth import Truth
 
@@ -174,8 +174,11 @@ class MotorWorld(Truth):
         for c in range(13):
             self._put(c * LANES, self.states[:, c])
         thrusts = self.commands * np.array([row.firmware.thrust_max for row in self.platforms])[:, None]
+        slopes = np.array([_slopes(row, f) for row, f in zip(self.platforms, thrusts, strict=True)])
         for c in range(4):
             self._put(F1 + c * LANES, thrusts[:, c])
+            self._put(N1 + c * LANES, thrusts[:, c])
+            self._put(S1 + c * LANES, slopes[:, c])
         self._lift[:] = thrusts.sum(axis=1)
         specific = np.array([GRAVITY * rotation(q)[2] for q in self.states[:, 6:10]])
         drawn = [[uniform(key, c) for c in range(6)] for key in (stream(seed, BIASES, i) for i in self.ids)]
@@ -262,6 +265,12 @@ class MotorWorld(Truth):
 def _in_lanes(values: npt.NDArray[Number]) -> npt.NDArray[Number]:
     """(blocks, LANES) of values (N,); the last one where a lane is empty."""
     return np.pad(values, (0, -len(values) % LANES), mode="edge").reshape(-1, LANES)
+
+
+def _slopes(platform: Platform, f: Vec) -> Vec:
+    """(4,) N/rpm: how the thrusts f (4,) of the rotors change with their speed."""
+    c1, c2 = platform.rotor.thrust
+    return np.sqrt(c1 * c1 + 4.0 * c2 * f)
 
 
 def _buckets(n: int) -> int:
