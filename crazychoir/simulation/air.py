@@ -9,9 +9,12 @@ import numpy.typing as npt
 
 from crazychoir.math3d import Triple, Vec, clip, kernel, matrix, memory, vector
 from crazychoir.simulation.draws import Keys, normals
+
+# isort: off
 from crazychoir.simulation.lanes import (
     AIRX, LANES,
 )  # fmt: skip
+# isort: on
 
 Links = npt.NDArray[np.int64]
 
@@ -61,7 +64,8 @@ def blow(m: Vec, keys: Keys, tick: int, mean: Triple, gust: float, decay: float)
 def wash(down: float, aside2: float, radius: float) -> float:
     """Force on a lower drone over the thrust of the upper one; both hover or fly slowly.
 
-        F / T = WASH exp(-z^2 / (2 L^2)) exp(-r^2 / (2 s^2)) b(z / BESIDE),  s = radius + SPREAD z,  b(x) = x^2 (3 - 2 x)
+        F / T = WASH exp(-z^2 / (2 L^2)) exp(-r^2 / (2 s^2)) b(z / BESIDE)
+        s = radius + SPREAD z,  b(x) = x^2 (3 - 2 x)
 
     down: z, m;  aside2: r^2, m2;  radius: m, of the upper drone;  b = 1 from BESIDE on. The force points down.
     """

@@ -3,9 +3,12 @@
 import math
 
 from crazychoir.math3d import Vec, clip, kernel
+
+# isort: off
 from crazychoir.simulation.lanes import (
     C0, C1, C2, C3, CAPACITY, CEILING, CELL_EMPTY, CELL_FULL, CHARGE, F1, IDLE, LANES, POWER, RESISTANCE, VOLTAGE,
 )  # fmt: skip
+# isort: on
 
 OPEN_CIRCUIT = (0.0, 0.65, 0.6917, 0.725, 0.7417, 0.7667, 0.8, 0.8333, 0.8667, 0.9167, 1.0)
 """Voltage at rest between empty (0) and full (1), for each tenth of the charge: the firmware's table for a lithium

@@ -7,12 +7,15 @@ so their drag turns the body clockwise. The drones lie in the blocks of `lanes`.
 import math
 
 from crazychoir.math3d import GRAVITY, Vec, clip, columns, dot, kernel
+
+# isort: off
 from crazychoir.simulation.lanes import (
     AIRX, AIRY, AIRZ, ALIVE, ARM, BOOST, CEILING, CURVE1, CURVE2, DRAGX, DRAGY, DRAGZ, EX, EY, EZ, F1, FREE, FULL,
     G1, G2, G3, G4, GROUND, HALF, IJX, IJY, IJZ, INERTIA, JX, JY, JZ, LANES, LEAST, LIFT, LIGHT, MOST, N1, N2, N3,
     N4, OX, OY, OZ, PX, PY, PZ, QW, QX, QY, QZ, S1, S2, S3, S4, SLOPE1, SLOPE2, SLOPE3, SLOPE4, SPEED, SPIN, STAGE,
     SX, SY, SZ, TORQUE1, TORQUE2, TX, TY, TZ, U1, VX, VY, VZ, WX, WY, WZ,
 )  # fmt: skip
+# isort: on
 
 ROTOR_HEIGHT = 0.025
 """m, of the rotors of a drone that stands; the drone is 29 mm high in all (Bitcraze)."""

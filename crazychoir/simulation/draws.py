@@ -1,6 +1,7 @@
 """Random numbers as functions of (seed, drone, use, number) alone: no generator's state, no order of calls."""
 
 import math
+from typing import cast
 
 import numba
 import numpy as np
@@ -39,8 +40,8 @@ def normals(key: np.uint64, number: np.uint64) -> tuple[float, float]:
 @kernel(numba.int64, numba.int64, numba.int64)
 def stream(seed: int, use: int, drone: int) -> int:
     """The key of a drone's stream for one use."""
-    z: int = scramble(scramble(np.uint64(seed) + GOLDEN * np.uint64(use)) + GOLDEN * np.uint64(drone))
-    return z
+    key = scramble(np.uint64(seed) + GOLDEN * np.uint64(use))
+    return cast(int, scramble(key + GOLDEN * np.uint64(drone)))
 
 
 @kernel(numba.uint64, numba.int64)

@@ -1,12 +1,13 @@
 """The floor z = 0 under the drones of a block: standing, lifting off, touching down; no slip and no bounce."""
 
-import math
-
 from crazychoir.math3d import GRAVITY, Triple, Vec, columns, dot, exponential, kernel, product
 from crazychoir.simulation.body import near_floor
+
+# isort: off
 from crazychoir.simulation.lanes import (
     EZ, FREE, GROUND, IMPACT, LANES, LIFT, MASS, PZ, QW, QX, QY, QZ, SX, SY, SZ, VX, VY, VZ, WX, WY, WZ,
 )  # fmt: skip
+# isort: on
 
 SETTLING = 0.03
 """s, in which a drone that has touched down tips onto its feet, or onto its back."""

@@ -7,9 +7,12 @@ import numpy as np
 
 from crazychoir.math3d import GRAVITY, Vec, clip, kernel
 from crazychoir.simulation.draws import Keys, normals
+
+# isort: off
 from crazychoir.simulation.lanes import (
     ACCX, BIAS1, BIAS4, GYROX, LANES, SX, WX,
 )  # fmt: skip
+# isort: on
 
 GYRO_RANGE, ACC_RANGE = math.radians(2000.0), 24.0 * GRAVITY
 

@@ -113,7 +113,7 @@ def _put_down(x: Vec) -> None:
 
 @kernel(matrix, matrix, table, table, memory)
 def _admit(commands: Mat, platforms: Mat, accepted: Mat, previous: Mat, counts: Vec) -> None:
-    """Clip commands to the platforms' limits (N, 9), counting where it was needed; a command with a NaN repeats the last."""
+    """Clip commands to the limits of platforms (N, 9), counting where needed; a command with a NaN repeats the last."""
     for i in range(commands.shape[0]):
         for c in range(4):
             value, limit = commands[i, c], platforms[i, MAX_THRUST + c]
@@ -168,8 +168,9 @@ class CFIntegrator(Truth):
     """The paper's lightweight simulation: Runge-Kutta of order 4, one compiled pass for all drones.
 
     ids: the drones, row by row;  p0: (N, 3) m;  yaw0: (N,) rad;  platform: of all, or one a drone;
-    dt: s;  inputs: "rates" (body) or "euler" (the paper's Euler-angle rates);  rate_lag, thrust_lag: s, first order, exact;  command_delay: s, exact for any value: one
-    that is no multiple of dt splits the step where the input switches.
+    dt: s;  inputs: "rates" (body) or "euler" (the paper's Euler-angle rates);  rate_lag, thrust_lag: s, first order,
+    exact;  command_delay: s, exact for any value: one that is no multiple of dt splits the step where the input
+    switches.
 
     The floor is z = 0: a drone rests on it without slipping until its thrust exceeds its weight.
     A drone that starts on the floor has its motors stopped, one in the air hovers, until its first command arrives.

@@ -7,8 +7,15 @@ compiler use vector instructions; each lane computes the same bits as it would a
 
 import math
 from itertools import count
+from typing import TypeVar
 
+import numpy as np
+import numpy.typing as npt
+
+from crazychoir.math3d import Mat, Vec, kernel
 from crazychoir.platforms import Platform
+
+Number = TypeVar("Number", np.float64, np.uint64)
 
 LANES = 8
 
@@ -18,8 +25,8 @@ _next = count(6 * 13 * LANES, LANES)
 PX, PY, PZ, VX, VY, VZ, QX, QY, QZ, QW, WX, WY, WZ = range(0, 13 * LANES, LANES)
 STAGE, SLOPE1, SLOPE2, SLOPE3, SLOPE4 = range(13 * LANES, 6 * 13 * LANES, 13 * LANES)
 
-# Rotors 1 to 4: command (share of the firmware's greatest thrust), goal N, thrust N at the beginning of a step; thrust N
-# and its derivative by the speed, N/rpm, at a stage.
+# Rotors 1 to 4: command (share of the firmware's greatest thrust), goal N, thrust N at the beginning of a step;
+# thrust N and its derivative by the speed, N/rpm, at a stage.
 U1, U2, U3, U4 = (next(_next) for _ in range(4))
 G1, G2, G3, G4 = (next(_next) for _ in range(4))
 F1, F2, F3, F4 = (next(_next) for _ in range(4))
@@ -68,3 +75,41 @@ def constants(platform: Platform, h: float, ground_effect: bool) -> dict[int, fl
         IDLE: cell.idle, POWER: 0.25 * cell.hover_power / hover**1.5,
         C0: rotor.voltage[0], C1: rotor.voltage[1], C2: rotor.voltage[2], C3: rotor.voltage[3],
     }  # fmt: skip
+
+
+def in_lanes(values: npt.NDArray[Number]) -> npt.NDArray[Number]:
+    """(blocks, LANES) of values (N,); the last one where a lane is empty."""
+    return np.pad(values, (0, -len(values) % LANES), mode="edge").reshape(-1, LANES)
+
+
+@kernel()
+def take(m: Vec, first: int, x: Mat, commands: Mat, force: Mat, torque: Mat, below: Vec, limited: Vec) -> None:
+    """Fill a block from the rows of its drones: states, motor commands, and what pushes them from outside.
+
+    A command that is not a number leaves the one before; one that is not in 0..1 is counted.
+    """
+    for k in range(min(LANES, x.shape[0] - first)):
+        i, beyond = first + k, 0.0
+        for c in range(13):
+            m[c * LANES + k] = x[i, c]
+            m[STAGE + c * LANES + k] = x[i, c]
+        for c in range(4):
+            u = commands[i, c]
+            beyond = beyond if 0.0 <= u <= 1.0 else 1.0
+            m[U1 + c * LANES + k] = u if math.isfinite(u) else m[U1 + c * LANES + k]
+        for c in range(3):
+            m[EX + c * LANES + k] = force[i, c]
+            m[OX + c * LANES + k] = torque[i, c]
+        m[EZ + k] -= below[i]
+        limited[i] += beyond
+
+
+@kernel()
+def give(m: Vec, first: int, x: Mat, resting: Vec, impact: Vec, lift: Vec) -> None:
+    """Write a block back to the rows of its drones."""
+    for k in range(min(LANES, x.shape[0] - first)):
+        for c in range(13):
+            x[first + k, c] = m[c * LANES + k]
+        resting[first + k] = 1.0 - m[FREE + k]
+        impact[first + k] = m[IMPACT + k]
+        lift[first + k] = m[LIFT + k]

@@ -2,15 +2,25 @@
 
 import math
 from collections.abc import Sequence
-from typing import Any, TypeVar
+from typing import Any
 
 import numba
 import numpy as np
-import numpy.typing as npt
 
 from crazychoir.errors import ConfigError
 from crazychoir.math3d import (
-    GRAVITY, Mat, Triple, Vec, exponential, kernel, matrix, memory, product, rotation, table, vector,
+    GRAVITY,
+    Mat,
+    Triple,
+    Vec,
+    exponential,
+    kernel,
+    matrix,
+    memory,
+    product,
+    rotation,
+    table,
+    vector,
 )  # fmt: skip
 from crazychoir.platforms import CRAZYFLIE_21, Platform
 from crazychoir.simulation.air import Wind, blow, downwash
@@ -19,11 +29,14 @@ from crazychoir.simulation.body import fly, obey
 from crazychoir.simulation.draws import Keys, stream, uniform
 from crazychoir.simulation.floor import stand
 from crazychoir.simulation.imu import Imu, measure
-from crazychoir.simulation.lanes import (
-    ACCX, ACCY, ACCZ, AIRX, AIRY, AIRZ, ALIVE, BIAS1, CHARGE, EX, EZ, F1, FREE, GYROX, GYROY, GYROZ, IMPACT, LANES,
-    LIFT, N1, OX, S1, SIZE, STAGE, SX, U1, VOLTAGE, constants,
-)  # fmt: skip
 from crazychoir.simulation.truth import Truth
+
+# isort: off
+from crazychoir.simulation.lanes import (
+    ACCX, ACCY, ACCZ, AIRX, AIRY, AIRZ, ALIVE, BIAS1, CHARGE, F1, FREE, GYROX, GYROY, GYROZ, LANES, N1, S1, SIZE,
+    SX, VOLTAGE, constants, give, in_lanes, take,
+)  # fmt: skip
+# isort: on
 
 H = 0.001
 """s, one step of the motor-level model, as long as a tick of the firmware."""
@@ -32,42 +45,6 @@ SENSORS, BIASES, GUSTS = range(3)
 
 keys: Any = numba.types.Array(numba.uint64, 2, "C", readonly=True)
 whole: Any = numba.int64
-Number = TypeVar("Number", np.float64, np.uint64)
-
-
-@kernel()
-def take(
-    m: Vec, first: int, x: Mat, commands: Mat, force: Mat, torque: Mat, below: Vec, limited: Vec
-) -> None:
-    """Fill a block from the rows of its drones: states, motor commands, and what pushes them from outside.
-
-    A command that is not a number leaves the one before; one that is not in 0..1 is counted.
-    """
-    for k in range(min(LANES, x.shape[0] - first)):
-        i, beyond = first + k, 0.0
-        for c in range(13):
-            m[c * LANES + k] = x[i, c]
-            m[STAGE + c * LANES + k] = x[i, c]
-        for c in range(4):
-            u = commands[i, c]
-            beyond = beyond if 0.0 <= u <= 1.0 else 1.0
-            m[U1 + c * LANES + k] = u if math.isfinite(u) else m[U1 + c * LANES + k]
-        for c in range(3):
-            m[EX + c * LANES + k] = force[i, c]
-            m[OX + c * LANES + k] = torque[i, c]
-        m[EZ + k] -= below[i]
-        limited[i] += beyond
-
-
-@kernel()
-def give(m: Vec, first: int, x: Mat, resting: Vec, impact: Vec, lift: Vec) -> None:
-    """Write a block back to the rows of its drones."""
-    for k in range(min(LANES, x.shape[0] - first)):
-        for c in range(13):
-            x[first + k, c] = m[c * LANES + k]
-        resting[first + k] = 1.0 - m[FREE + k]
-        impact[first + k] = m[IMPACT + k]
-        lift[first + k] = m[LIFT + k]
 
 
 @kernel(table, table, matrix, matrix, matrix, vector, memory, memory, memory, memory, keys, whole, whole, vector)
@@ -164,7 +141,7 @@ class MotorWorld(Truth):
 
     def _keys(self, seed: int, use: int) -> Keys:
         """(blocks, LANES) the keys of the drones' streams; the last drone's where a lane is empty."""
-        return _in_lanes(np.array([stream(seed, use, i) for i in self.ids], np.uint64))
+        return in_lanes(np.array([stream(seed, use, i) for i in self.ids], np.uint64))
 
     def _fill(self, seed: int, sensors: Imu, ground_effect: bool, charge: float) -> None:
         """Everything that a block keeps; the empty lanes of the last block repeat its last drone, motors cut."""
@@ -194,7 +171,7 @@ class MotorWorld(Truth):
             self._blocks[-1, [FREE + row % LANES, ALIVE + row % LANES]] = 0.0
 
     def _put(self, name: int, values: Vec) -> None:
-        self._blocks[:, name : name + LANES] = _in_lanes(values)
+        self._blocks[:, name : name + LANES] = in_lanes(values)
 
     def _of(self, i: int, name: int) -> float:
         block, lane = divmod(self.row[i], LANES)
@@ -260,11 +237,6 @@ class MotorWorld(Truth):
             steps,
             self._options,
         )
-
-
-def _in_lanes(values: npt.NDArray[Number]) -> npt.NDArray[Number]:
-    """(blocks, LANES) of values (N,); the last one where a lane is empty."""
-    return np.pad(values, (0, -len(values) % LANES), mode="edge").reshape(-1, LANES)
 
 
 def _slopes(platform: Platform, f: Vec) -> Vec:

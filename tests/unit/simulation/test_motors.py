@@ -247,7 +247,7 @@ def test_the_sensors_err_as_their_data_sheet_says():
 
 
 def test_a_step_is_a_multiple_of_the_firmwares_tick():
-    with pytest.raises(ConfigError, match="0.001"):
+    with pytest.raises(ConfigError, match=r"0\.001"):
         one(dt=0.0015)
 
 
