@@ -1,7 +1,6 @@
 """Random numbers as functions of (seed, drone, use, number) alone: no generator's state, no order of calls."""
 
 import math
-from typing import cast
 
 import numba
 import numpy as np
@@ -38,13 +37,13 @@ def normals(key: np.uint64, number: np.uint64) -> tuple[float, float]:
 
 
 @kernel(numba.int64, numba.int64, numba.int64)
-def stream(seed: int, use: int, drone: int) -> int:
+def stream(seed: int, use: int, drone: int) -> np.uint64:
     """The key of a drone's stream for one use."""
     key = scramble(np.uint64(seed) + GOLDEN * np.uint64(use))
-    return cast(int, scramble(key + GOLDEN * np.uint64(drone)))
+    return scramble(key + GOLDEN * np.uint64(drone))
 
 
 @kernel(numba.uint64, numba.int64)
-def uniform(key: int, number: int) -> float:
+def uniform(key: np.uint64, number: int) -> float:
     """Draw `number` of a stream, uniform in [-1, 1)."""
     return np.int64(scramble(key + GOLDEN * np.uint64(number))) / 9223372036854775808.0
