@@ -1,0 +1,62 @@
+"""The firmware's log variables by name, in its units; pitch positive nose up."""
+
+import difflib
+from collections.abc import Callable
+
+from crazychoir.errors import ConfigError
+from crazychoir.math3d import GRAVITY
+from crazychoir.simulation.onboard.record import Record
+from crazychoir.simulation.onboard.supervisor import can_fly, information
+
+Read = Callable[[Record], float]
+
+
+def _field(name: str, factor: float = 1.0, part: str = "") -> Read:
+    return lambda fw: float((fw[part] if part else fw)[name]) * factor
+
+
+def _whole(name: str, factor: float = 1.0) -> Read:
+    """As a 16-bit integer of thousandths."""
+    return lambda fw: float(int(max(min(float(fw[name]) * factor, 32767.0), -32768.0)))
+
+
+def _motor(k: int) -> Read:
+    return lambda fw: float(int(fw["request"][k]))
+
+
+AXES = ("x", "y", "z")
+TABLE: dict[str, Read] = {
+    **{f"stateEstimate.{name}": _field(name) for name in "x y z vx vy vz roll pitch yaw qx qy qz qw".split()},
+    **{f"stateEstimate.a{axis}": _field(f"ac{axis}", 1.0 / GRAVITY) for axis in AXES},
+    **{f"stateEstimateZ.{name}": _whole(name, 1000.0) for name in "x y z vx vy vz".split()},
+    **{f"stateEstimateZ.a{axis}": _whole(f"ac{axis}", 1000.0) for axis in AXES},
+    **{f"kalman.state{axis.upper()}": _field(axis) for axis in AXES},
+    "kalman.varPX": _field("xy_pp"),
+    "kalman.varPY": _field("xy_pp"),
+    "kalman.varPZ": _field("z_pp"),
+    **{f"stabilizer.{name}": _field(name) for name in ("roll", "pitch", "yaw", "thrust")},
+    **{f"gyro.{axis}": _field(f"g{axis}") for axis in AXES},
+    **{f"acc.{axis}": _field(f"a{axis}") for axis in AXES},
+    **{f"controller.{name}": _field(f"target_{name}") for name in ("roll", "pitch", "yaw")},
+    **{f"controller.{name}Rate": _field(f"target_{name}_rate") for name in ("roll", "pitch", "yaw")},
+    **{f"controller.cmd_{name}": _field(f"{name}_out") for name in ("roll", "pitch", "yaw")},
+    "controller.cmd_thrust": _field("thrust"),
+    **{f"ctrltarget.{name}": _field(name, 1.0, "wanted") for name in "x y z vx vy vz ax ay az roll pitch yaw thrust".split()},
+    **{f"ctrltarget.mode_{n}": _field(f"mode_{n}", 1.0, "wanted") for n in "x y z roll pitch yaw quat".split()},
+    **{f"motor.m{k + 1}": _motor(k) for k in range(4)},
+    **{f"motor.m{k + 1}req": _motor(k) for k in range(4)},
+    "pm.vbat": _field("vbat"),
+    "pm.vbatMV": _whole("vbat", 1000.0),
+    "supervisor.info": lambda fw: float(information(fw)),
+    "sys.canfly": lambda fw: float(can_fly(fw)),
+    "sys.isFlying": _field("flying"),
+    "sys.isTumbled": _field("tumbled"),
+}
+
+
+def read(fw: Record, name: str) -> float:
+    """The variable now; ConfigError names the nearest."""
+    if name in TABLE:
+        return TABLE[name](fw)
+    near = difflib.get_close_matches(name, TABLE, n=3) or sorted(TABLE)[:3]
+    raise ConfigError("firmware log variable", name, f"the {len(TABLE)} that are simulated, such as {', '.join(near)}")
