@@ -9,7 +9,7 @@ from crazychoir.math3d import clip, kernel
 from crazychoir.simulation.onboard import pid
 from crazychoir.simulation.onboard.record import ABSOLUTE, DISABLE, LEGACY, VELOCITY, Record
 
-ATTITUDE_DT, POSITION_DT, POSITION_TICKS = 0.002, 0.01, 10
+ATTITUDE_RATE, POSITION_RATE, POSITION_TICKS = 500.0, 100.0, 10  # Hz, Hz, ms
 OVERHEAD = 1.1  # of the limits inside the position and velocity PIDs
 THRUST_SCALE, MOST_THRUST, MOST_TURN = 1000.0, 65535.0, 32767.0
 SLOWEST_CLIMB = 0.5  # m/s, the least that the limit of the vertical speed is
@@ -61,12 +61,12 @@ def position(fw: Record, sp: Record) -> None:
     ahead = sp.vx if sp.body_velocity else sp.vx * c + sp.vy * s
     aside = sp.vy if sp.body_velocity else sp.vy * c - sp.vx * s
     if sp.mode_x == ABSOLUTE:
-        ahead = pid.follow_smooth(fw.x_pid, sp.x * c + sp.y * s, fw.x * c + fw.y * s, POSITION_DT)
+        ahead = pid.follow_smooth(fw.x_pid, sp.x * c + sp.y * s, fw.x * c + fw.y * s, POSITION_RATE)
     if sp.mode_y == ABSOLUTE:
-        aside = pid.follow_smooth(fw.y_pid, sp.y * c - sp.x * s, fw.y * c - fw.x * s, POSITION_DT)
+        aside = pid.follow_smooth(fw.y_pid, sp.y * c - sp.x * s, fw.y * c - fw.x * s, POSITION_RATE)
     climb = sp.vz
     if sp.mode_z == ABSOLUTE:
-        climb = pid.follow_smooth(fw.z_pid, sp.z, fw.z, POSITION_DT)
+        climb = pid.follow_smooth(fw.z_pid, sp.z, fw.z, POSITION_RATE)
     fw.target_vx, fw.target_vy, fw.target_vz = ahead, aside, climb
     velocity(fw, ahead, aside, climb, c, s)
 
@@ -78,11 +78,11 @@ def velocity(fw: Record, ahead: float, aside: float, climb: float, c: float, s: 
     pitch = -PID(v ahead), roll = -PID(v left), thrust = 1000 PID(v up) + base; no compensation of the tilt.
     """
     fw.vx_pid.limit, fw.vy_pid.limit = OVERHEAD * fw.pitch_limit, OVERHEAD * fw.roll_limit
-    pitch = -pid.follow_smooth(fw.vx_pid, ahead, fw.vx * c + fw.vy * s, POSITION_DT)
-    roll = -pid.follow_smooth(fw.vy_pid, aside, fw.vy * c - fw.vx * s, POSITION_DT)
+    pitch = -pid.follow_smooth(fw.vx_pid, ahead, fw.vx * c + fw.vy * s, POSITION_RATE)
+    roll = -pid.follow_smooth(fw.vy_pid, aside, fw.vy * c - fw.vx * s, POSITION_RATE)
     fw.target_pitch = clip(pitch, -fw.pitch_limit, fw.pitch_limit)
     fw.target_roll = clip(roll, -fw.roll_limit, fw.roll_limit)
-    thrust = THRUST_SCALE * pid.follow_smooth(fw.vz_pid, climb, fw.vz, POSITION_DT) + fw.thrust_base
+    thrust = THRUST_SCALE * pid.follow_smooth(fw.vz_pid, climb, fw.vz, POSITION_RATE) + fw.thrust_base
     fw.position_thrust = clip(thrust, fw.thrust_minimum, MOST_THRUST)
 
 
@@ -90,7 +90,7 @@ def velocity(fw: Record, ahead: float, aside: float, climb: float, c: float, s: 
 def _heading(fw: Record, sp: Record) -> None:
     """The heading to hold: a yaw rate is integrated."""
     if sp.mode_yaw == VELOCITY:
-        yaw = fw.target_yaw + sp.yaw_rate * ATTITUDE_DT
+        yaw = fw.target_yaw + sp.yaw_rate / ATTITUDE_RATE
         if fw.yaw_max_delta > 0.0:
             ahead = pid.wrap_degrees(yaw - fw.yaw)
             yaw = fw.yaw + clip(ahead, -fw.yaw_max_delta, fw.yaw_max_delta)
@@ -106,13 +106,13 @@ def _attitude(fw: Record, sp: Record) -> None:
         fw.target_roll_rate = sp.roll_rate
         pid.reset(fw.roll_pid)
     else:
-        fw.target_roll_rate = pid.follow(fw.roll_pid, fw.target_roll, fw.roll, ATTITUDE_DT)
+        fw.target_roll_rate = pid.follow(fw.roll_pid, fw.target_roll, fw.roll, ATTITUDE_RATE)
     if sp.mode_pitch == VELOCITY:
         fw.target_pitch_rate = sp.pitch_rate
         pid.reset(fw.pitch_pid)
     else:
-        fw.target_pitch_rate = pid.follow(fw.pitch_pid, fw.target_pitch, fw.pitch, ATTITUDE_DT)
-    fw.target_yaw_rate = pid.follow_angle(fw.yaw_pid, fw.target_yaw, fw.yaw, ATTITUDE_DT)
+        fw.target_pitch_rate = pid.follow(fw.pitch_pid, fw.target_pitch, fw.pitch, ATTITUDE_RATE)
+    fw.target_yaw_rate = pid.follow_angle(fw.yaw_pid, fw.target_yaw, fw.yaw, ATTITUDE_RATE)
 
 
 @kernel()
@@ -145,6 +145,6 @@ def control(fw: Record, sp: Record) -> None:
         return
     _heading(fw, sp)
     _attitude(fw, sp)
-    fw.roll_out = _whole(pid.follow(fw.roll_rate_pid, fw.target_roll_rate, fw.gx, ATTITUDE_DT))
-    fw.pitch_out = _whole(pid.follow(fw.pitch_rate_pid, fw.target_pitch_rate, -fw.gy, ATTITUDE_DT))
-    fw.yaw_out = _whole(-pid.follow(fw.yaw_rate_pid, fw.target_yaw_rate, fw.gz, ATTITUDE_DT))
+    fw.roll_out = _whole(pid.follow(fw.roll_rate_pid, fw.target_roll_rate, fw.gx, ATTITUDE_RATE))
+    fw.pitch_out = _whole(pid.follow(fw.pitch_rate_pid, fw.target_pitch_rate, -fw.gy, ATTITUDE_RATE))
+    fw.yaw_out = _whole(-pid.follow(fw.yaw_rate_pid, fw.target_yaw_rate, fw.gz, ATTITUDE_RATE))

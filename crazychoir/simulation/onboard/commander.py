@@ -6,7 +6,7 @@ Angles in deg, rates in deg/s, thrust 0..65535, as packets carry them; pitch pos
 import math
 
 from crazychoir.math3d import Vec, kernel, real, vector
-from crazychoir.simulation.onboard.record import ABSOLUTE, DISABLE, VELOCITY, Record, drone
+from crazychoir.simulation.onboard.record import ABSOLUTE, DISABLE, VELOCITY, Fleet, Record, rows, whole
 
 NOBODY, HIGH_LEVEL, CRTP, EXTERNAL = 0, 1, 2, 3
 """Priorities of who gives set-points: nobody, the planner, the radio, an external receiver."""
@@ -37,9 +37,10 @@ def accept(fw: Record, priority: int) -> bool:
     return True
 
 
-@kernel(drone)
-def relax(fw: Record) -> None:
+@kernel(rows, whole)
+def relax(fleet: Fleet, i: int) -> None:
     """notify_setpoint_stop: the planner may take over again."""
+    fw = fleet[i]
     fw.priority = HIGH_LEVEL
 
 
@@ -57,13 +58,14 @@ def _turn_axes(fw: Record, roll: float, pitch: float) -> None:
         sp.mode_pitch, sp.pitch_rate = VELOCITY, pitch
 
 
-@kernel(drone, real, real, real, real, real)
-def rpyt(fw: Record, roll: float, pitch: float, yaw: float, thrust: float, priority: float) -> bool:
+@kernel(rows, whole, real, real, real, real, real)
+def rpyt(fleet: Fleet, i: int, roll: float, pitch: float, yaw: float, thrust: float, priority: float) -> bool:
     """Roll, pitch, yaw (angles or rates) and thrust, as an RPYT packet.
 
     Thrust is locked until a packet without thrust comes, again after nobody was in control.  Below 1000 it is none,
     above 60000 it is 60000.  A yaw rate has the other sign here, and here only.
     """
+    fw = fleet[i]
     if fw.priority == NOBODY:
         fw.locked_thrust = 1
     if thrust == 0.0:
@@ -81,15 +83,17 @@ def rpyt(fw: Record, roll: float, pitch: float, yaw: float, thrust: float, prior
     return True
 
 
-@kernel(drone, real)
-def nothing(fw: Record, priority: float) -> bool:
+@kernel(rows, whole, real)
+def nothing(fleet: Fleet, i: int, priority: float) -> bool:
     """Generic 0, stop: the null set-point."""
+    fw = fleet[i]
     return accept(fw, int(priority))
 
 
-@kernel(drone, real, real, real, real, real)
-def velocity(fw: Record, vx: float, vy: float, vz: float, yaw_rate: float, priority: float) -> bool:
+@kernel(rows, whole, real, real, real, real, real)
+def velocity(fleet: Fleet, i: int, vx: float, vy: float, vz: float, yaw_rate: float, priority: float) -> bool:
     """Generic 8: velocity in the world, yaw rate."""
+    fw = fleet[i]
     if not accept(fw, int(priority)):
         return False
     sp = fw.wanted
@@ -98,9 +102,10 @@ def velocity(fw: Record, vx: float, vy: float, vz: float, yaw_rate: float, prior
     return True
 
 
-@kernel(drone, real, real, real, real, real)
-def z_distance(fw: Record, roll: float, pitch: float, yaw_rate: float, z: float, priority: float) -> bool:
+@kernel(rows, whole, real, real, real, real, real)
+def z_distance(fleet: Fleet, i: int, roll: float, pitch: float, yaw_rate: float, z: float, priority: float) -> bool:
     """Generic 9: roll, pitch, yaw rate and height."""
+    fw = fleet[i]
     if not accept(fw, int(priority)):
         return False
     sp = fw.wanted
@@ -110,9 +115,10 @@ def z_distance(fw: Record, roll: float, pitch: float, yaw_rate: float, z: float,
     return True
 
 
-@kernel(drone, real, real, real, real, real)
-def hover(fw: Record, ahead: float, left: float, yaw_rate: float, z: float, priority: float) -> bool:
+@kernel(rows, whole, real, real, real, real, real)
+def hover(fleet: Fleet, i: int, ahead: float, left: float, yaw_rate: float, z: float, priority: float) -> bool:
     """Generic 10: velocity ahead and to the left, yaw rate and height."""
+    fw = fleet[i]
     if not accept(fw, int(priority)):
         return False
     sp = fw.wanted
@@ -123,9 +129,10 @@ def hover(fw: Record, ahead: float, left: float, yaw_rate: float, z: float, prio
     return True
 
 
-@kernel(drone, real, real, real, real, real)
-def position(fw: Record, x: float, y: float, z: float, yaw: float, priority: float) -> bool:
+@kernel(rows, whole, real, real, real, real, real)
+def position(fleet: Fleet, i: int, x: float, y: float, z: float, yaw: float, priority: float) -> bool:
     """Generic 7: position and heading."""
+    fw = fleet[i]
     if not accept(fw, int(priority)):
         return False
     sp = fw.wanted
@@ -134,9 +141,10 @@ def position(fw: Record, x: float, y: float, z: float, yaw: float, priority: flo
     return True
 
 
-@kernel(drone, real, real, real, real, real, real)
-def manual(fw: Record, roll: float, pitch: float, yaw_rate: float, thrust: float, rate: float, priority: float) -> bool:
+@kernel(rows, whole, real, real, real, real, real, real)
+def manual(fleet: Fleet, i: int, roll: float, pitch: float, yaw_rate: float, thrust: float, rate: float, priority: float) -> bool:
     """Generic 11: roll, pitch (rates, if `rate`), yaw rate, thrust; chosen: no thrust lock, the yaw rate as it is."""
+    fw = fleet[i]
     if not accept(fw, int(priority)):
         return False
     sp = fw.wanted
@@ -150,9 +158,10 @@ def manual(fw: Record, roll: float, pitch: float, yaw_rate: float, thrust: float
     return True
 
 
-@kernel(drone, vector, real)
-def full_state(fw: Record, s: Vec, priority: float) -> bool:
+@kernel(rows, whole, vector, real)
+def full_state(fleet: Fleet, i: int, s: Vec, priority: float) -> bool:
     """Generic 6: s (16,) = p m, v m/s, a m/s2 world, q body to world, w rad/s body; rates not nose-up here."""
+    fw = fleet[i]
     if not accept(fw, int(priority)):
         return False
     sp = fw.wanted

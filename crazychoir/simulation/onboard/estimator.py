@@ -19,7 +19,7 @@ from crazychoir.math3d import (
     unit,
     vector,
 )
-from crazychoir.simulation.onboard.record import Record, drone
+from crazychoir.simulation.onboard.record import Fleet, Record, rows, whole
 
 INITIAL_XY, INITIAL_Z, INITIAL_V, INITIAL_ATTITUDE = 100.0, 1.0, 0.01, 0.01  # standard deviations: m, m, m/s, rad
 MS = 1e-3
@@ -40,9 +40,9 @@ def _angles(fw: Record) -> None:
     fw.yaw = math.degrees(math.atan2(2.0 * (x * y + z * w), 1.0 - 2.0 * (y * y + z * z)))
 
 
-@kernel(drone)
-def reset(fw: Record) -> None:
-    """Begin again at the initial position and heading, at rest and level, with the initial uncertainty."""
+@kernel()
+def begin(fw: Record) -> None:
+    """Begin at the initial position and heading, at rest and level, with the initial uncertainty."""
     fw.x, fw.y, fw.z = fw.initial_x, fw.initial_y, fw.initial_z
     fw.vx = fw.vy = fw.vz = 0.0
     fw.qx = fw.qy = 0.0
@@ -117,7 +117,7 @@ def predict(fw: Record) -> None:
     _clear(fw)
     _angles(fw)
     if _lost(fw):
-        reset(fw)
+        begin(fw)
         fw.resets += 1
 
 
@@ -134,16 +134,23 @@ def _locate(fw: Record, x: float, y: float, z: float) -> None:
     fw.z_pp, fw.z_pv, fw.z_vv = (1.0 - k) * fw.z_pp, (1.0 - k) * fw.z_pv, fw.z_vv - kv * fw.z_pv
 
 
-@kernel(drone, vector)
-def see_position(fw: Record, p: Vec) -> None:
+@kernel(rows, whole)
+def reset(fleet: Fleet, i: int) -> None:
+    """Begin again."""
+    begin(fleet[i])
+
+
+@kernel(rows, whole, vector)
+def see_position(fleet: Fleet, i: int, p: Vec) -> None:
     """Correct by a position (3,) m. What is not a number is passed over."""
+    fw = fleet[i]
     if finite(p):
         predict(fw)
         _locate(fw, p[0], p[1], p[2])
 
 
-@kernel(drone, vector, vector)
-def see_pose(fw: Record, p: Vec, q: Vec) -> None:
+@kernel(rows, whole, vector, vector)
+def see_pose(fleet: Fleet, i: int, p: Vec, q: Vec) -> None:
     """Correct by a pose: p (3,) m, q (4,).
 
         K = P_pp / (P_pp + R),  p <- p + K (p_ext - p),  v <- v + P_pv / (P_pp + R) (p_ext - p)
@@ -152,6 +159,7 @@ def see_pose(fw: Record, p: Vec, q: Vec) -> None:
     R, R_att: squares of locSrv.extPosStdDev and locSrv.extQuatStdDev.  The sensors' sums are taken in first, so that
     the pose meets an estimate of its time.  What is not a number, or has no direction, is passed over.
     """
+    fw = fleet[i]
     n = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]
     if not (finite(p) and n > 0.25 and n < 4.0):
         return

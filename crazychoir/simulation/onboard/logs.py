@@ -5,30 +5,31 @@ from collections.abc import Callable
 
 from crazychoir.errors import ConfigError
 from crazychoir.math3d import GRAVITY
-from crazychoir.simulation.onboard.record import Record
-from crazychoir.simulation.onboard.supervisor import can_fly, information
+from crazychoir.simulation.onboard import supervisor
+from crazychoir.simulation.onboard.record import Fleet, entries
 
-Read = Callable[[Record], float]
+Read = Callable[[Fleet, int], float]
 
 
 def _field(name: str, factor: float = 1.0, part: str = "") -> Read:
-    return lambda fw: float((fw[part] if part else fw)[name]) * factor
+    return lambda rows, i: float((rows[part] if part else rows)[name][i]) * factor
 
 
 def _whole(name: str, factor: float = 1.0) -> Read:
     """As a 16-bit integer of thousandths."""
-    return lambda fw: float(int(max(min(float(fw[name]) * factor, 32767.0), -32768.0)))
+    return lambda rows, i: float(int(max(min(float(rows[name][i]) * factor, 32767.0), -32768.0)))
 
 
 def _motor(k: int) -> Read:
-    return lambda fw: float(int(fw["request"][k]))
+    return lambda rows, i: float(int(rows["request"][i, k]))
 
 
 AXES = ("x", "y", "z")
+_supervisor = entries(supervisor)
 TABLE: dict[str, Read] = {
-    **{f"stateEstimate.{name}": _field(name) for name in "x y z vx vy vz roll pitch yaw qx qy qz qw".split()},
+    **{f"stateEstimate.{name}": _field(name) for name in ["x", "y", "z", "vx", "vy", "vz", "roll", "pitch", "yaw", "qx", "qy", "qz", "qw"]},
     **{f"stateEstimate.a{axis}": _field(f"ac{axis}", 1.0 / GRAVITY) for axis in AXES},
-    **{f"stateEstimateZ.{name}": _whole(name, 1000.0) for name in "x y z vx vy vz".split()},
+    **{f"stateEstimateZ.{name}": _whole(name, 1000.0) for name in ["x", "y", "z", "vx", "vy", "vz"]},
     **{f"stateEstimateZ.a{axis}": _whole(f"ac{axis}", 1000.0) for axis in AXES},
     **{f"kalman.state{axis.upper()}": _field(axis) for axis in AXES},
     "kalman.varPX": _field("xy_pp"),
@@ -41,22 +42,22 @@ TABLE: dict[str, Read] = {
     **{f"controller.{name}Rate": _field(f"target_{name}_rate") for name in ("roll", "pitch", "yaw")},
     **{f"controller.cmd_{name}": _field(f"{name}_out") for name in ("roll", "pitch", "yaw")},
     "controller.cmd_thrust": _field("thrust"),
-    **{f"ctrltarget.{name}": _field(name, 1.0, "wanted") for name in "x y z vx vy vz ax ay az roll pitch yaw thrust".split()},
-    **{f"ctrltarget.mode_{n}": _field(f"mode_{n}", 1.0, "wanted") for n in "x y z roll pitch yaw quat".split()},
+    **{f"ctrltarget.{n}": _field(n, 1.0, "wanted") for n in ["x", "y", "z", "vx", "vy", "vz", "ax", "ay", "az", "roll", "pitch", "yaw", "thrust"]},
+    **{f"ctrltarget.mode_{n}": _field(f"mode_{n}", 1.0, "wanted") for n in ["x", "y", "z", "roll", "pitch", "yaw", "quat"]},
     **{f"motor.m{k + 1}": _motor(k) for k in range(4)},
     **{f"motor.m{k + 1}req": _motor(k) for k in range(4)},
     "pm.vbat": _field("vbat"),
     "pm.vbatMV": _whole("vbat", 1000.0),
-    "supervisor.info": lambda fw: float(information(fw)),
-    "sys.canfly": lambda fw: float(can_fly(fw)),
+    "supervisor.info": lambda rows, i: float(_supervisor.information(rows, i)),
+    "sys.canfly": lambda rows, i: float(_supervisor.can_fly(rows, i)),
     "sys.isFlying": _field("flying"),
     "sys.isTumbled": _field("tumbled"),
 }
 
 
-def read(fw: Record, name: str) -> float:
+def read(rows: Fleet, row: int, name: str) -> float:
     """The variable now; ConfigError names the nearest."""
     if name in TABLE:
-        return TABLE[name](fw)
+        return TABLE[name](rows, row)
     near = difflib.get_close_matches(name, TABLE, n=3) or sorted(TABLE)[:3]
     raise ConfigError("firmware log variable", name, f"the {len(TABLE)} that are simulated, such as {', '.join(near)}")

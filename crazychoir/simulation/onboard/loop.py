@@ -5,7 +5,7 @@ import math
 from crazychoir.math3d import GRAVITY, kernel, real
 from crazychoir.simulation.onboard import cascade, estimator, lee, mellinger, mixing, planner, supervisor
 from crazychoir.simulation.onboard.commander import leveled
-from crazychoir.simulation.onboard.record import LEE, MELLINGER, PID, Fleet, Record, drone, rows
+from crazychoir.simulation.onboard.record import LEE, MELLINGER, PID, Fleet, Record, rows, whole
 
 # Ticks of 1 ms: attitude and rate at 500 Hz, estimator, position and planner at 100 Hz, supervisor at 25 Hz.
 ATTITUDE, POSITION, SUPERVISOR = 2, 10, 40
@@ -43,13 +43,14 @@ def _acc(fw: Record, k: int, raw: float) -> float:
     return y
 
 
-@kernel(drone)
-def settle(fw: Record) -> None:
+@kernel(rows, whole)
+def settle(fleet: Fleet, i: int) -> None:
     """Power-on: filters as if the drone had stood level for long, estimate at its initial place."""
+    fw = fleet[i]
     fw.delays[10] = 1.0 - ACC_B
     fw.delays[11] = ACC_B - ACC_A2
-    estimator.reset(fw)
-    planner.tell_state(fw)
+    estimator.begin(fw)
+    planner.take_state(fw)
 
 
 @kernel()
@@ -92,9 +93,10 @@ def stabilize(fw: Record, gx: float, gy: float, gz: float, ax: float, ay: float,
     fw.tick = tick + 1
 
 
-@kernel(drone)
-def forget(fw: Record) -> None:
+@kernel(rows, whole)
+def forget(fleet: Fleet, i: int) -> None:
     """All controllers begin anew, without thrust until their next pass."""
+    fw = fleet[i]
     cascade.reset(fw)
     mellinger.reset(fw)
     lee.reset(fw)

@@ -10,7 +10,7 @@ from crazychoir.simulation.onboard.record import FORCE_TORQUE, LEGACY, Record
 
 FULL = 65535.0
 LOW_PASS = 0.01  # of the battery's voltage, a ms
-PRECISION, ITERATIONS = 1e-7, 8  # V, of the inverted curve
+STEADY = 1e-9  # relative, of the battery against its low-pass
 
 
 @kernel()
@@ -69,14 +69,14 @@ def _thrust(fw: Record, v: float) -> float:
 
 
 @kernel()
-def _voltage(fw: Record, f: float, v: float) -> float:
-    """V that make f N: Newton's method on the curve, which rises everywhere, from v."""
-    for _ in range(ITERATIONS):
-        step = (_thrust(fw, v) - f) / (fw.c1 + v * (2.0 * fw.c2 + 3.0 * v * fw.c3))
-        v -= step
-        if abs(step) < PRECISION:
-            break
-    return v
+def _voltages(fw: Record) -> None:
+    """V that make each motor's requested N, thrust_min at least: a pass of Newton's method from the last answer.
+
+    Its error counts by the battery's distance from its low-pass only. The curve rises everywhere.
+    """
+    for i in range(4):
+        f, v = max(fw.request[i] / FULL * fw.thrust_max, fw.thrust_min), fw.volts[i]
+        fw.volts[i] = v - (_thrust(fw, v) - f) / (fw.c1 + v * (2.0 * fw.c2 + 3.0 * v * fw.c3))
 
 
 @kernel()
@@ -88,15 +88,18 @@ def compensate(fw: Record) -> None:
     V inverts F, the curve of the motor;  v: the battery's voltage, v_low: low-passed.
     """
     ratio, full = fw.vbat / fw.vbat_low, _thrust(fw, fw.vbat_low)
-    steady = abs(ratio - 1.0) < 1e-9
+    steady = abs(ratio - 1.0) < STEADY
+    if not steady:
+        _voltages(fw)
+    most = _thrust(fw, fw.vbat) / fw.thrust_max
     for i in range(4):
         f = fw.request[i] / FULL * fw.thrust_max
         if f < fw.thrust_min:
             fw.motors[i] = 0.0
         elif f >= full:
-            fw.motors[i] = _thrust(fw, fw.vbat) / fw.thrust_max
+            fw.motors[i] = most
         elif steady:
             fw.motors[i] = f / fw.thrust_max
         else:
-            fw.volts[i] = _voltage(fw, f, fw.volts[i])
-            fw.motors[i] = max(_thrust(fw, fw.volts[i] * ratio), 0.0) / fw.thrust_max
+            v = fw.volts[i]
+            fw.motors[i] = max(f + _thrust(fw, v * ratio) - _thrust(fw, v), 0.0) / fw.thrust_max

@@ -20,6 +20,7 @@ from crazychoir.simulation.onboard.record import (
     PIECE,
     TRAJECTORIES,
     Fleet,
+    entries,
     fleet,
 )
 from crazychoir.simulation.onboard.units import roll_pitch_yaw_rate_raw, thrust_raw
@@ -27,6 +28,8 @@ from crazychoir.types import State
 
 CONTROLLERS = {"pid": PID, "mellinger": MELLINGER, "lee": LEE}
 MOST_PIECES = MEMORY // PIECE
+_commander, _planner, _supervisor = entries(commander), entries(planner), entries(supervisor)
+_estimator, _loop = entries(estimator), entries(loop)
 
 
 class Onboard:
@@ -46,30 +49,30 @@ class Onboard:
         self.record = self.rows[row]
         self.laws: dict[str, laws.Law] = {}
         self.law_name = ""
-        loop.settle(self.record)
+        _loop.settle(self.rows, self.row)
 
     def place(self, p: Vec | Sequence[float], yaw: float) -> None:
         """Where it is switched on: p (3,) m world, heading rad. The estimate begins there."""
         fw = self.record
         fw["initial_x"], fw["initial_y"], fw["initial_z"], fw["initial_yaw"] = *p, yaw
-        estimator.reset(fw)
-        planner.tell_state(fw)
+        _estimator.reset(self.rows, self.row)
+        _planner.tell_state(self.rows, self.row)
 
     # What is measured outside and sent to it
 
     def external_pose(self, p: Vec, q: Vec) -> None:
         """A pose from motion capture: p (3,) m world, q (4,) body to world."""
-        estimator.see_pose(self.record, p, q)
+        _estimator.see_pose(self.rows, self.row, p, q)
 
     def external_position(self, p: Vec) -> None:
         """A position alone: p (3,) m world. Nothing corrects the attitude then."""
-        estimator.see_position(self.record, p)
+        _estimator.see_position(self.rows, self.row, p)
 
     @property
     def estimate(self) -> State:
         """What it believes, a copy; rates are the filtered gyroscope's."""
         fw = self.record
-        names = "x y z vx vy vz qx qy qz qw".split()
+        names = ["x", "y", "z", "vx", "vy", "vz", "qx", "qy", "qz", "qw"]
         return State(np.array([*(fw[name] for name in names), *self.gyro]))
 
     @property
@@ -83,7 +86,7 @@ class Onboard:
     def rpyt_raw(self, roll: float, pitch: float, yaw: float, thrust: float, priority: int = CRTP) -> bool:
         """As an RPYT packet carries it: deg (or deg/s), pitch nose up, yaw rate inverted, thrust 0..65535."""
         ok = math.isfinite(roll + pitch + yaw + thrust)
-        return ok and bool(commander.rpyt(self.record, roll, pitch, yaw, thrust, priority))
+        return ok and bool(_commander.rpyt(self.rows, self.row, roll, pitch, yaw, thrust, priority))
 
     def fpqr(self, thrust: float, p: float, q: float, r: float) -> bool:
         """Thrust N and body rates rad/s: needs flightmode.stabModeRoll = .stabModePitch = .stabModeYaw = 0."""
@@ -99,24 +102,24 @@ class Onboard:
 
     def stop_setpoint(self, priority: int = CRTP) -> bool:
         """No thrust, no modes."""
-        return bool(commander.nothing(self.record, priority))
+        return bool(_commander.nothing(self.rows, self.row, priority))
 
     def velocity(self, v: Vec | Sequence[float], yaw_rate: float, priority: int = CRTP) -> bool:
         """v (3,) m/s world, yaw rate rad/s."""
         x, y, z = v
         ok = math.isfinite(x + y + z + yaw_rate)
-        return ok and bool(commander.velocity(self.record, x, y, z, math.degrees(yaw_rate), priority))
+        return ok and bool(_commander.velocity(self.rows, self.row, x, y, z, math.degrees(yaw_rate), priority))
 
     def hover(self, ahead: float, left: float, yaw_rate: float, z: float, priority: int = CRTP) -> bool:
         """Velocities m/s along the heading and to its left, yaw rate rad/s, height m world."""
         ok = math.isfinite(ahead + left + yaw_rate + z)
-        return ok and bool(commander.hover(self.record, ahead, left, math.degrees(yaw_rate), z, priority))
+        return ok and bool(_commander.hover(self.rows, self.row, ahead, left, math.degrees(yaw_rate), z, priority))
 
     def z_distance(self, roll: float, pitch: float, yaw_rate: float, z: float, priority: int = CRTP) -> bool:
         """Roll, pitch rad (positive pitch: nose down), yaw rate rad/s, height m world."""
         ok = math.isfinite(roll + pitch + yaw_rate + z)
         r, p, w = math.degrees(roll), -math.degrees(pitch), math.degrees(yaw_rate)
-        return ok and bool(commander.z_distance(self.record, r, p, w, z, priority))
+        return ok and bool(_commander.z_distance(self.rows, self.row, r, p, w, z, priority))
 
     def manual(
         self, thrust: float, roll: float, pitch: float, yaw_rate: float, rates: bool = False, priority: int = CRTP
@@ -124,23 +127,23 @@ class Onboard:
         """Thrust N, roll and pitch rad (or their rates), yaw rate rad/s, without the thrust lock."""
         ok = math.isfinite(thrust + roll + pitch + yaw_rate)
         r, p, w = math.degrees(roll), -math.degrees(pitch), math.degrees(yaw_rate)
-        return ok and bool(commander.manual(self.record, r, p, w, self._thrust(thrust), float(rates), priority))
+        return ok and bool(_commander.manual(self.rows, self.row, r, p, w, self._thrust(thrust), float(rates), priority))
 
     def position(self, p: Vec | Sequence[float], yaw: float, priority: int = CRTP) -> bool:
         """p (3,) m world, heading rad."""
         x, y, z = p
         ok = math.isfinite(x + y + z + yaw)
-        return ok and bool(commander.position(self.record, x, y, z, math.degrees(yaw), priority))
+        return ok and bool(_commander.position(self.rows, self.row, x, y, z, math.degrees(yaw), priority))
 
     def full_state(self, s: Vec, priority: int = CRTP) -> bool:
         """s (16,) = p m, v m/s, a m/s2 world, q body to world, w rad/s body."""
         ok = math.isfinite(float(np.sum(s)))
-        return ok and bool(commander.full_state(self.record, s, priority))
+        return ok and bool(_commander.full_state(self.rows, self.row, s, priority))
 
     def notify_setpoint_stop(self) -> None:
         """Set-points have ended: the planner may take over, from the present estimate."""
-        commander.relax(self.record)
-        planner.tell_state(self.record)
+        _commander.relax(self.rows, self.row)
+        _planner.tell_state(self.rows, self.row)
 
     # The planner on board
 
@@ -148,17 +151,17 @@ class Onboard:
         """Why a plan cannot begin, 0 if it can."""
         if not math.isfinite(sum(numbers)):
             return planner.REFUSED
-        return planner.OK if supervisor.can_fly(self.record) else planner.BUSY
+        return planner.OK if _supervisor.can_fly(self.rows, self.row) else planner.BUSY
 
     def take_off(self, height: float, duration: float | None = None, yaw: float | None = None) -> int:
         """Rise to the height m world in duration s (none: by hlCommander.vtoff), to a heading rad (none: keep it)."""
         t, psi = -1.0 if duration is None else duration, 0.0 if yaw is None else yaw
-        return self._flight(height, t, psi) or int(planner.take_off(self.record, height, t, psi, float(yaw is None)))
+        return self._flight(height, t, psi) or int(_planner.take_off(self.rows, self.row, height, t, psi, float(yaw is None)))
 
     def land(self, height: float = 0.0, duration: float | None = None, yaw: float | None = None) -> int:
         """Sink to the height m world in duration s (none: by hlCommander.vland); then the motors stop."""
         t, psi = -1.0 if duration is None else duration, 0.0 if yaw is None else yaw
-        return self._flight(height, t, psi) or int(planner.land(self.record, height, t, psi, float(yaw is None)))
+        return self._flight(height, t, psi) or int(_planner.land(self.rows, self.row, height, t, psi, float(yaw is None)))
 
     def go_to(
         self,
@@ -170,9 +173,9 @@ class Onboard:
     ) -> int:
         """To p (3,) m world and heading rad in duration s; relative: p and yaw are added to the present set-point."""
         x, y, z = p
+        flags = float(relative), float(linear)
         refused = self._flight(x, y, z, yaw, duration)
-        fw = self.record
-        return refused or int(planner.go_to(fw, x, y, z, yaw, duration, float(relative), float(linear)))
+        return refused or int(_planner.go_to(self.rows, self.row, x, y, z, yaw, duration, *flags))
 
     def spiral(
         self,
@@ -187,7 +190,7 @@ class Onboard:
         """Through an angle rad about a point at r0 m, to r1 m, climbing by climb m, in duration s."""
         refused = self._flight(angle, r0, r1, climb, duration)
         flags = float(sideways), float(clockwise)
-        return refused or int(planner.spiral(self.record, angle, r0, r1, climb, duration, *flags))
+        return refused or int(_planner.spiral(self.rows, self.row, angle, r0, r1, climb, duration, *flags))
 
     def start_trajectory(
         self,
@@ -200,11 +203,11 @@ class Onboard:
         """Fly an uploaded trajectory; timescale 2 takes twice the time."""
         refused = self._flight(timescale)
         flags = float(relative), float(relative_yaw), float(reverse)
-        return refused or int(planner.start_trajectory(self.record, slot, timescale, *flags))
+        return refused or int(_planner.start_trajectory(self.rows, self.row, slot, timescale, *flags))
 
     def stop(self) -> None:
         """The planner's stop: motors off while it is in control."""
-        planner.stop(self.record)
+        _planner.stop(self.rows, self.row)
 
     @property
     def memory(self) -> npt.NDArray[np.uint8]:
@@ -249,7 +252,7 @@ class Onboard:
     def arm(self, armed: bool = True) -> bool:
         """Ask for armed motors, which the checks before flight must have allowed; or disarm, in the air too."""
         fw = self.record
-        if armed and not fw["armed"] and not supervisor.can_arm(fw):
+        if armed and not fw["armed"] and not _supervisor.can_arm(self.rows, self.row):
             return False
         fw["arm_requested"] = armed
         if not armed:
@@ -262,11 +265,11 @@ class Onboard:
 
     def emergency_stop_watchdog(self) -> None:
         """From the first call on: an emergency stop when it is not repeated within 1 s."""
-        supervisor.feed_watchdog(self.record)
+        _supervisor.feed_watchdog(self.rows, self.row)
 
     def recover(self) -> bool:
         """After a crash, standing upright again: begin anew."""
-        return bool(supervisor.recover(self.record))
+        return bool(_supervisor.recover(self.rows, self.row))
 
     @property
     def state(self) -> str:
@@ -276,7 +279,7 @@ class Onboard:
     @property
     def info(self) -> int:
         """The supervisor's bits, as supervisor.info logs them."""
-        return int(supervisor.information(self.record))
+        return int(_supervisor.information(self.rows, self.row))
 
     # Controllers, parameters, logs
 
@@ -317,7 +320,7 @@ class Onboard:
                 f"{names}, or 0, 1 (pid), 2 (mellinger), 5 (lee), 6 (registered)",
                 "Offer your own with register(name, law) first.",
             )
-        loop.forget(self.record)
+        _loop.forget(self.rows, self.row)
         self.record["controller"] = code
 
     def set(self, name: str, value: str | float) -> None:
@@ -329,7 +332,7 @@ class Onboard:
             raise ConfigError(f"firmware parameter {name}", value, "a finite number")
         if name == parameters.RESET_ESTIMATION:
             if value:
-                estimator.reset(self.record)
+                _estimator.reset(self.rows, self.row)
             return
         *parts, field = parameters.path(name)
         place = self.record[parts[0]] if parts else self.record
@@ -344,4 +347,4 @@ class Onboard:
 
     def log(self, name: str) -> float:
         """Read a log variable by the firmware's name, in the firmware's units."""
-        return logs.read(self.record, name)
+        return logs.read(self.rows, self.row, name)

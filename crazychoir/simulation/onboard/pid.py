@@ -27,9 +27,9 @@ def reset(pid: Record) -> None:
 
 
 @kernel()
-def _sum(pid: Record, desired: float, error: float, slope: float, dt: float) -> float:
+def _sum(pid: Record, desired: float, error: float, slope: float, rate: float) -> float:
     """P, D, then the integral with this error, then what the set-point feeds forward."""
-    pid.integral += error * dt
+    pid.integral += error / rate
     if pid.i_limit > 0.0:
         pid.integral = clip(pid.integral, -pid.i_limit, pid.i_limit)
     out = pid.kp * error - pid.kd * slope + pid.ki * pid.integral + pid.kff * desired
@@ -45,28 +45,28 @@ def _change(pid: Record, measured: float) -> float:
 
 
 @kernel()
-def follow(pid: Record, desired: float, measured: float, dt: float) -> float:
+def follow(pid: Record, desired: float, measured: float, rate: float) -> float:
     """One step.
 
         e = desired - measured,  I += e dt, |I| <= i_limit,  u = kp e - kd d(measured)/dt + ki I + kff desired
 
-    The integral is clamped before it is multiplied by ki, and u by `limit`; a limit of 0 is none.
+    The integral is clamped before it is multiplied by ki, and u by `limit`; a limit of 0 is none.  rate: 1/dt, Hz.
     """
-    return _sum(pid, desired, desired - measured, _change(pid, measured) / dt, dt)
+    return _sum(pid, desired, desired - measured, _change(pid, measured) * rate, rate)
 
 
 @kernel()
-def follow_angle(pid: Record, desired: float, measured: float, dt: float) -> float:
+def follow_angle(pid: Record, desired: float, measured: float, rate: float) -> float:
     """One step of `follow` for an angle in deg, the short way."""
     error = wrap_degrees(desired - measured)
-    return _sum(pid, desired, error, wrap_degrees(_change(pid, measured)) / dt, dt)
+    return _sum(pid, desired, error, wrap_degrees(_change(pid, measured)) * rate, rate)
 
 
 @kernel()
-def follow_smooth(pid: Record, desired: float, measured: float, dt: float) -> float:
+def follow_smooth(pid: Record, desired: float, measured: float, rate: float) -> float:
     """One step of `follow` at 100 Hz with the derivative low-passed at 20 Hz (Butterworth, order 2)."""
-    raw = _change(pid, measured) / dt
+    raw = _change(pid, measured) * rate
     slope = B0 * raw + pid.d1
     pid.d1 = 2.0 * B0 * raw - A1 * slope + pid.d2
     pid.d2 = B0 * raw - A2 * slope
-    return _sum(pid, desired, desired - measured, slope, dt)
+    return _sum(pid, desired, desired - measured, slope, rate)

@@ -9,19 +9,19 @@ from crazychoir.simulation.onboard.commander import HIGH_LEVEL, clear
 from crazychoir.simulation.onboard.polynomial import (
     AXES,
     ONE,
+    ZERO,
     A,
     F,
     J,
     P,
     Single,
     V,
-    ZERO,
     connect,
     duration,
     evaluate,
     short_way,
 )
-from crazychoir.simulation.onboard.record import ABSOLUTE, PIECE, TRAJECTORIES, Record, drone
+from crazychoir.simulation.onboard.record import ABSOLUTE, PIECE, TRAJECTORIES, Fleet, Record, rows, whole
 
 IDLE, FLYING, LANDING, DISABLED = 0, 1, 2, 3
 OK, REFUSED, UNKNOWN, BUSY = 0, 1, 8, 16
@@ -123,7 +123,7 @@ def sample(fw: Record) -> bool:
     return moving
 
 
-@kernel(drone)
+@kernel()
 def finished(fw: Record) -> bool:
     """Is nothing being flown?"""
     idle: bool = fw.planner.state == IDLE or fw.planner.state == DISABLED
@@ -161,8 +161,8 @@ def _emit(fw: Record) -> None:
     sp.roll_rate, sp.pitch_rate, sp.yaw_rate = math.degrees(w[0]), math.degrees(w[1]), math.degrees(w[2])
 
 
-@kernel(drone)
-def tell_state(fw: Record) -> None:
+@kernel()
+def take_state(fw: Record) -> None:
     """Go on from the estimate: what the next plan starts from."""
     plan = fw.planner
     plan.last[0], plan.last[1], plan.last[2] = F(fw.x), F(fw.y), F(fw.z)
@@ -178,7 +178,7 @@ def update(fw: Record) -> None:
         return
     own = fw.priority <= HIGH_LEVEL
     if plan.state == IDLE:
-        tell_state(fw)
+        take_state(fw)
         if own:
             clear(fw.wanted)
     else:
@@ -193,9 +193,16 @@ def update(fw: Record) -> None:
         fw.priority, fw.stamp = HIGH_LEVEL, fw.tick
 
 
-@kernel(drone)
-def stop(fw: Record) -> None:
+@kernel(rows, whole)
+def tell_state(fleet: Fleet, i: int) -> None:
+    """Go on from the estimate."""
+    take_state(fleet[i])
+
+
+@kernel(rows, whole)
+def stop(fleet: Fleet, i: int) -> None:
     """Forget the plan: motors off while the planner is in control."""
+    fw = fleet[i]
     fw.planner.state = IDLE
 
 
@@ -239,9 +246,10 @@ def _vertical(fw: Record, state: int, height: float, t: float, yaw: float, keep_
     _start(fw, state)
 
 
-@kernel(drone, real, real, real, real)
-def take_off(fw: Record, height: float, t: float, yaw: float, keep_yaw: float) -> int:
+@kernel(rows, whole, real, real, real, real)
+def take_off(fleet: Fleet, i: int, height: float, t: float, yaw: float, keep_yaw: float) -> int:
     """Rise to the height, m world, in t s; only from idle, 1 otherwise. t < 0: by hlCommander.vtoff."""
+    fw = fleet[i]
     if fw.planner.state != IDLE:
         return REFUSED
     speed = max(fw.planner.take_off_speed, 1e-3)
@@ -249,9 +257,10 @@ def take_off(fw: Record, height: float, t: float, yaw: float, keep_yaw: float) -
     return OK
 
 
-@kernel(drone, real, real, real, real)
-def land(fw: Record, height: float, t: float, yaw: float, keep_yaw: float) -> int:
+@kernel(rows, whole, real, real, real, real)
+def land(fleet: Fleet, i: int, height: float, t: float, yaw: float, keep_yaw: float) -> int:
     """Sink to the height in t s, then idle; chosen: 1 where it is idle or landing. t < 0: by hlCommander.vland."""
+    fw = fleet[i]
     if fw.planner.state == IDLE or fw.planner.state == LANDING:
         return REFUSED
     speed = max(fw.planner.landing_speed, 1e-3)
@@ -259,12 +268,13 @@ def land(fw: Record, height: float, t: float, yaw: float, keep_yaw: float) -> in
     return OK
 
 
-@kernel(drone, real, real, real, real, real, real, real)
-def go_to(fw: Record, x: float, y: float, z: float, yaw: float, t: float, relative: float, linear: float) -> int:
+@kernel(rows, whole, real, real, real, real, real, real, real)
+def go_to(fleet: Fleet, i: int, x: float, y: float, z: float, yaw: float, t: float, relative: float, linear: float) -> int:
     """From the present set-point, with its velocity and acceleration, to a place and heading, at rest.
 
     linear: with the constant velocity of the straight line at both ends.
     """
+    fw = fleet[i]
     _here(fw)
     out = fw.planner.out
     for axis in range(AXES):
@@ -283,9 +293,9 @@ def go_to(fw: Record, x: float, y: float, z: float, yaw: float, t: float, relati
     return OK
 
 
-@kernel(drone, real, real, real, real, real, real, real)
+@kernel(rows, whole, real, real, real, real, real, real, real)
 def spiral(
-    fw: Record, angle: float, r0: float, r1: float, climb: float, t: float, sideways: float, clockwise: float
+    fleet: Fleet, i: int, angle: float, r0: float, r1: float, climb: float, t: float, sideways: float, clockwise: float
 ) -> int:
     """One piece of degree 7 from the radius r0 to r1 through an angle, rad, about a point beside or before the nose.
 
@@ -293,6 +303,7 @@ def spiral(
     r(s) = r0 + (r1 - r0) s, phi(s) = +-angle s, s = t/T; the heading turns with it.  In between the piece is not a
     circle: it is meant for angles up to half a turn.  sideways: the point lies ahead, else to the side.
     """
+    fw = fleet[i]
     _here(fw)
     out = fw.planner.out
     turn = -abs(angle) if clockwise > 0.0 else abs(angle)
@@ -321,14 +332,15 @@ def spiral(
     return OK
 
 
-@kernel(drone, real, real, real, real, real)
+@kernel(rows, whole, real, real, real, real, real)
 def start_trajectory(
-    fw: Record, slot: float, timescale: float, relative: float, relative_yaw: float, backwards: float
+    fleet: Fleet, i: int, slot: float, timescale: float, relative: float, relative_yaw: float, backwards: float
 ) -> int:
     """Fly an uploaded trajectory; 8 where there is none.
 
     relative: shifted to the present set-point;  relative_yaw: turned to its heading about its start (chosen).
     """
+    fw = fleet[i]
     plan, k = fw.planner, int(slot)
     if k < 0 or k >= TRAJECTORIES or plan.pieces[k] == 0 or not timescale > 0.0:
         return UNKNOWN

@@ -1,6 +1,7 @@
 """The memory of the firmware: one record a drone, all drones of a process in one array."""
 
 import math
+from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import numba
@@ -145,6 +146,17 @@ drone: Any = numba.from_dtype(drone_fields)
 """One drone, as the type of a kernel's argument."""
 rows: Any = drone[::1]
 """Those of many drones."""
+whole: Any = numba.int64
+
+
+def entries(module: ModuleType) -> Any:
+    """The laws of a module that are compiled for a drone, for Python: called without a look at their arguments' types.
+
+    They take the array and the row: to hand over one record of so many fields takes 60 us, this 0.3 us.
+    """
+    laws = {name: law for name, law in vars(module).items() if getattr(law, "signatures", ())}
+    return SimpleNamespace(**{name: law.overloads[law.signatures[0]].entry_point for name, law in laws.items()})
+
 
 # pid_rate, pid_attitude, velCtlPid, posCtlPid: kp, ki, kd, limit of the integral
 CRAZYFLIE = {

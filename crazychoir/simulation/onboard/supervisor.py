@@ -3,9 +3,10 @@
 from crazychoir.math3d import kernel
 from crazychoir.simulation.onboard.commander import HIGH_LEVEL, NOBODY
 from crazychoir.simulation.onboard.planner import DISABLED, IDLE, finished
-from crazychoir.simulation.onboard.record import Record, drone
+from crazychoir.simulation.onboard.record import Fleet, Record, rows, whole
 
-NOT_INITIALISED, NOT_PASSED, PASSED, ARMING, READY, FLYING, LANDED, RESET, LEVEL_OUT, FREE_FALL, LOCKED, CRASHED = range(12)
+NOT_INITIALISED, NOT_PASSED, PASSED, ARMING, READY, FLYING = range(6)
+LANDED, RESET, LEVEL_OUT, FREE_FALL, LOCKED, CRASHED = range(6, 12)
 STATES = (
     "not initialised", "pre-flight checks not passed", "pre-flight checks passed", "arming", "ready to fly", "flying",
     "landed", "reset", "warning: level out", "exception: free fall", "locked", "crashed",
@@ -40,7 +41,7 @@ def _see_flying(fw: Record) -> None:
 @kernel()
 def _enter(fw: Record, state: int) -> None:
     fw.state, fw.since = state, fw.tick
-    if state == RESET or state == NOT_PASSED or state == LOCKED or state == CRASHED:
+    if state in (RESET, NOT_PASSED, LOCKED, CRASHED):
         fw.armed = 0
         fw.arm_requested = 0
     if state == FREE_FALL:
@@ -122,30 +123,36 @@ def update(fw: Record) -> None:
 @kernel()
 def may_fly(fw: Record) -> bool:
     """Does the supervisor let motors turn? An emergency stop counts at once."""
-    s = fw.state
-    return not fw.estop and (s == READY or s == FLYING or s == LANDED or s == LEVEL_OUT)
+    return not fw.estop and fw.state in (READY, FLYING, LANDED, LEVEL_OUT)
 
 
-@kernel(drone)
-def can_fly(fw: Record) -> bool:
-    """The same, for Python."""
-    return may_fly(fw)
-
-
-@kernel(drone)
-def can_arm(fw: Record) -> bool:
+@kernel()
+def may_arm(fw: Record) -> bool:
     """Would an arming request succeed? Where the checks before flight are passed."""
     return not fw.estop and fw.state >= PASSED and fw.state <= READY
 
 
-@kernel(drone)
-def information(fw: Record) -> int:
-    """Bits: 0 can arm, 1 armed, 2 arms itself, 3 can fly, 4 flying, 5 tumbled, 6 locked, 7 crashed, 8 planner in control,
-    9 plan ended, 10 planner disabled; 11, a fault of a deck, never.
+@kernel(rows, whole)
+def can_fly(fleet: Fleet, i: int) -> bool:
+    """Does the supervisor let motors turn?"""
+    return may_fly(fleet[i])
+
+
+@kernel(rows, whole)
+def can_arm(fleet: Fleet, i: int) -> bool:
+    """Would an arming request succeed?"""
+    return may_arm(fleet[i])
+
+
+@kernel(rows, whole)
+def information(fleet: Fleet, i: int) -> int:
+    """Bits: 0 can arm, 1 armed, 2 arms itself, 3 can fly, 4 flying, 5 tumbled, 6 locked, 7 crashed,
+    8 planner in control, 9 plan ended, 10 planner disabled; 11, a fault of a deck, never.
     """
+    fw = fleet[i]
     ended = finished(fw)
     bits = (
-        can_arm(fw),
+        may_arm(fw),
         fw.armed != 0,
         fw.auto_arm != 0,
         may_fly(fw),
@@ -163,15 +170,17 @@ def information(fw: Record) -> int:
     return word
 
 
-@kernel(drone)
-def recover(fw: Record) -> bool:
+@kernel(rows, whole)
+def recover(fleet: Fleet, i: int) -> bool:
     """A crashed drone that stands upright again begins anew; True also where nothing has crashed."""
+    fw = fleet[i]
     if fw.state == CRASHED and not fw.tumbled and fw.az >= UPRIGHT:
         _enter(fw, RESET)
     return fw.state != CRASHED
 
 
-@kernel(drone)
-def feed_watchdog(fw: Record) -> None:
+@kernel(rows, whole)
+def feed_watchdog(fleet: Fleet, i: int) -> None:
     """Repeat within 1 s, from the first time on, or the drone is stopped for good."""
+    fw = fleet[i]
     fw.watchdog, fw.watchdog_at = 1, fw.tick
