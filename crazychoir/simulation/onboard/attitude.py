@@ -1,4 +1,4 @@
-"""What the geometric controllers share: errors of a set-point by its modes, wanted attitude and rates, attitude error."""
+"""What the geometric controllers share: a set-point's errors by its modes, wanted attitude and rates."""
 
 import math
 

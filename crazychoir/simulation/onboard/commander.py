@@ -142,7 +142,9 @@ def position(fleet: Fleet, i: int, x: float, y: float, z: float, yaw: float, pri
 
 
 @kernel(rows, whole, real, real, real, real, real, real)
-def manual(fleet: Fleet, i: int, roll: float, pitch: float, yaw_rate: float, thrust: float, rate: float, priority: float) -> bool:
+def manual(
+    fleet: Fleet, i: int, roll: float, pitch: float, yaw_rate: float, thrust: float, rate: float, priority: float
+) -> bool:
     """Generic 11: roll, pitch (rates, if `rate`), yaw rate, thrust; chosen: no thrust lock, the yaw rate as it is."""
     fw = fleet[i]
     if not accept(fw, int(priority)):

@@ -12,6 +12,7 @@ from crazychoir.math3d import Vec
 from crazychoir.simulation.onboard.record import FORCE_TORQUE, LEGACY, MOTORS, Record
 from crazychoir.types import State
 
+AXES = ("x", "y", "z", "roll", "pitch", "yaw", "quat")
 PERIOD = 0.002
 """s, between two calls of a law."""
 
@@ -83,18 +84,23 @@ Law = Callable[[Setpoint, State, Vec, float], Answer]
 """law(setpoint, estimate, gyro (3,) rad/s body, dt s), called every 2 ms."""
 
 
+def _vector(sp: Record, names: str) -> Vec:
+    return np.array([sp[name] for name in names.split()])
+
+
 def setpoint_of(sp: Record, thrust_max: float) -> Setpoint:
     """The record in SI; thrust_max: N a motor."""
-    modes = Modes(
-        *(int(sp[f"mode_{axis}"]) for axis in ("x", "y", "z", "roll", "pitch", "yaw", "quat")),
-        body_velocity=bool(sp["body_velocity"]),
-    )
+    x, y, z, roll, pitch, yaw, quat = (int(sp[f"mode_{axis}"]) for axis in AXES)
+    modes = Modes(x, y, z, roll, pitch, yaw, quat, bool(sp["body_velocity"]))
     nose_up = -1.0 if modes.pitch == 2 else 1.0
     rates = np.radians([sp["roll_rate"], nose_up * sp["pitch_rate"], sp["yaw_rate"]])
     return Setpoint(
         modes,
-        *(np.array([sp[name] for name in names.split()]) for names in ("x y z", "vx vy vz", "ax ay az", "jx jy jz")),
-        q=np.array([sp["qx"], sp["qy"], sp["qz"], sp["qw"]]),
+        p=_vector(sp, "x y z"),
+        v=_vector(sp, "vx vy vz"),
+        a=_vector(sp, "ax ay az"),
+        j=_vector(sp, "jx jy jz"),
+        q=_vector(sp, "qx qy qz qw"),
         roll=math.radians(sp["roll"]),
         pitch=-math.radians(sp["pitch"]),
         yaw=math.radians(sp["yaw"]),

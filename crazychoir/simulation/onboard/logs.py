@@ -11,8 +11,12 @@ from crazychoir.simulation.onboard.record import Fleet, entries
 Read = Callable[[Fleet, int], float]
 
 
-def _field(name: str, factor: float = 1.0, part: str = "") -> Read:
-    return lambda rows, i: float((rows[part] if part else rows)[name][i]) * factor
+def _target(name: str) -> Read:
+    return lambda rows, i: float(rows["wanted"][name][i])
+
+
+def _field(name: str, factor: float = 1.0) -> Read:
+    return lambda rows, i: float(rows[name][i]) * factor
 
 
 def _whole(name: str, factor: float = 1.0) -> Read:
@@ -42,8 +46,8 @@ TABLE: dict[str, Read] = {
     **{f"controller.{name}Rate": _field(f"target_{name}_rate") for name in ("roll", "pitch", "yaw")},
     **{f"controller.cmd_{name}": _field(f"{name}_out") for name in ("roll", "pitch", "yaw")},
     "controller.cmd_thrust": _field("thrust"),
-    **{f"ctrltarget.{n}": _field(n, 1.0, "wanted") for n in ["x", "y", "z", "vx", "vy", "vz", "ax", "ay", "az", "roll", "pitch", "yaw", "thrust"]},
-    **{f"ctrltarget.mode_{n}": _field(f"mode_{n}", 1.0, "wanted") for n in ["x", "y", "z", "roll", "pitch", "yaw", "quat"]},
+    **{f"ctrltarget.{n}": _target(n) for n in "x y z vx vy vz ax ay az roll pitch yaw thrust".split()},
+    **{f"ctrltarget.mode_{n}": _target(f"mode_{n}") for n in "x y z roll pitch yaw quat".split()},
     **{f"motor.m{k + 1}": _motor(k) for k in range(4)},
     **{f"motor.m{k + 1}req": _motor(k) for k in range(4)},
     "pm.vbat": _field("vbat"),

@@ -26,7 +26,7 @@ def _legacy(fw: Record) -> None:
 
 @kernel()
 def _force_torque(fw: Record) -> None:
-    """f = T/4 -/+ tx/(4 a) -/+ ty/(4 a) -/+ tz/(4 k), not below 0; a: arm along x, m; k: torque of 1 N, m; body axes."""
+    """f = T/4 -/+ tx/(4 a) -/+ ty/(4 a) -/+ tz/(4 k), not below 0; a: arm along x, m; k: torque of 1 N, m."""
     per_newton = FULL / fw.thrust_max
     t, r, p = 0.25 * fw.force, 0.25 * fw.torque_x / fw.arm, 0.25 * fw.torque_y / fw.arm
     y = 0.25 * fw.torque_z / fw.torque_ratio
@@ -65,7 +65,8 @@ def distribute(fw: Record, allowed: bool) -> None:
 @kernel()
 def _thrust(fw: Record, v: float) -> float:
     """N of one motor at v V: c0 + c1 v + c2 v^2 + c3 v^3."""
-    return fw.c0 + v * (fw.c1 + v * (fw.c2 + v * fw.c3))
+    f: float = fw.c0 + v * (fw.c1 + v * (fw.c2 + v * fw.c3))
+    return f
 
 
 @kernel()

@@ -54,7 +54,8 @@ class Onboard:
     def place(self, p: Vec | Sequence[float], yaw: float) -> None:
         """Where it is switched on: p (3,) m world, heading rad. The estimate begins there."""
         fw = self.record
-        fw["initial_x"], fw["initial_y"], fw["initial_z"], fw["initial_yaw"] = *p, yaw
+        fw["initial_x"], fw["initial_y"], fw["initial_z"] = p
+        fw["initial_yaw"] = yaw
         _estimator.reset(self.rows, self.row)
         _planner.tell_state(self.rows, self.row)
 
@@ -127,7 +128,8 @@ class Onboard:
         """Thrust N, roll and pitch rad (or their rates), yaw rate rad/s, without the thrust lock."""
         ok = math.isfinite(thrust + roll + pitch + yaw_rate)
         r, p, w = math.degrees(roll), -math.degrees(pitch), math.degrees(yaw_rate)
-        return ok and bool(_commander.manual(self.rows, self.row, r, p, w, self._thrust(thrust), float(rates), priority))
+        raw = self._thrust(thrust)
+        return ok and bool(_commander.manual(self.rows, self.row, r, p, w, raw, float(rates), priority))
 
     def position(self, p: Vec | Sequence[float], yaw: float, priority: int = CRTP) -> bool:
         """p (3,) m world, heading rad."""
@@ -156,12 +158,14 @@ class Onboard:
     def take_off(self, height: float, duration: float | None = None, yaw: float | None = None) -> int:
         """Rise to the height m world in duration s (none: by hlCommander.vtoff), to a heading rad (none: keep it)."""
         t, psi = -1.0 if duration is None else duration, 0.0 if yaw is None else yaw
-        return self._flight(height, t, psi) or int(_planner.take_off(self.rows, self.row, height, t, psi, float(yaw is None)))
+        refused, keep = self._flight(height, t, psi), float(yaw is None)
+        return refused or int(_planner.take_off(self.rows, self.row, height, t, psi, keep))
 
     def land(self, height: float = 0.0, duration: float | None = None, yaw: float | None = None) -> int:
         """Sink to the height m world in duration s (none: by hlCommander.vland); then the motors stop."""
         t, psi = -1.0 if duration is None else duration, 0.0 if yaw is None else yaw
-        return self._flight(height, t, psi) or int(_planner.land(self.rows, self.row, height, t, psi, float(yaw is None)))
+        refused, keep = self._flight(height, t, psi), float(yaw is None)
+        return refused or int(_planner.land(self.rows, self.row, height, t, psi, keep))
 
     def go_to(
         self,
@@ -212,7 +216,8 @@ class Onboard:
     @property
     def memory(self) -> npt.NDArray[np.uint8]:
         """The 4096 bytes of uploaded trajectories, not copied."""
-        return self.rows["memory"][self.row].view(np.uint8)
+        words: npt.NDArray[np.float32] = self.rows["memory"][self.row]
+        return words.view(np.uint8)
 
     def define_trajectory(self, slot: int, offset: int, pieces: int) -> int:
         """Name what lies in the memory: offset in bytes, a multiple of 4; 8 if it does not fit."""

@@ -127,7 +127,8 @@ def sample(fw: Record) -> bool:
 def finished(fw: Record) -> bool:
     """Is nothing being flown?"""
     idle: bool = fw.planner.state == IDLE or fw.planner.state == DISABLED
-    return idle or _now(fw) - fw.planner.begin > _total(fw)
+    ended: bool = _now(fw) - fw.planner.begin > _total(fw)
+    return idle or ended
 
 
 @kernel()
@@ -269,7 +270,9 @@ def land(fleet: Fleet, i: int, height: float, t: float, yaw: float, keep_yaw: fl
 
 
 @kernel(rows, whole, real, real, real, real, real, real, real)
-def go_to(fleet: Fleet, i: int, x: float, y: float, z: float, yaw: float, t: float, relative: float, linear: float) -> int:
+def go_to(
+    fleet: Fleet, i: int, x: float, y: float, z: float, yaw: float, t: float, relative: float, linear: float
+) -> int:
     """From the present set-point, with its velocity and acceleration, to a place and heading, at rest.
 
     linear: with the constant velocity of the straight line at both ends.

@@ -176,7 +176,8 @@ def recover(fleet: Fleet, i: int) -> bool:
     fw = fleet[i]
     if fw.state == CRASHED and not fw.tumbled and fw.az >= UPRIGHT:
         _enter(fw, RESET)
-    return fw.state != CRASHED
+    upright: bool = fw.state != CRASHED
+    return upright
 
 
 @kernel(rows, whole)
