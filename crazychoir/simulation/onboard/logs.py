@@ -29,11 +29,14 @@ def _motor(k: int) -> Read:
 
 
 AXES = ("x", "y", "z")
+STATE = ("x", "y", "z", "vx", "vy", "vz", "roll", "pitch", "yaw", "qx", "qy", "qz", "qw")
+TARGET = ("x", "y", "z", "vx", "vy", "vz", "ax", "ay", "az", "roll", "pitch", "yaw", "thrust")
+MODES = ("x", "y", "z", "roll", "pitch", "yaw", "quat")
 _supervisor = entries(supervisor)
 TABLE: dict[str, Read] = {
-    **{f"stateEstimate.{name}": _field(name) for name in ["x", "y", "z", "vx", "vy", "vz", "roll", "pitch", "yaw", "qx", "qy", "qz", "qw"]},
+    **{f"stateEstimate.{name}": _field(name) for name in STATE},
     **{f"stateEstimate.a{axis}": _field(f"ac{axis}", 1.0 / GRAVITY) for axis in AXES},
-    **{f"stateEstimateZ.{name}": _whole(name, 1000.0) for name in ["x", "y", "z", "vx", "vy", "vz"]},
+    **{f"stateEstimateZ.{name}": _whole(name, 1000.0) for name in STATE[:6]},
     **{f"stateEstimateZ.a{axis}": _whole(f"ac{axis}", 1000.0) for axis in AXES},
     **{f"kalman.state{axis.upper()}": _field(axis) for axis in AXES},
     "kalman.varPX": _field("xy_pp"),
@@ -46,8 +49,8 @@ TABLE: dict[str, Read] = {
     **{f"controller.{name}Rate": _field(f"target_{name}_rate") for name in ("roll", "pitch", "yaw")},
     **{f"controller.cmd_{name}": _field(f"{name}_out") for name in ("roll", "pitch", "yaw")},
     "controller.cmd_thrust": _field("thrust"),
-    **{f"ctrltarget.{n}": _target(n) for n in "x y z vx vy vz ax ay az roll pitch yaw thrust".split()},
-    **{f"ctrltarget.mode_{n}": _target(f"mode_{n}") for n in "x y z roll pitch yaw quat".split()},
+    **{f"ctrltarget.{n}": _target(n) for n in TARGET},
+    **{f"ctrltarget.mode_{n}": _target(f"mode_{n}") for n in MODES},
     **{f"motor.m{k + 1}": _motor(k) for k in range(4)},
     **{f"motor.m{k + 1}req": _motor(k) for k in range(4)},
     "pm.vbat": _field("vbat"),

@@ -115,7 +115,7 @@ def sample(fw: Record) -> bool:
     """
     plan = fw.planner
     t, total = _now(fw) - plan.begin, _total(fw)
-    moving = t <= total
+    moving: bool = t <= total
     _find(fw, max(total - t, ZERO) if plan.reversed else t)
     _stretch(fw, moving)
     if plan.slot >= 0:
