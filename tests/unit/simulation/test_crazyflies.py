@@ -7,6 +7,7 @@ from crazychoir.math3d import rotation
 from crazychoir.platforms import CRAZYFLIE_21, CRAZYFLIE_21_BRUSHLESS
 from crazychoir.simulation.air import Wind
 from crazychoir.simulation.crazyflies import CrazyflieWorld
+from crazychoir.simulation.onboard.laws import MotorForces
 
 
 def posed(world, ticks):
@@ -49,7 +50,7 @@ def test_a_drone_flies_the_same_alone_and_among_others():
         posed(world, 30)
         for i in ids:
             assert world.onboard[i].take_off(0.4, 1.0) == 0
-        posed(world, 60)
+        posed(world, 100)
         return world.states[world.row[5]].copy()
 
     alone = flown([5])
@@ -62,7 +63,7 @@ def test_a_users_law_flies_it_every_two_milliseconds():
 
     def law(setpoint, state, gyro, dt):
         calls.append(dt)
-        return np.full(4, 0.8)
+        return MotorForces(0.05, 0.05, 0.05, 0.05)
 
     drone = world.onboard[1]
     drone.register("mine", law)
