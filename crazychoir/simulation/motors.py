@@ -137,7 +137,7 @@ class MotorWorld(Truth):
         self._sensors, self._gusts = self._keys(seed, SENSORS), self._keys(seed, GUSTS)
         self._blocks = np.zeros((-(-n // LANES), SIZE))
         self._fill(seed, sensors, ground_effect, charge)
-        self._run(0)
+        self._run(0, 0)
 
     def _keys(self, seed: int, use: int) -> Keys:
         """(blocks, LANES) the keys of the drones' streams; the last drone's where a lane is empty."""
@@ -217,10 +217,10 @@ class MotorWorld(Truth):
             _blow(self._blocks, self._gusts, self.tick, wind)
         if self._downwash:
             downwash(self.states, self._lift, self._radius, self._heads, self._chain, self._below)
-        self._run(self._steps)
+        self._run(self.tick * self._steps, self._steps)
         self.tick += 1
 
-    def _run(self, steps: int) -> None:
+    def _run(self, time: int, steps: int) -> None:
         _advance(
             self.states,
             self._blocks,
@@ -233,7 +233,7 @@ class MotorWorld(Truth):
             self.impact,
             self._lift,
             self._sensors,
-            self.tick * self._steps,
+            time,
             steps,
             self._options,
         )

@@ -63,7 +63,7 @@ def hovering(start=START, platform=P, **options):
 def flown(h, until, goal):
     world = hovering()
     world.force[0], world.torque[0] = PUSH, TWIST
-    world._run(0)
+    world._run(0, 0)
     m = world._blocks[0]
     for name, value in {HALF: math.exp(-0.5 * h / P.rotor.lag), FULL: math.exp(-h / P.rotor.lag)}.items():
         m[name : name + LANES] = value
