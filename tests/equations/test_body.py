@@ -10,6 +10,7 @@ from scipy.integrate import solve_ivp
 
 from crazychoir.math3d import GRAVITY, exponential, rotation
 from crazychoir.platforms import CRAZYFLIE_21, CRAZYFLIE_21_BRUSHLESS, rotor_speed
+from crazychoir.simulation import lanes
 from crazychoir.simulation.body import ROTOR_HEIGHT, fly, near_floor
 from crazychoir.simulation.lanes import FULL, G1, HALF, LANES
 from crazychoir.simulation.motors import MotorWorld
@@ -70,16 +71,10 @@ def flown(h, until, goal):
     for c in range(4):
         m[G1 + c * LANES] = goal[c]
     for c in range(3):
-        m[world_row("AIRX") + c * LANES] = WIND[c]
+        m[lanes.AIRX + c * LANES] = WIND[c]
     for _ in range(round(until / h)):
         fly(m, h)
     return m[0 : 13 * LANES : LANES].copy()
-
-
-def world_row(name):
-    from crazychoir.simulation import lanes
-
-    return getattr(lanes, name)
 
 
 GOAL = np.array([0.093, 0.086, 0.088, 0.090])
@@ -112,8 +107,8 @@ def test_without_torque_and_drag_a_tumbling_fall_keeps_energy_and_angular_moment
     world.cut(0)
     m = world._blocks[0]
     for c in range(4):  # rotors that stand still from the start
-        m[world_row("F1") + c * LANES] = m[world_row("N1") + c * LANES] = 0.0
-        m[world_row("S1") + c * LANES] = abs(platform.rotor.thrust[0])
+        m[lanes.F1 + c * LANES] = m[lanes.N1 + c * LANES] = 0.0
+        m[lanes.S1 + c * LANES] = abs(platform.rotor.thrust[0])
     j = np.array(platform.inertia)
 
     def kept():
