@@ -23,7 +23,7 @@ from crazychoir.simulation.onboard.record import (
     entries,
     fleet,
 )
-from crazychoir.simulation.onboard.units import roll_pitch_yaw_rate_raw, thrust_raw
+from crazychoir.simulation.onboard.units import FULL, roll_pitch_yaw_rate_raw, thrust_raw
 from crazychoir.types import State
 
 CONTROLLERS = {"pid": PID, "mellinger": MELLINGER, "lee": LEE}
@@ -99,7 +99,8 @@ class Onboard:
         return self.rpyt_raw(*roll_pitch_yaw_rate_raw(roll, pitch, yaw_rate), self._thrust(thrust))
 
     def _thrust(self, newtons: float) -> float:
-        return min(max(thrust_raw(newtons, self.firmware), 0.0), 65535.0)
+        raw = thrust_raw(newtons, self.firmware)
+        return min(max(raw, 0.0), FULL) if math.isfinite(raw) else math.nan
 
     def stop_setpoint(self, priority: int = CRTP) -> bool:
         """No thrust, no modes."""

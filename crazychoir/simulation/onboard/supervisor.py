@@ -172,12 +172,12 @@ def information(fleet: Fleet, i: int) -> int:
 
 @kernel(rows, whole)
 def recover(fleet: Fleet, i: int) -> bool:
-    """A crashed drone that stands upright again begins anew; True also where nothing has crashed."""
+    """A crashed drone that stands upright again begins anew; True also where nothing has crashed, False if locked."""
     fw = fleet[i]
     if fw.state == CRASHED and not fw.tumbled and fw.az >= UPRIGHT:
         _enter(fw, RESET)
-    upright: bool = fw.state != CRASHED
-    return upright
+    recovered: bool = fw.state not in (CRASHED, LOCKED)
+    return recovered
 
 
 @kernel(rows, whole)

@@ -98,6 +98,6 @@ def test_a_battery_off_its_low_pass_gives_what_the_curve_says(platform):
 
 
 def test_an_empty_battery_limits_the_thrust():
-    got = shares(output=LEGACY, thrust=65535, vbat=3.2, vbat_low=3.2)
-    assert got == pytest.approx([curve(CRAZYFLIE_21, 3.2) / 0.12] * 4)
+    got = shares(output=LEGACY, thrust=65535, vbat=2.8, vbat_low=2.8)
+    assert got == pytest.approx([curve(CRAZYFLIE_21, 2.8) / 0.12] * 4)
     assert got[0] < 0.9
