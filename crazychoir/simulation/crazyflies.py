@@ -30,7 +30,8 @@ def _think(m: Vec, first: int, firmware: Fleet) -> None:
     for k in range(min(LANES, firmware.shape[0] - first)):
         fw = firmware[first + k]
         stabilize(fw, m[GYROX + k], m[GYROY + k], m[GYROZ + k], m[ACCX + k], m[ACCY + k], m[ACCZ + k])
-        m[U1 + k], m[U2 + k], m[U3 + k], m[U4 + k] = fw.motors[0], fw.motors[1], fw.motors[2], fw.motors[3]
+        u = fw.motors
+        m[U1 + k], m[U2 + k], m[U3 + k], m[U4 + k] = u[0], u[1], u[2], u[3]
 
 
 @kernel(table, table, matrix, matrix, matrix, vector, memory, memory, memory, memory, keys, whole, whole, vector, rows)

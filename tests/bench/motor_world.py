@@ -13,6 +13,7 @@ import numpy as np
 from crazychoir.math3d import GRAVITY
 from crazychoir.platforms import CRAZYFLIE_21
 from crazychoir.simulation.air import Wind
+from crazychoir.simulation.crazyflies import CrazyflieWorld
 from crazychoir.simulation.integrator import CFIntegrator
 from crazychoir.simulation.motors import MotorWorld
 
@@ -42,6 +43,22 @@ def places(n: int) -> np.ndarray:
 def motor_level(n: int) -> Callable[[], object]:
     """Everything of the default model, and wind with gusts; motor commands are held."""
     return MotorWorld(range(n), places(n), wind=Wind((0.5, 0.0, 0.0), 0.2)).step
+
+
+def with_firmware(n: int) -> Callable[[], object]:
+    """The same with the firmware on board of every drone, all hovering 1 m above the floor."""
+    side = int(np.ceil(np.sqrt(n)))
+    floor = 0.8 * np.array([(k % side, k // side, 0.0) for k in range(n)])
+    world = CrazyflieWorld(range(n), floor, wind=Wind((0.3, 0.0, 0.0), 0.1))
+    for tick in range(200):
+        world.step()
+        for i, drone in world.onboard.items():
+            drone.external_pose(world.states[i, :3].copy(), world.states[i, 6:10].copy())
+            if tick == 50:
+                drone.arm()
+            if tick == 60 and drone.take_off(1.0, 1.0) != 0:
+                raise RuntimeError(f"drone {i} does not take off: {drone.state}")
+    return world.step
 
 
 def lightweight(n: int) -> Callable[[], object]:
@@ -82,6 +99,7 @@ def in_crazyflow(n: int) -> Callable[[], object]:
 ENGINES = {
     "lightweight, 100 Hz": lightweight,
     "motor level, 1 kHz": motor_level,
+    "  with firmware": with_firmware,
     "MuJoCo, 1 kHz": in_mujoco,
     "crazyflow, 500 Hz": in_crazyflow,
 }
