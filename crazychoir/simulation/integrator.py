@@ -141,8 +141,10 @@ def _advance(
 ) -> None:
     """Advance all drones by h with the held commands `target`; replaces x (N, 13) and inputs `actual` (N, 4)."""
     k, u, y, goal = np.empty((5, 10)), np.empty((3, 4)), np.empty(10), np.empty(4)
+    platform = np.empty(platforms.shape[1])
     for i in range(x.shape[0]):
-        platform = platforms[i]
+        for c in range(platforms.shape[1]):
+            platform[c] = platforms[i, c]
         for c in range(4):
             goal[c] = target[i, c] * alive[i]
         for s in range(3):
