@@ -75,8 +75,9 @@ def _voltages(fw: Record) -> None:
 
     Its error counts by the battery's distance from its low-pass only. The curve rises everywhere.
     """
+    newtons = fw.thrust_max / FULL
     for i in range(4):
-        f, v = max(fw.request[i] / FULL * fw.thrust_max, fw.thrust_min), fw.volts[i]
+        f, v = max(fw.request[i] * newtons, fw.thrust_min), fw.volts[i]
         fw.volts[i] = v - (_thrust(fw, v) - f) / (fw.c1 + v * (2.0 * fw.c2 + 3.0 * v * fw.c3))
 
 
@@ -92,15 +93,16 @@ def compensate(fw: Record) -> None:
     steady = abs(ratio - 1.0) < STEADY
     if not steady:
         _voltages(fw)
-    most = _thrust(fw, fw.vbat) / fw.thrust_max
+    newtons, share = fw.thrust_max / FULL, 1.0 / fw.thrust_max
+    most = _thrust(fw, fw.vbat) * share
     for i in range(4):
-        f = fw.request[i] / FULL * fw.thrust_max
+        f = fw.request[i] * newtons
         if f < fw.thrust_min:
             fw.motors[i] = 0.0
         elif f >= full:
             fw.motors[i] = most
         elif steady:
-            fw.motors[i] = f / fw.thrust_max
+            fw.motors[i] = f * share
         else:
             v = fw.volts[i]
-            fw.motors[i] = max(f + _thrust(fw, v * ratio) - _thrust(fw, v), 0.0) / fw.thrust_max
+            fw.motors[i] = max(f + _thrust(fw, v * ratio) - _thrust(fw, v), 0.0) * share

@@ -9,12 +9,13 @@ from crazychoir.simulation.onboard.record import Record
 _C = math.tan(math.pi * 20.0 / 100.0)
 _N = 1.0 / (1.0 + math.sqrt(2.0) * _C + _C * _C)
 B0, A1, A2 = _C * _C * _N, 2.0 * (_C * _C - 1.0) * _N, (1.0 - math.sqrt(2.0) * _C + _C * _C) * _N
+TURN = 1.0 / 360.0
 
 
 @kernel()
 def wrap_degrees(angle: float) -> float:
     """The same angle in [-180, 180)."""
-    return angle - 360.0 * math.floor((angle + 180.0) / 360.0)
+    return angle - 360.0 * math.floor((angle + 180.0) * TURN)
 
 
 @kernel()
@@ -29,7 +30,7 @@ def reset(pid: Record) -> None:
 @kernel()
 def _sum(pid: Record, desired: float, error: float, slope: float, rate: float) -> float:
     """P, D, then the integral with this error, then what the set-point feeds forward."""
-    pid.integral += error / rate
+    pid.integral += error * (1.0 / rate)
     if pid.i_limit > 0.0:
         pid.integral = clip(pid.integral, -pid.i_limit, pid.i_limit)
     out = pid.kp * error - pid.kd * slope + pid.ki * pid.integral + pid.kff * desired

@@ -147,10 +147,11 @@ def test_no_duration_is_a_jump(onboard):
     assert target(onboard) == pytest.approx([1.4, -0.3, 1.0], abs=1e-5)
 
 
-def test_yaw_turns_the_short_way(onboard):
-    risen(onboard).go_to((0.4, -0.3, 1.0), -2.9, 1.0)
+@pytest.mark.parametrize(("goal", "reached"), [(-2.9, 2 * math.pi - 2.9), (-1.0, -1.0), (4.5, 4.5 - 2 * math.pi)])
+def test_yaw_turns_the_short_way(onboard, goal, reached):
+    risen(onboard).go_to((0.4, -0.3, 1.0), goal, 1.0)
     run(onboard, 500)
-    assert math.radians(target(onboard, "yaw")[0]) == pytest.approx((0.5 + 2 * math.pi - 2.9) / 2, abs=0.1)
+    assert math.radians(target(onboard, "yaw")[0]) == pytest.approx((0.5 + reached) / 2, abs=0.1)
 
 
 def test_stop_cuts_the_motors(onboard):
