@@ -78,6 +78,10 @@ class World(Protocol):
         """The way to drone i for commands of this kind; raises ConfigError for one that is not flown here."""
         ...
 
+    def see(self, i: int, pose: Pose) -> None:
+        """The cameras have seen drone i: what its radio would tell its estimator; without one, nothing."""
+        ...
+
     def state(self, i: int) -> State:
         """The truth about drone i, a copy."""
         ...
