@@ -142,4 +142,4 @@ def _clear_place(draw: np.random.Generator, i: int, homes: dict[int, Vec]) -> Ve
 
 
 def _plain(drone: Drone) -> dict[str, object]:
-    return {"id": drone.id, "leader": drone.leader, "yaw": drone.yaw, "uri": drone.uri}
+    return {"id": drone.id, "leader": drone.leader, "yaw": drone.yaw, "uri": drone.uri, "platform": drone.platform}

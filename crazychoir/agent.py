@@ -8,31 +8,31 @@ from functools import partial
 from importlib.metadata import version
 from typing import Any
 
-import numpy as np
-
 from crazychoir.bus.commands import CommandServer
 from crazychoir.bus.local import Bus
-from crazychoir.bus.topics import LOG, RESULT, STATUS
+from crazychoir.bus.topics import LOG, POSE, RESULT, STATUS
 from crazychoir.control.choice import Controls, controls
+from crazychoir.control.margin import Plant
 from crazychoir.errors import Refused
 from crazychoir.guidance.drone import Drone
 from crazychoir.guidance.life import GuidanceActor
 from crazychoir.guidance.mission import Mission, mission_hash
-from crazychoir.mocap.simulated import SimulatedMocap
-from crazychoir.platforms import PAPER
+from crazychoir.platforms import platform
 from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import Clock
 from crazychoir.runtime.supervisor import Supervisor
 from crazychoir.runtime.watchdog import Stall, Watchdog
 from crazychoir.safety.guard import Fence
 from crazychoir.safety.pilot import Pilot, filter_of
-from crazychoir.simulation.integrator import CFIntegrator
-from crazychoir.simulation.owner import EulerRatesLink, SimulatedLink, WorldOwner
+from crazychoir.simulation.remote import OwnerWatch, RemoteLink
 from crazychoir.simulation.trace import Trace
+from crazychoir.simulation.world import Link
+from crazychoir.swarm.checks import LIGHTWEIGHT
 from crazychoir.swarm.communicator import Communicator
 from crazychoir.swarm.config import SwarmConfig
 from crazychoir.swarm.impairment import impairment_of
 from crazychoir.swarm.roster import Barrier
+from crazychoir.worlds import owners
 
 log = logging.getLogger(__name__)
 VERSION = version("crazychoir")
@@ -73,7 +73,7 @@ class Pacemaker(Actor):
 class Agent:
     """The drones `ids` of a swarm, in this process.
 
-    link: opens the network (None: everything is here);  trace: digest of virtual time.
+    trace: digest of virtual time;  alone: all is in this process, none of its worlds has an owner elsewhere.
     """
 
     def __init__(
@@ -87,6 +87,7 @@ class Agent:
         incarnation: int = 1,
         trace: Trace | None = None,
         start_deadline: float | None = None,
+        alone: bool = True,
     ) -> None:
         self.clock, self.config, self.mission, self.ids, self.trace = clock, config, mission, ids, trace
         host = config.drone(ids[0]).host or socket.gethostname().split(".")[0]
@@ -97,27 +98,19 @@ class Agent:
         self.alarm: Callable[[int, str], None] = lambda drone, text: None
         for i in ids:
             self.bus.port(i, incarnation)
-        self.world = self._world()
-        self.owner = self._owner()
+        self.owned = () if alone else tuple(i for i in ids if i in config.owned)
+        self.owners = owners(self.bus, config, tuple(i for i in ids if i not in self.owned), trace=trace)
+        self._owner_of = {i: owner for owner in self.owners for i in owner.world.ids}
         self._graph = config.graph()
         self._start_deadline = config.start_deadline if start_deadline is None else start_deadline
         self._digest = mission_hash(config, mission)
+        self._remotes = {i: RemoteLink(self.bus.ports[i]) for i in self.owned}
         self.drones: dict[int, Drone] = {i: self._drone(i) for i in ids}
         pilots = [drone.pilot for drone in self.drones.values()]
         self.pacemaker = Pacemaker(clock, pilots, config.mocap.rate)
         self.supervisor = Supervisor(clock, f"process {process}", self._shared_failed)
         self.services: list[Actor] = []
         self._guidances: dict[int, GuidanceActor] = {}
-
-    def _world(self) -> CFIntegrator:
-        config = self.config
-        homes = np.array([config.drone(i).home for i in self.ids], dtype=float)
-        yaws = np.array([config.drone(i).yaw for i in self.ids])
-        plant = config.plant
-        return CFIntegrator(
-            self.ids, homes, yaws, rate_lag=plant.rate_lag, command_delay=plant.command_delay,
-            inputs=plant.inputs,
-        )  # fmt: skip
 
     def _drone(self, i: int) -> Drone:
         config, port = self.config, self.bus.ports[i]
@@ -128,32 +121,32 @@ class Agent:
         communicator = Communicator(port, self._graph)
         communicator.follow(barrier)
         fence = Fence.box(config.fence.min, config.fence.max)
+        link, harm = self._body(i)
+        seen_at = config.source(POSE, i) if i in self.owned else i
         chosen, rate = self._controls(i), config.mocap.rate
         seen = filter_of(config.control_of(i).filter, chosen, config.flight.ground, rate)
-        pilot = Pilot(port, self._link(i), config.flight, fence, rate, chosen, seen)
+        pilot = Pilot(port, link, config.flight, fence, rate, chosen, seen, seen_at)
         supervisor = self._supervisor(i)
         guidance = self.mission.guidance(i, config)
-        drone = Drone(i, port, barrier, communicator, pilot, guidance, supervisor, partial(self._harm, i))
+        drone = Drone(i, port, barrier, communicator, pilot, guidance, supervisor, harm)
         CommandServer(port, partial(self._execute, drone), partial(self._stop, drone))
         return drone
 
     def _controls(self, i: int) -> Controls:
-        config, plant = self.config, self.config.plant
-        where = f"control of drone {i}"
-        return controls(config.control_of(i), PAPER, "lightweight", plant.rate_lag, plant.command_delay, where)
+        config, plant, drone = self.config, self.config.plant, self.config.drone(i)
+        model: Plant = "lightweight" if drone.uri == LIGHTWEIGHT else "motors"
+        kind, where = platform(drone.platform), f"control of drone {i}"
+        return controls(config.control_of(i), kind, model, plant.rate_lag, plant.command_delay, where)
+
+    def _body(self, i: int) -> tuple[Link, Callable[[], str]]:
+        """The way to a drone's body, and what says what has broken it."""
+        if i in self._remotes:
+            return self._remotes[i], self._remotes[i].harm
+        owner = self._owner_of[i]
+        return owner.link(i), partial(owner.world.harm, i)
 
     def _supervisor(self, i: int) -> Supervisor:
         return Supervisor(self.clock, f"drone {i}", lambda actor, error, again: self._failed(i, actor, error, again))
-
-    def _harm(self, i: int) -> str:
-        """A drone that the simulated floor has broken."""
-        if i not in self.world.crashed:
-            return ""
-        impact, allowed = self.world.impact[self.world.row[i]], self.world.platform.max_landing_speed
-        return f"crashed: hit the floor at {impact:.2f} m/s, allowed {allowed:g} m/s"
-
-    def _link(self, i: int) -> SimulatedLink:
-        return (EulerRatesLink if self.config.plant.inputs == "euler" else SimulatedLink)(self.world, i)
 
     async def run(self) -> dict[int, dict[str, Any]]:
         """Fly the mission; returns each drone's result."""
@@ -170,17 +163,9 @@ class Agent:
             await owner
         return {i: drone.result for i, drone in self.drones.items()}
 
-    def _owner(self) -> WorldOwner:
-        """Whoever steps the world and looks at it."""
-        mocap = self.config.mocap
-        cameras = SimulatedMocap(
-            self.ids, self.config.seed, noise_p=mocap.noise, noise_angle=mocap.noise_angle, dropout=mocap.dropout,
-            latency_steps=round(mocap.latency * mocap.rate), dt=1.0 / mocap.rate,
-        )  # fmt: skip
-        return WorldOwner(self.bus, self.world, cameras, mocap.rate, self.trace)
-
     def _shared(self) -> list[Actor]:
-        return [*self.services, self.owner, self.pacemaker]
+        watch = [OwnerWatch(self.clock, self._remotes, self._orphaned)] if self._remotes else []
+        return [*self.services, *self.owners, *watch, self.pacemaker]
 
     def _flying(self, drone: Drone) -> list[Actor]:
         return [drone.barrier.monitor, drone.pilot, StatusActor(drone)]
@@ -197,6 +182,13 @@ class Agent:
             drone.pilot.land(reason)
         for guidance in self._guidances.values():
             guidance.abort(reason)
+
+    def _orphaned(self, i: int) -> None:
+        """The world of drone i is gone: the safety table has brought it down if it flew, and its mission is over."""
+        pilot = self.drones[i].pilot
+        reason = pilot.brought_down or "its world is gone"
+        pilot.land(reason)
+        self._guidances[i].abort(reason)
 
     def cut_all(self, reason: str) -> None:
         """Stop all motors now."""
@@ -216,7 +208,7 @@ class Agent:
 
     def _shared_failed(self, actor: Actor, error: Exception, again: bool) -> None:
         """Without the world or the pacemaker nobody flies on: the drones land, or are cut by who still ticks them."""
-        if actor is self.owner or actor is self.pacemaker:
+        if actor in self.owners or actor is self.pacemaker:
             self.land_all(f"{actor.name} failed: {type(error).__name__}: {error}")
 
     def _failed(self, i: int, actor: Actor, error: Exception, again: bool) -> None:

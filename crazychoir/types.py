@@ -191,6 +191,16 @@ class Status(Wire, frozen=True, array_like=True, gc=False):
     note: str = ""
 
 
+class Body(Wire, frozen=True, array_like=True, gc=False):
+    """How a drone's simulated body is.
+
+    flies: names of the kinds of commands that its engine obeys;  harm: what has broken it, empty if nothing has.
+    """
+
+    flies: list[str]
+    harm: str = ""
+
+
 Reference = Acceleration | FullState | Goto
 Heard = dict[int, State]
 

@@ -22,6 +22,8 @@ ANY = -1
 """In an interest: every drone but the reader; a mailbox then gets (drone, value)."""
 OBSERVER = 10_000
 """Addresses from here on are observers and operators; below are drones."""
+BODIES = 1 << 25
+"""The body of drone i is at BODIES + i where another process than the drone's holds it: beyond all observers."""
 
 Handler = Callable[[int, bytes, int, str, int, float], None]
 """Called with (source, payload, number, channel, flags, age)."""

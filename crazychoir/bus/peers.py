@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from crazychoir.bus.hello import Hello
-from crazychoir.bus.local import OBSERVER, Bus
+from crazychoir.bus.local import BODIES, OBSERVER, Bus
 from crazychoir.bus.topics import Class
 from crazychoir.errors import CodecError, Refused
 from crazychoir.runtime.clock import SECOND
@@ -136,6 +136,9 @@ class Peers:
         doubles = ", ".join(str(i) for i in hello.drones if i in self.bus.ports)
         if doubles:
             return f"{who} flies drone(s) {doubles} too"
+        bodies = ", ".join(str(j - BODIES) for j in hello.observers if j >= BODIES and j in self.bus.ports)
+        if bodies:
+            return f"{who} owns the world of drone(s) {bodies} too"
         if hello.version != self.version:
             return f"{who} runs version {hello.version}, this one runs {self.version}"
         return ""
@@ -147,7 +150,7 @@ class Peers:
             return False
         if hello.version == self.version and hello.precedes(self.bus.process, uptime - self._uptime()):
             since = f"and has done so for {uptime:.1f} s"
-            do = "Give this agent another --id, or stop that one."
+            do = "Give this agent another --id, or stop that one." if self.bus.drones() else "Stop one of them."
             self.on_refused(Refused(f"swarm {self.swarm}", f"{refusal} {since}. {do}"))
         else:
             log.warning("%s: it is refused", refusal)

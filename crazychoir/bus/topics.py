@@ -7,7 +7,7 @@ from typing import Any, Literal, get_args
 
 from crazychoir.runtime.clock import Clock
 from crazychoir.runtime.mailbox import AnyMailbox, DropOldest, Latest
-from crazychoir.types import Command, FullState, Pose, State, Status
+from crazychoir.types import Body, Command, FullState, Pose, State, Status
 
 
 class Class(IntEnum):
@@ -32,7 +32,8 @@ class Topic:
     type: of its values, one or several, None for any;  rate: Hz, of the sender, 0 for when needed;  max_age: s, beyond
     which a value is stale;  queue: 0 for a mailbox of the latest value, n for the n newest;  latched: a new reader gets
     the last value;  impaired: the simulated network acts on it between drones;  public: Hz of the copy for other Zenoh
-    programs, 0 for none;  wire: along an edge, to whoever is interested, or to a process.
+    programs, 0 for none;  wire: along an edge, to whoever is interested, or to a process;  of_body: said by whoever
+    holds the drone's body, which may be another process than the drone's.
     """
 
     number: int
@@ -46,6 +47,7 @@ class Topic:
     impaired: bool = True
     public: float = 0.0
     wire: Literal["edge", "interest", "process"] = "interest"
+    of_body: bool = False
 
     @property
     def allowed(self) -> str:
@@ -63,14 +65,17 @@ class Topic:
 NEVER_STALE = float("inf")
 
 # From one drone's actors to each other, and to whoever looks on.
-POSE = Topic(1, "pose", Pose, 100, 0.1, 0, Class.CONTROL, impaired=False)
+POSE = Topic(1, "pose", Pose, 100, 0.1, 0, Class.CONTROL, impaired=False, of_body=True)
 STATE = Topic(2, "state", State, 100, 0.25, 0, Class.CONTROL, public=10)
 REFERENCE = Topic(3, "reference", FullState, 100, 0.5, 0, Class.CONTROL, impaired=False)
 COMMAND = Topic(4, "command", Command, 100, 0.1, 0, Class.CONTROL, impaired=False)
-TRUTH = Topic(5, "truth", State, 20, 0.5, 0, Class.CONTROL, impaired=False)
+TRUTH = Topic(5, "truth", State, 20, 0.5, 0, Class.CONTROL, impaired=False, of_body=True)
 STATUS = Topic(6, "status", Status, 4, 2.0, 0, Class.CONTROL, latched=True, impaired=False, public=2)
 RESULT = Topic(7, "result", dict, 0, NEVER_STALE, 0, Class.BULK, latched=True, impaired=False)
 LOG = Topic(8, "log", str, 0, NEVER_STALE, 256, Class.BULK, impaired=False)
+BODY = Topic(9, "body", Body, 4, 1.0, 0, Class.CONTROL, latched=True, impaired=False, of_body=True)
+# From a drone to its body, where that is in another process: COMMAND, and instead of it from the cut on
+CUT = Topic(10, "cut", None, 0, NEVER_STALE, 0, Class.CONTROL, impaired=False, wire="edge")
 # Along the edges of the graph.
 ROUND = Topic(16, "round", None, 0, NEVER_STALE, 0, Class.ROUNDS, wire="edge")
 HEARTBEAT = Topic(17, "heartbeat", None, 4, 1.0, 0, Class.CONTROL, wire="edge")
@@ -84,7 +89,7 @@ ESTOP = Topic(26, "estop", None, 0, NEVER_STALE, 0, Class.ESTOP, impaired=False,
 HELLO = Topic(32, "hello", None, 1, NEVER_STALE, 0, Class.ROUNDS, impaired=False, wire="process")
 
 TOPICS = (
-    POSE, STATE, REFERENCE, COMMAND, TRUTH, STATUS, RESULT, LOG,
+    POSE, STATE, REFERENCE, COMMAND, TRUTH, STATUS, RESULT, LOG, BODY, CUT,
     ROUND, HEARTBEAT, ROSTER, ACK, REQUEST, ANSWER, ESTOP, HELLO,
 )  # fmt: skip
 BY_NAME = {topic.name: topic for topic in TOPICS}

@@ -88,7 +88,7 @@ def fly(drones: int, watch: Callable[[bool], None] = lambda on: None) -> list[tu
         meter = Meter(agent, watch)
         agent.services.append(meter)
         failed = {i: r["reason"] for i, r in (await agent.run()).items() if not r["success"]}
-        if failed or len(meter.windows) < WINDOWS or agent.world.crashed:
+        if failed or len(meter.windows) < WINDOWS or agent.owners[0].world.crashed:
             raise Refused(f"bench flight, {drones} drones", f"not a good flight: {failed or meter.windows}")
         return meter.windows
 

@@ -164,7 +164,7 @@ def pose_to_command(drones: int, seconds: float) -> Lateness:
     async def main(clock: Clock) -> dict[int, dict[str, Any]]:
         agent = Agent(clock, default_swarm(drones), mission, tuple(range(drones)))
         for drone in agent.drones.values():
-            drone.pilot.link = StopwatchLink(drone.pilot, agent.owner, elapsed_ns)
+            drone.pilot.link = StopwatchLink(drone.pilot, agent.owners[0], elapsed_ns)
         return await agent.run()
 
     results = run_wall(main)

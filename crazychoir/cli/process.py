@@ -4,6 +4,7 @@ import asyncio
 import logging
 import random
 import signal
+import socket
 from dataclasses import asdict
 from typing import Any
 
@@ -14,7 +15,8 @@ from crazychoir.errors import Refused
 from crazychoir.guidance.mission import Mission
 from crazychoir.runtime.clock import SECOND, Clock, run_wall
 from crazychoir.runtime.watchdog import Watchdog
-from crazychoir.swarm.config import SwarmConfig
+from crazychoir.swarm.config import WORLD, SwarmConfig
+from crazychoir.worlds import WorldProcess
 
 log = logging.getLogger(__name__)
 AGAIN = 2.0
@@ -30,7 +32,7 @@ def run_agent(
     async def main(clock: Clock) -> dict[str, Any]:
         incarnation = random.SystemRandom().getrandbits(62)
         process = f"{ids[0]}-{incarnation & 0xFFFFFFFF:08x}"
-        agent = Agent(clock, config, mission, ids, process=process, incarnation=incarnation)
+        agent = Agent(clock, config, mission, ids, process=process, incarnation=incarnation, alone=False)
         link = _link(agent, config, ids, listen, connect)
         link.open()
         agent.alarm = link.alarm
@@ -74,6 +76,49 @@ def _link(
         agent.bus, config.name, listen=[listen or own], connect=lower if connect is None else connect,
         incarnation=agent.incarnation, version=VERSION, lease=config.lease, on_token=on_token, on_refused=on_refused,
     )  # fmt: skip
+
+
+def run_world(config: SwarmConfig, listen: str | None) -> dict[str, Any]:
+    """Own the simulated world of these drones in real time, over Zenoh; returns what it was like."""
+
+    async def main(clock: Clock) -> dict[str, Any]:
+        incarnation = random.SystemRandom().getrandbits(62)
+        process = f"world-{incarnation & 0xFFFFFFFF:08x}"
+        host = config.world.host or socket.gethostname().split(".")[0]
+        world = WorldProcess(clock, config, process, host, incarnation)
+        link = ZenohLink(
+            world.bus, config.name, listen=[listen or config.endpoints()[WORLD]], connect=[], incarnation=incarnation,
+            version=VERSION, lease=config.lease, on_refused=world.refuse,
+        )  # fmt: skip
+        link.open()
+        watchdog = Watchdog(clock)
+        watchdog.start()
+        _end_on_signals(clock, world)
+        try:
+            await world.serve(link)
+        finally:
+            watchdog.stop()
+        return world.report() | {"network": asdict(link.counters), "late_s": watchdog.worst}
+
+    return run_wall(main)
+
+
+def _end_on_signals(clock: Clock, world: WorldProcess) -> None:
+    """The first signal lets those land who fly; a second of an operator within 2 s ends it where it is."""
+    loop = asyncio.get_running_loop()
+    times: list[int] = []
+
+    def on_signal(number: int) -> None:
+        again = number != signal.SIGHUP and any(t > clock.now_ns() - AGAIN * SECOND for t in times)
+        if again:
+            world.abort("a second signal")
+        else:
+            world.end(NAMES.get(number, "SIGHUP"))
+        if number != signal.SIGHUP:
+            times.append(clock.now_ns())
+
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        loop.add_signal_handler(number, on_signal, number)
 
 
 def _obey_signals(clock: Clock, agent: Agent) -> None:

@@ -60,12 +60,12 @@ class Window:
     def read(self, topic: Topic, i: int, function: Callable[[Any, float], None], rate: float = 0.0) -> Call[Any]:
         """Call the function with each value of drone i, and its age; at most `rate` times a second (0: all)."""
         box = Call(self.clock, function)
-        self.link.bus.subscribe(topic, i, self.address, box, rate)
+        self.link.bus.subscribe(topic, self.config.source(topic, i), self.address, box, rate)
         return box
 
     def score(self) -> Score:
         """The whole swarm, from now on."""
-        return Score(self.link.bus, self.config.ids, address=self.address)
+        return Score(self.link.bus, self.config.ids, address=self.address, source=self.config.source)
 
     async def request(self, verb: str, drones: Iterable[int] | None = None, **arguments: Any) -> Answers:
         """Ask these drones; None: every drone of the swarm."""

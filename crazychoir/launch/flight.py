@@ -69,10 +69,15 @@ def fly_real(
     async def main(clock: Clock) -> dict[str, Any]:
         link = observer(clock, config)
         address = next(iter(link.bus.ports))
-        score = Score(link.bus, config.ids, goal_of(mission, config), watch or (lambda score: None), address=address)
-        recorder = Recorder(link.bus, config.ids, file, address) if file else None
+        watched = watch or (lambda score: None)
+        score = Score(
+            link.bus, config.ids, goal_of(mission, config), watched, address=address, source=config.source
+        )  # fmt: skip
+        recorder = Recorder(link.bus, config.ids, file, address, config.source) if file else None
         async with attached(link, score, *([recorder] if recorder else [])):
-            results = await run_children(groups, path, config, list(options), say, lambda: all_wait(config, score))
+            results = await run_children(
+                groups, path, config, list(options), say, lambda: all_wait(config, score), starts_world(config, started)
+            )
         wall = time.perf_counter() - began
         return summary(config, mission, results, score, wall, wall, started) | {
             "recording": recorder.result() if recorder else None
@@ -124,6 +129,13 @@ def summary(
         "results": results,
         **score.formation(),
     }
+
+
+def starts_world(config: SwarmConfig, started: tuple[int, ...] | None) -> bool:
+    """Whether the world's owner is started here: with all drones, or with the lowest one of its host."""
+    here = config.ids if started is None else started
+    beside = [i for i in config.ids if config.drone(i).host == config.world.host]
+    return bool(config.owned) and (here == config.ids or any(i in here for i in beside[:1]))
 
 
 def all_wait(config: SwarmConfig, score: Score) -> bool:

@@ -67,7 +67,7 @@ def apart(config: SwarmConfig, processes: int | None) -> SwarmConfig:
     if groups:
         changes["processes"] = [group for group in groups if group]
     changed = config.replace(**changes)
-    return changed.replace(base_port=free_ports([group[0] for group in changed.groups()]))
+    return changed.replace(base_port=free_ports(list(changed.endpoints())))
 
 
 def free_ports(offsets: list[int], attempts: int = 200) -> int:

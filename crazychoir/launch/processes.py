@@ -5,7 +5,7 @@ import contextlib
 import signal
 import sys
 from asyncio.subprocess import DEVNULL, PIPE, STDOUT, Process
-from collections.abc import Callable, Iterable
+from collections.abc import AsyncIterator, Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +20,9 @@ from crazychoir.types import FullState
 
 GRACE = 20.0
 """s that processes get to end after SIGTERM beside the time of their landings, before they are killed."""
+ORPHANED = 8.0
+"""s that agents get after the end of their world's owner: they notice within 3 s and end, but for those that have never
+heard of it and wait."""
 CHUNK = 1 << 16
 """Bytes read at once of what a process says; a line may be of any length, and is passed on in parts if very long."""
 LONGEST = 1 << 20
@@ -28,6 +31,7 @@ LARGEST = 1 << 30
 
 Say = Callable[[str], None]
 Results = dict[int, dict[str, Any]]
+Children = dict[tuple[int, ...], Process]
 
 
 async def run_children(
@@ -37,14 +41,37 @@ async def run_children(
     options: list[str],
     say: Say,
     all_wait: Callable[[], bool] = lambda: False,
+    world: bool = False,
 ) -> Results:
     """One process a group, until all have ended; their results, of those that had one.
 
     path: the swarm file; results lie beside it while this runs;  all_wait: whether they still wait for each other:
-    then one that ends without a result ends all, for nobody would come that they could wait for.
+    then one that ends without a result ends all, for nobody would come that they could wait for;  world: whether their
+    world's owner is started here too.
     """
     files = {group: path.with_name(f"result-{group[0]}") for group in groups}
-    children: dict[tuple[int, ...], Process] = {}
+    children: Children = {}
+    async with _world(path, children, say) if world else contextlib.nullcontext():
+        await _run_agents(children, path, files, config, options, say, all_wait)
+    results: Results = {}
+    for group, child in children.items():
+        found = read_results(files[group])
+        results |= found
+        if not found:
+            say(f"drone(s) {', '.join(map(str, group))}: no result: the process ended with code {child.returncode}")
+    return results
+
+
+async def _run_agents(
+    children: Children,
+    path: Path,
+    files: dict[tuple[int, ...], Path],
+    config: SwarmConfig,
+    options: list[str],
+    say: Say,
+    all_wait: Callable[[], bool],
+) -> None:
+    """Start one a file, and stay until all have ended."""
     loop = asyncio.get_running_loop()
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         loop.add_signal_handler(number, _signal, children.values(), number)
@@ -56,18 +83,37 @@ async def run_children(
             _signal(children.values(), signal.SIGTERM)
 
     try:
-        for group in groups:
-            children[group] = await _spawn(group, path, files[group], options)
-        await asyncio.gather(*map(until_its_end, groups))
+        for group, file in files.items():
+            children[group] = await _spawn(group, path, file, options)
+        await asyncio.gather(*map(until_its_end, files))
     finally:
         await _end([child for child in children.values() if child.returncode is None], patience(config))
-    results: Results = {}
-    for group, child in children.items():
-        found = read_results(files[group])
-        results |= found
-        if not found:
-            say(f"drone(s) {', '.join(map(str, group))}: no result: the process ended with code {child.returncode}")
-    return results
+
+
+@contextlib.asynccontextmanager
+async def _world(path: Path, agents: Children, say: Say) -> AsyncIterator[None]:
+    """The owner of the agents' world: it is there before them and ends after them."""
+    child = await _start("crazychoir.cli.world", "--swarm", str(path), "--child")
+    over = asyncio.Event()
+
+    async def watch() -> None:
+        await _listen(child, say)
+        if over.is_set():
+            return
+        say(f"world: its owner ended with code {child.returncode}: its drones see nothing and stop")
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(ORPHANED):
+                await over.wait()
+        _signal([agent for agent in agents.values() if agent.returncode is None], signal.SIGTERM)
+
+    watching = asyncio.create_task(watch())
+    try:
+        yield
+    finally:
+        over.set()
+        if child.returncode is None:
+            await _end([child], GRACE)
+        await watching
 
 
 def write_results(path: Path, results: Results) -> None:
@@ -95,9 +141,12 @@ def patience(config: SwarmConfig) -> float:
 
 async def _spawn(group: tuple[int, ...], path: Path, result: Path, options: list[str]) -> Process:
     ids = [word for i in group for word in ("--id", str(i))]
-    command = [sys.executable, "-m", "crazychoir.cli.agent", "--swarm", str(path), *ids, "--child", str(result)]
+    return await _start("crazychoir.cli.agent", "--swarm", str(path), *ids, "--child", str(result), *options)
+
+
+async def _start(module: str, *words: str) -> Process:
     return await asyncio.create_subprocess_exec(
-        *command, *options,
+        sys.executable, "-m", module, *words,
         stdin=DEVNULL,
         stdout=PIPE,
         stderr=STDOUT,

@@ -40,7 +40,7 @@ class Score(Actor):
     It is as large after an hour as after a minute.
     errors: (s since the law began, m of the drone that is farthest from its goal), the last time that anybody was
     beyond SETTLED, and the newest;  touching: {(i, j): m}, the least distance of pairs that came
-    nearer than TOUCHING.
+    nearer than TOUCHING;  source: the address that says a topic of a drone.
     """
 
     bus: Bus
@@ -49,6 +49,7 @@ class Score(Actor):
     watch: Watch = lambda score: None
     name: str = "score"
     address: int = OBSERVER
+    source: Callable[[Topic, int], int] = lambda topic, i: i
 
     def __post_init__(self) -> None:
         self.statuses: dict[int, Status] = {}
@@ -68,7 +69,7 @@ class Score(Actor):
             self._listen(LOG, i, self._hear_log)
 
     def _listen(self, topic: Topic, i: int, function: Callable[[Any, float], None]) -> None:
-        self.bus.subscribe(topic, i, self.address, Call(self.bus.clock, function))
+        self.bus.subscribe(topic, self.source(topic, i), self.address, Call(self.bus.clock, function))
 
     async def run(self) -> None:
         """Look at the whole swarm as often as truth comes."""

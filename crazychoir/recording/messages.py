@@ -19,7 +19,7 @@ from crazychoir.math3d import Vec, columns, dot, kernel, memory, vector
 from crazychoir.recording.cdr import Layout, Leaf, leaves, schema
 from crazychoir.runtime.clock import SECOND
 from crazychoir.swarm.rounds import AHEAD, CREDIT, DATA, FIN, FIN_TOO, KIND_BITS, KINDS, REPEAT, WANT
-from crazychoir.types import FPQR, FRPY, XYZ, Acceleration, FullState, Goto, Pose, State, Status, Vel
+from crazychoir.types import FPQR, FRPY, XYZ, Acceleration, Body, FullState, Goto, Pose, State, Status, Vel
 
 DEFINITIONS = {
     "builtin_interfaces/Time": "int32 sec\nuint32 nanosec",
@@ -75,6 +75,10 @@ string verb
 geometry_msgs/Point p  # m, world
 float64 yaw  # rad
 float64 duration  # s""",
+    "crazychoir_msgs/Body": """\
+std_msgs/Header header
+string[] flies  # kinds of commands that its engine obeys
+string harm  # what has broken it""",
     "crazychoir_msgs/Status": """\
 std_msgs/Header header
 string phase
@@ -221,6 +225,7 @@ MESSAGES: dict[Any, Message] = {
     FRPY: Message("crazychoir_msgs/FRPY", lambda command: command.flat.tolist()),
     Vel: Message("crazychoir_msgs/Vel", lambda command: command.flat.tolist()),
     XYZ: Message("crazychoir_msgs/XYZ", lambda command: (command.verb, *command.flat.tolist())),
+    Body: Message("crazychoir_msgs/Body", lambda body: (body.flies, body.harm)),
     Status: Message("crazychoir_msgs/Status", lambda status: [getattr(status, n) for n in status.__struct_fields__]),
     str: Message("std_msgs/String", lambda line: (line,)),
     dict: Message("crazychoir_msgs/Value", lambda value: (in_json(value),)),

@@ -6,7 +6,7 @@ when the disk cannot keep up. What fails in it ends the recording, with the reas
 
 import asyncio
 import logging
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from typing import Any
@@ -43,11 +43,15 @@ class Recorder(Actor):
 
     observer: an address on a bus without drones, which asks for everything over the network; None on the bus of the
     drones themselves: then each drone reads its own topics, which no other drone and no count of messages notices.
+    source: the address that says a topic of drone i.
     """
 
     name = "recorder"
 
-    def __init__(self, bus: Bus, ids: Sequence[int], file: RecordingFile, observer: int | None = None) -> None:
+    def __init__(
+        self, bus: Bus, ids: Sequence[int], file: RecordingFile, observer: int | None = None,
+        source: Callable[[Topic, int], int] = lambda topic, i: i,
+    ) -> None:  # fmt: skip
         self.bus, self.clock, self.file = bus, bus.clock, file
         self.lost = 0
         self._series: dict[tuple[int, str, Any], tuple[Series, Pack]] = {}
@@ -57,7 +61,7 @@ class Recorder(Actor):
         for i in ids:
             for topic in map(BY_NAME.__getitem__, OBSERVABLE):
                 take = partial(self._take, i, topic)
-                bus.subscribe(topic, i, i if observer is None else observer, Call(self.clock, take))
+                bus.subscribe(topic, source(topic, i), i if observer is None else observer, Call(self.clock, take))
         if observer is None:
             self._next, bus.tap = bus.tap, self._tap
 

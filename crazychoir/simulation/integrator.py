@@ -2,16 +2,19 @@
 
 import math
 from collections.abc import Sequence
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from crazychoir.errors import ConfigError
 from crazychoir.math3d import GRAVITY, Mat, Triple, Vec, clip, columns, dot, kernel, matrix, memory, real, table, vector
 from crazychoir.platforms import PAPER, Platform
-from crazychoir.types import State
+from crazychoir.simulation.links import EulerRatesLink, SimulatedLink
+from crazychoir.types import FPQR, State
 
 THRUST, MAX_THRUST, MASS = 0, 4, 0  # columns of a command and of Platform.flat
+SILENCE = 0.5
+"""s without a command after which a drone has no thrust: it has no firmware that would level it first."""
 
 
 @kernel()
@@ -187,6 +190,9 @@ class CFIntegrator:
     A drone that starts on the floor has its motors stopped, one in the air hovers, until its first command arrives.
     """
 
+    flies: tuple[type[Any], ...] = (FPQR,)
+    command_timeout: float | None = SILENCE
+
     def __init__(
         self,
         ids: Sequence[int],
@@ -224,6 +230,10 @@ class CFIntegrator:
     def time(self) -> float:
         """s since the start."""
         return self.tick * self.dt
+
+    def link(self, i: int) -> SimulatedLink:
+        """The way to drone i: body rates in, whatever the inputs are."""
+        return EulerRatesLink(self, i) if self._euler else SimulatedLink(self, i)
 
     def command(self, i: int, u: Vec | Sequence[float]) -> None:
         """Hold u (4,) = thrust N, rates rad/s for drone i from now on."""
@@ -268,6 +278,11 @@ class CFIntegrator:
     def crashed(self) -> list[int]:
         """Drones that have touched the floor faster than their platform may."""
         return [i for i in self.ids if self.impact[self.row[i]] > self.platform.max_landing_speed]
+
+    def harm(self, i: int) -> str:
+        """At which speed the floor has broken drone i; empty if it has not."""
+        impact, allowed = self.impact[self.row[i]], self.platform.max_landing_speed
+        return f"crashed: hit the floor at {impact:.2f} m/s, allowed {allowed:g} m/s" if impact > allowed else ""
 
     def closest(self) -> tuple[int, int, float]:
         """The closest two drones and their distance in m; (-1, -1, inf) for one drone."""

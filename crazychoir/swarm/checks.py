@@ -3,14 +3,23 @@
 import ipaddress
 import math
 import re
+from importlib.metadata import entry_points
 from itertools import chain, combinations
 
+from crazychoir import platforms
 from crazychoir.errors import ConfigError
 from crazychoir.swarm.graph import Graph, named, span
 from crazychoir.swarm.reading import show
 from crazychoir.swarm.tables import Position, Swarm
 
-FLOWN = ("sim",)
+LIGHTWEIGHT, MOTORS = "sim://", "sim://motors"
+"""Uris of the worlds that are ours: each drone for itself in its agent's process, unless a world's owner is named; and
+all drones together in that owner, as every other world."""
+WORLDS = "crazychoir.worlds"
+"""Group of entry points: the worlds of other packages, by the scheme of their uris."""
+WORLD_STEP = 0.01
+"""s, in which simulated worlds advance."""
+LOWEST_PORT = 1024
 PLANNED = ("udp", "radio", "mujoco")
 TOUCHING = 0.137
 """m: two Crazyflies nearer than this, centre to centre, may touch: 92 mm from motor to motor along the diagonal (data
@@ -130,12 +139,40 @@ def _ids(swarm: Swarm, where: str) -> None:
 
 def _uris(swarm: Swarm, where: str) -> None:
     for n, drone in enumerate(swarm.drones):
-        key, scheme = f"{where}: drones[{n}].uri", drone.uri.partition("://")[0]
-        if scheme in PLANNED and drone.uri != scheme:
+        if drone.uri in (LIGHTWEIGHT, MOTORS):
+            continue
+        key, (scheme, mark, _) = f"{where}: drones[{n}].uri", drone.uri.partition("://")
+        is_foreign = bool(mark) and scheme != "sim"
+        if is_foreign and scheme in engines_of_others():
+            continue
+        flown = ", ".join((LIGHTWEIGHT, MOTORS, *(f"{name}://" for name in engines_of_others())))
+        do = f'Write uri = "sim://", or install a package with the entry point {scheme} in {WORLDS}.'
+        if is_foreign and scheme in PLANNED:
             problem = f"this version does not fly {scheme}:// drones"
-            raise ConfigError(key, show(drone.uri), "it flies sim:// only", 'Write uri = "sim://".', problem)
-        if drone.uri not in (f"{flown}://" for flown in FLOWN):
-            raise ConfigError(key, show(drone.uri), '"sim://"', 'Write uri = "sim://", or leave it out.')
+            raise ConfigError(key, show(drone.uri), f"it flies {flown}", do, problem)
+        raise ConfigError(key, show(drone.uri), flown, do if is_foreign else 'Write uri = "sim://", or leave it out.')
+
+
+def engines_of_others() -> tuple[str, ...]:
+    """Schemes of the worlds that installed packages bring."""
+    return tuple(sorted({entry.name: None for entry in entry_points(group=WORLDS)}))
+
+
+def _platforms(swarm: Swarm, where: str) -> None:
+    for n, drone in enumerate(swarm.drones):
+        platforms.platform(drone.platform, f"{where}: drones[{n}].platform")
+
+
+def _delay(swarm: Swarm, where: str) -> None:
+    """Only the lightweight world obeys within a step."""
+    steps = swarm.plant.command_delay / WORLD_STEP
+    if abs(steps - round(steps)) > 1e-6 and any(drone.uri != LIGHTWEIGHT for drone in swarm.drones):
+        raise ConfigError(
+            f"{where}: plant.command_delay",
+            swarm.plant.command_delay,
+            f"multiples of {WORLD_STEP:g} s, a step of the world, unless all drones are {LIGHTWEIGHT}",
+            f"For example {WORLD_STEP * round(steps):g}.",
+        )
 
 
 def _box(swarm: Swarm, where: str) -> None:
@@ -238,6 +275,22 @@ def _placement(swarm: Swarm, where: str) -> None:
             )
 
 
+def owned(swarm: Swarm) -> tuple[int, ...]:
+    """The drones whose bodies are, in real time, in the process of the world's owner; in increasing order."""
+    named = swarm.world.owned or swarm.world.host is not None
+    return tuple(sorted(drone.id for drone in swarm.drones if named or drone.uri != LIGHTWEIGHT))
+
+
+def _world(swarm: Swarm, where: str) -> None:
+    host, names = swarm.world.host, ", ".join(swarm.hosts) or "none, there is no [hosts]"
+    if host is not None and host not in swarm.hosts:
+        problem = "there is no such host"
+        raise ConfigError(f"{where}: world.host", show(host), f"[hosts] has {names}", "Mend the name.", problem)
+    if host is None and swarm.hosts and owned(swarm):
+        do = f"Add [world] with host = {show(next(iter(swarm.hosts)))}: crazychoir-world runs there."
+        raise ConfigError(f"{where}: world.host", "nothing", f"a name of [hosts]: {names}", do)
+
+
 def _processes(swarm: Swarm, where: str) -> None:
     if swarm.processes is None:
         return
@@ -270,6 +323,9 @@ def _ports(swarm: Swarm, where: str) -> None:
     if swarm.base_port + last > 65535:
         problem = f"a process listens on base_port + its lowest drone id, here up to {swarm.base_port + last}"
         raise ConfigError(f"{where}: base_port", swarm.base_port, "ports end at 65535", "Lower it.", problem)
+    if swarm.base_port <= LOWEST_PORT and owned(swarm):
+        problem = "the world's owner listens on base_port - 1"
+        raise ConfigError(f"{where}: base_port", swarm.base_port, f"ports begin at {LOWEST_PORT}", "Raise it.", problem)
 
 
 def _links(swarm: Swarm, where: str) -> None:
@@ -296,6 +352,7 @@ def _partitions(swarm: Swarm, where: str) -> None:
 
 
 RULES = (
-    _uris, _roles, _box, _homes, _cameras, _hosts, _placement, _processes, _start, _ports, _links, _partitions,
+    _uris, _platforms, _delay, _roles, _box, _homes, _cameras, _hosts, _placement, _world, _processes, _start, _ports,
+    _links, _partitions,
 )  # fmt: skip
 """In the order of their errors."""

@@ -8,13 +8,17 @@ from typing import Any, Self
 
 import msgspec
 
+from crazychoir.bus.local import BODIES
+from crazychoir.bus.topics import Topic
 from crazychoir.errors import ConfigError
-from crazychoir.swarm.checks import check, graph_of
+from crazychoir.swarm.checks import check, graph_of, owned
 from crazychoir.swarm.graph import Graph, span
 from crazychoir.swarm.reading import parse, read, require_plain
 from crazychoir.swarm.tables import Control, Drone, Swarm, Table
 
 LOCAL = "127.0.0.1"
+WORLD = -1
+"""The process of the world's owner, among processes that are known by their lowest drone."""
 SPACING = 0.6
 MARGIN = 4.0
 OWN_TO_A_HOST = ("hosts", "base_port", "network")
@@ -110,13 +114,25 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
 
     def endpoint(self, i: int) -> str:
         """Where the process of drone i listens: tcp/<address of its host>:<base port + the process>."""
-        host = self.drone(i).host
-        address = LOCAL if host is None else self.hosts[host]
-        return f"tcp/{_bracketed(address)}:{self.base_port + self.process(i)}"
+        return self._listens(self.drone(i).host, self.process(i))
 
     def endpoints(self) -> dict[int, str]:
-        """The endpoint of each process, by its lowest drone."""
-        return {group[0]: self.endpoint(group[0]) for group in self.groups()}
+        """The endpoint of each process, by its lowest drone; that of the world's owner first, if there is one."""
+        world = {WORLD: self._listens(self.world.host, WORLD)} if self.owned else {}
+        return world | {group[0]: self.endpoint(group[0]) for group in self.groups()}
+
+    def _listens(self, host: str | None, process: int) -> str:
+        address = LOCAL if host is None else self.hosts[host]
+        return f"tcp/{_bracketed(address)}:{self.base_port + process}"
+
+    @property
+    def owned(self) -> tuple[int, ...]:
+        """The drones whose bodies are, in real time, in the process of the world's owner; increasing."""
+        return owned(self)
+
+    def source(self, topic: Topic, i: int) -> int:
+        """The address that says a topic of drone i in real time: the drone's, or its body's."""
+        return BODIES + i if topic.of_body and i in self.owned else i
 
     def impairment(self) -> dict[str, Any]:
         """[network] as plain values, only what is written; the groups of a partition name every drone."""

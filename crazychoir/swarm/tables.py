@@ -52,6 +52,12 @@ Start = Annotated[
 Port = Annotated[int, Meta(ge=1024, le=65535, description="a port, 1024 to 65535", examples=[7460])]
 Burst = Annotated[float, Meta(ge=1, description="a mean number of messages lost in a row, 1 or more", examples=[4])]
 Bandwidth = Annotated[float, Meta(gt=0, description="bytes a second, above 0", examples=[50000])]
+Wind = Annotated[
+    tuple[float, float, float], Meta(description="a velocity [x, y, z] in m/s", examples=[[0.5, 0.0, 0.0]])
+]
+Gust = Annotated[float, Meta(ge=0, le=20, description="a speed in m/s, 0 to 20", examples=[0.3])]
+Share = Annotated[float, Meta(gt=0, le=1, description="a share, above 0, at most 1", examples=[0.5])]
+Factor = Annotated[float, Meta(ge=0, le=100, description="a factor, 0 to 100", examples=[1.0])]
 Inputs = Annotated[
     Literal["rates", "euler"],
     Meta(description='what steers it: "rates" (of the body) or "euler" (of the Euler angles)', examples=["rates"]),
@@ -78,11 +84,15 @@ class Table(Struct, frozen=True, kw_only=True):
 
 
 class Drone(Table, frozen=True, kw_only=True):
-    """One [[drones]]: home is where it stands before the start, world frame; yaw rad; neighbors: whom it hears."""
+    """One [[drones]]: home is where it stands before the start, world frame; yaw rad; neighbors: whom it hears.
+
+    uri: in which world it flies;  platform: which kind of Crazyflie it is.
+    """
 
     id: Id
     home: Position
     uri: Text = "sim://"
+    platform: Text = "paper"
     yaw: Radians = 0.0
     neighbors: Ids | None = None
     leader: Flag = False
@@ -155,11 +165,41 @@ class Mocap(Table, frozen=True, kw_only=True):
 
 
 class Plant(Table, frozen=True, kw_only=True):
-    """[plant]: the simulated drone: rate_lag: time constant of its body rates; command_delay: s until it obeys."""
+    """[plant]: a simulated drone: command_delay: s until it obeys, in every world; the rest is of the lightweight one:
+    rate_lag: time constant of its body rates.
+    """
 
     inputs: Inputs = "rates"
     rate_lag: Seconds = 0.03
     command_delay: Seconds = 0.02
+
+
+class Motors(Table, frozen=True, kw_only=True):
+    """[motors]: the motor-level world.
+
+    wind: m/s, world;  gusts: m/s, standard deviation an axis, each lasting gust_time s;  ground_effect, downwash:
+    whether they act;  battery: charge at the start, 1 is full;  imu_noise: of the sensors, 1 is the data sheet's.
+    """
+
+    wind: Wind = (0.0, 0.0, 0.0)
+    gusts: Gust = 0.0
+    gust_time: Timeout = 2.0
+    ground_effect: Flag = True
+    downwash: Flag = True
+    battery: Share = 1.0
+    imu_noise: Factor = 1.0
+
+
+class World(Table, frozen=True, kw_only=True):
+    """[world]: the process that owns the simulated world, in real time.
+
+    owned: also of lightweight drones, which otherwise fly in their agents;  host: where it runs;  options: for an
+    engine of others.
+    """
+
+    owned: Flag = False
+    host: Name | None = None
+    options: Free = field(default_factory=dict)
 
 
 class Control(Table, frozen=True, kw_only=True):
@@ -227,5 +267,7 @@ class Swarm(Table, frozen=True, kw_only=True):
     fence: Fence = Fence()
     mocap: Mocap = Mocap()
     plant: Plant = Plant()
+    motors: Motors = Motors()
+    world: World = World()
     control: Control = Control()
     roles: Roles = ()

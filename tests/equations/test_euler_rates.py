@@ -6,7 +6,7 @@ import pytest
 from crazychoir.math3d import quaternion
 from crazychoir.platforms import PAPER
 from crazychoir.simulation.integrator import CFIntegrator
-from crazychoir.simulation.owner import EulerRatesLink
+from crazychoir.simulation.links import EulerRatesLink
 from crazychoir.types import FPQR
 
 DT = 1e-7

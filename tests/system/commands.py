@@ -13,6 +13,7 @@ from crazychoir.swarm.config import SwarmConfig
 PROGRAMS = {
     "crazychoir": (sys.executable, "-m", "crazychoir.cli.crazychoir"),
     "crazychoir-agent": (sys.executable, "-m", "crazychoir.cli.agent"),
+    "crazychoir-world": (sys.executable, "-m", "crazychoir.cli.world"),
 }
 
 

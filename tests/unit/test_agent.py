@@ -101,7 +101,7 @@ def test_however_a_mission_ends_its_drone_lands_and_says_the_result(does, result
         told = await observe(agent, RESULT)
         results = await agent.run()
         assert agent.drones[0].pilot.mode is Mode.GROUND
-        assert agent.world.state(0).p[2] == pytest.approx(0.0, abs=1e-6)
+        assert agent.owners[0].world.state(0).p[2] == pytest.approx(0.0, abs=1e-6)
         assert told == [results[0]]
         return results[0]
 
@@ -251,7 +251,7 @@ def failing(actor):
         raise ValueError("no idea")
 
     if actor == "world":
-        return lambda agent: setattr(agent.owner, "step", fail)
+        return lambda agent: setattr(agent.owners[0], "step", fail)
     return lambda agent: setattr(agent.drones[0].pilot, "nudge", fail)
 
 
@@ -333,8 +333,8 @@ def blind(at, until):
     """The cameras see nothing from `at` to `until` s."""
 
     def close(agent):
-        sample = agent.owner.cameras.sample
-        agent.owner.cameras.sample = lambda x, k: [None] * len(x) if agent.clock.now() < until else sample(x, k)
+        sample = agent.owners[0].cameras.sample
+        agent.owners[0].cameras.sample = lambda x, k: [None] * len(x) if agent.clock.now() < until else sample(x, k)
 
     return at, close
 
@@ -364,7 +364,7 @@ def test_a_drone_that_crashed_is_no_success():
         return {"answer": 42}
 
     def gust(speed):
-        return lambda agent: agent.world.states.__setitem__((0, 5), -speed)
+        return lambda agent: agent.owners[0].world.states.__setitem__((0, 5), -speed)
 
     results, _, phases = ended(hovers, 5.0, gust(6.0))
     assert phases == [Mode.GROUND, Mode.TAKEOFF, Mode.HOVER, Mode.LAND, Mode.GROUND], "its mission saw nothing of it"

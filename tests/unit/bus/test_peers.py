@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from crazychoir.bus import endpoints
 from crazychoir.bus.codec import encode
 from crazychoir.bus.hello import TIE, Hello
-from crazychoir.bus.local import Bus, Interest
+from crazychoir.bus.local import BODIES, Bus, Interest
 from crazychoir.bus.peers import MAX_PEERS, Peer, Peers
 from crazychoir.bus.public import as_json
 from crazychoir.bus.topics import STATUS
@@ -99,6 +99,18 @@ def test_the_later_of_two_gives_way(here: Here) -> None:
     senior = Here(uptime=5.0)
     senior.hear(hello(drones=(0,), uptime=1.0))
     assert (senior.refused, senior.peers.directory) == ([], {})
+
+
+def test_the_later_of_two_owners_of_a_world_gives_way(here: Here) -> None:
+    here.bus.close(0)
+    for j in (BODIES + 3, 10_001):
+        here.bus.port(j)
+    here.hear(hello(drones=(), observers=[10_001], uptime=1.0))
+    assert here.refused == [], "observers may come in any number"
+    here.hear(hello(drones=(), observers=[BODIES + 3, BODIES + 4], uptime=1.0))
+    (refused,) = here.refused
+    assert "process b on host there owns the world of drone(s) 3 too" in str(refused)
+    assert "Stop one of them." in str(refused)
 
 
 @given(st.floats(0.0, TIE / 2), st.floats(0.0, TIE / 2), st.floats(0.0, 0.9 * TIE))

@@ -15,7 +15,7 @@ from crazychoir.runtime.clock import SECOND
 from crazychoir.safety.guard import Fence
 from crazychoir.safety.pilot import Mode, Pilot
 from crazychoir.simulation.integrator import CFIntegrator
-from crazychoir.simulation.owner import SimulatedLink
+from crazychoir.simulation.links import SimulatedLink
 from crazychoir.swarm import graph as graphs
 from crazychoir.swarm.communicator import Communicator
 from crazychoir.swarm.config import default_swarm
@@ -152,7 +152,7 @@ async def test_a_flight_waits_while_the_safety_table_brakes_it(clock):
     async with in_the_air(clock) as (guidance, pilot):
         go_to, refused_until = pilot.go_to, clock.now() + 3.0
 
-        def braking(p, duration=0.0):
+        def braking(p, yaw=None, duration=0.0):
             return 0.0 if clock.now() < refused_until else go_to(p, duration=duration)
 
         pilot.go_to = braking

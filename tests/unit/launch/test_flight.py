@@ -6,8 +6,8 @@ from types import SimpleNamespace
 
 from crazychoir.guidance.base import CFGuidance
 from crazychoir.guidance.drone import WAITING
-from crazychoir.launch.flight import NO_REASON, all_wait, fly_fast, summary
-from crazychoir.swarm.config import default_swarm
+from crazychoir.launch.flight import NO_REASON, all_wait, fly_fast, starts_world, summary
+from crazychoir.swarm.config import SwarmConfig, default_swarm
 from crazychoir.types import Status
 
 MISSION = SimpleNamespace(guidance=lambda i, config: None)
@@ -113,3 +113,18 @@ def test_all_wait_until_one_has_begun_and_for_no_one_that_a_start_can_do_without
     assert not all_wait(config.replace(start=2), score)
     score.statuses[1] = Status("on ground", "")
     assert not all_wait(config, score)
+
+
+def test_the_world_is_started_once_with_all_drones_or_with_the_lowest_of_its_host():
+    def config(world, *hosts):
+        drones = [{"id": i, "home": [float(i), 0.0, 0.0], "host": host} for i, host in enumerate(hosts)]
+        named = {"lab": "10.0.0.1", "desk": "10.0.0.2", "rack": "10.0.0.3"} if any(hosts) else {}
+        return SwarmConfig.of({"name": "a", "drones": drones, "hosts": named, "world": world})
+
+    assert not starts_world(config({}, None, None), None)
+    here = config({"owned": True}, None, None)
+    assert [starts_world(here, started) for started in (None, (0, 1), (0,), (1,))] == [True, True, True, False]
+    there = config({"host": "desk"}, "lab", "desk", "desk")
+    assert [starts_world(there, started) for started in ((0,), (1,), (2,), (0, 1, 2))] == [False, True, False, True]
+    alone = config({"host": "rack"}, "lab", "desk")
+    assert [starts_world(alone, started) for started in ((0,), (1,), (0, 1))] == [False, False, True]

@@ -89,6 +89,48 @@ async def test_one_that_is_killed_at_the_start_ends_the_wait_of_the_others(tmp_p
     assert ("drone(s) 0: ended before the start: the others wait no more" in said) == waiting
 
 
+def world_that(does, monkeypatch):
+    """In place of the world's owner, a program."""
+
+    async def start(module, *words):
+        assert (module, words[-1]) == ("crazychoir.cli.world", "--child")
+        return await child(f"import os, signal, time; print('there', flush=True); {does}")
+
+    monkeypatch.setattr(processes, "_start", start)
+
+
+async def test_the_world_is_there_before_the_agents_and_ends_after_them(tmp_path, monkeypatch):
+    order = []
+
+    async def spawn(group, path, result, options):
+        order.append("agent begins")
+        write_results(result, {0: {"success": True}})
+        return await child("import time; time.sleep(0.3); print('agent ends')")
+
+    world_that("signal.signal(15, lambda *_: exit(print('world ends'))); signal.pause()", monkeypatch)
+    monkeypatch.setattr(processes, "_spawn", spawn)
+    found = await run_children([(0,)], tmp_path / "s.json", default_swarm(1), [], order.append, world=True)
+    assert found == {0: {"success": True}}
+    assert sorted(order[:2]) == ["agent begins", "there"]
+    assert order[2:] == ["agent ends", "world ends"]
+
+
+async def test_without_their_world_agents_end_that_do_not_by_themselves(tmp_path, monkeypatch):
+    children, said = [], []
+
+    async def spawn(group, path, result, options):
+        children.append(await child("import signal, time; signal.signal(15, lambda *_: exit(3)); time.sleep(60)"))
+        await asyncio.sleep(0.2)
+        return children[-1]
+
+    world_that("os.kill(os.getpid(), 9)", monkeypatch)
+    monkeypatch.setattr(processes, "_spawn", spawn)
+    monkeypatch.setattr(processes, "ORPHANED", 0.3)
+    await run_children([(0,)], tmp_path / "s.json", default_swarm(1), [], said.append, world=True)
+    assert children[0].returncode == 3
+    assert "world: its owner ended with code -9: its drones see nothing and stop" in said
+
+
 async def test_a_signal_is_passed_on_as_what_it_is(tmp_path, monkeypatch):
     children, said = [], []
 

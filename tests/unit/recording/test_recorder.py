@@ -11,13 +11,13 @@ from virtual_time import virtual
 
 from crazychoir.bus.codec import encode
 from crazychoir.bus.local import OBSERVER, Bus
-from crazychoir.bus.topics import COMMAND, LOG, OBSERVABLE, POSE, REFERENCE, RESULT, ROUND, STATE, STATUS, TRUTH
+from crazychoir.bus.topics import BODY, COMMAND, LOG, OBSERVABLE, POSE, REFERENCE, RESULT, ROUND, STATE, STATUS, TRUTH
 from crazychoir.recording import recorder as module
 from crazychoir.recording.file import RecordingFile
 from crazychoir.recording.recorder import Recorder
 from crazychoir.runtime.clock import run_virtual, run_wall
 from crazychoir.runtime.supervisor import Supervisor
-from crazychoir.types import FPQR, FullState, Pose, State, Status, Vel
+from crazychoir.types import FPQR, Body, FullState, Pose, State, Status, Vel
 
 ABOUT = {"version": "1.2"}
 
@@ -46,6 +46,7 @@ VALUES = {
     POSE: Pose(np.arange(7.0), 0.25), STATE: State.at((1, 2, 3), (4, 5, 6)), REFERENCE: FullState(np.arange(14.0)),
     COMMAND: FPQR(np.arange(4.0)), TRUTH: State.at((7, 8, 9)), STATUS: Status("hovering", suspect=[1], cost=0.5),
     RESULT: {"success": True, "place": np.ones(3)}, LOG: "drone 1: a line",
+    BODY: Body(["fpqr"]),
 }  # fmt: skip
 
 
@@ -58,7 +59,7 @@ def test_every_observable_topic_arrives_as_it_was_sent(tmp_path, observer):
 
     assert [topic.name for topic in VALUES] == list(OBSERVABLE)
     path = tmp_path / "a.mcap"
-    assert recorded(path, work, observer) == {"file": str(path), "messages": 8, "lost": 0, "error": ""}
+    assert recorded(path, work, observer) == {"file": str(path), "messages": 9, "lost": 0, "error": ""}
     found = by_mcap_ros2(path)
     assert found == by_rosbags(path)
     assert [name for name, *_ in found] == [f"/drone1/{topic.name}" for topic in VALUES]

@@ -11,8 +11,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from crazychoir.bus.local import BODIES
+from crazychoir.bus.topics import BODY, POSE, STATE, TRUTH
 from crazychoir.errors import ConfigError
-from crazychoir.swarm.config import SwarmConfig, default_swarm, demo_swarm, find_swarm
+from crazychoir.swarm.config import WORLD, SwarmConfig, default_swarm, demo_swarm, find_swarm
 from crazychoir.swarm.graph import Graph, erdos_renyi_connected, named, path, ring
 
 ROOT = Path(__file__).parents[3]
@@ -157,6 +159,31 @@ def test_endpoint_of_a_host(address: str, endpoint: str) -> None:
     assert SwarmConfig.of(raw).endpoint(0) == endpoint
 
 
+def test_only_lightweight_drones_without_an_owner_are_in_their_agents() -> None:
+    assert square().owned == ()
+    assert square(first='uri = "sim://motors"').owned == (0,)
+    assert square("world.owned = true").owned == (0, 1, 2, 3)
+    assert [square().source(topic, 2) for topic in (POSE, TRUTH, BODY, STATE)] == [2, 2, 2, 2]
+    owned = square("world.owned = true")
+    body = BODIES + 2
+    assert [owned.source(topic, 2) for topic in (POSE, TRUTH, BODY, STATE)] == [body, body, body, 2]
+
+
+def test_the_owner_of_the_world_is_reached_before_all_agents() -> None:
+    assert list(square("world.owned = true\nbase_port = 9000").endpoints().items())[:2] == [
+        (WORLD, "tcp/127.0.0.1:8999"),
+        (0, "tcp/127.0.0.1:9000"),
+    ]
+    raw = {
+        "name": "a",
+        "hosts": {"lab": "10.0.0.7", "desk": "10.0.0.8"},
+        "world": {"host": "desk"},
+        "drones": [{"id": 0, "home": [0, 0, 0], "host": "lab"}],
+    }
+    named = SwarmConfig.of(raw)
+    assert (named.owned, named.endpoints()[WORLD]) == ((0,), "tcp/10.0.0.8:7459")
+
+
 def test_partitions_name_every_drone() -> None:
     config = square(last="[[network.partitions]]\nat = 2\ngroups = [[1]]\n[network]\nloss = 0.0\n")
     assert config.impairment() == {"loss": 0.0, "partitions": [{"at": 2.0, "groups": [[1], [0, 2, 3]]}]}
@@ -257,7 +284,7 @@ def test_the_readme_of_deploy_names_every_key() -> None:
     text = (ROOT / "deploy" / "README.md").read_text()
     for entry in msgspec.structs.fields(SwarmConfig):
         assert f"`{entry.encode_name}`" in text or f"[{entry.encode_name}]" in text, entry.encode_name
-    tables = ("flight", "fence", "mocap", "plant", "network")
+    tables = ("flight", "fence", "mocap", "plant", "motors", "world", "network")
     row = {line.split("|")[1].strip(" `[]"): line for line in text.splitlines() if line.startswith("| `[")}
     for table in tables:
         for entry in msgspec.structs.fields(type(getattr(demo_swarm(), table))):

@@ -16,13 +16,14 @@ CASES = {
         "",
         'x.toml: colour = "red": there is no such key; the keys here are name, drones, mission, mission_options, seed, '
         "graph, edges, directed, start, start_deadline, lost_after, lease, base_port, processes, hosts, network, "
-        "flight, fence, mocap, plant, control, roles. Remove it; keys of your own go into [mission_options].",
+        "flight, fence, mocap, plant, motors, world, control, roles. Remove it; keys of your own go into "
+        "[mission_options].",
     ),
     "misspelt key of a drone": (
         "",
         "neighbours = [2]",
-        "x.toml: drones[3].neighbours = [2]: there is no such key; the keys here are id, home, uri, yaw, neighbors, "
-        "leader, role, host, options. Did you mean neighbors?",
+        "x.toml: drones[3].neighbours = [2]: there is no such key; the keys here are id, home, uri, platform, yaw, "
+        "neighbors, leader, role, host, options. Did you mean neighbors?",
     ),
     "wrong type": (
         "seed = 1.5",
@@ -134,12 +135,47 @@ CASES = {
         "",
         'uri = "radio://0/80/2M/E7E7E7E703"',
         'x.toml: drones[3].uri = "radio://0/80/2M/E7E7E7E703": this version does not fly radio:// drones; '
-        'it flies sim:// only. Write uri = "sim://".',
+        'it flies sim://, sim://motors. Write uri = "sim://", or install a package with the entry point radio in '
+        "crazychoir.worlds.",
     ),
     "unknown uri": (
         "",
         'uri = "simulation"',
-        'x.toml: drones[3].uri: found "simulation"; allowed: "sim://". Write uri = "sim://", or leave it out.',
+        'x.toml: drones[3].uri: found "simulation"; allowed: sim://, sim://motors. Write uri = "sim://", or leave it '
+        "out.",
+    ),
+    "unknown scheme": (
+        "",
+        'uri = "gazebo://hall"',
+        'x.toml: drones[3].uri: found "gazebo://hall"; allowed: sim://, sim://motors. Write uri = "sim://", or install '
+        "a package with the entry point gazebo in crazychoir.worlds.",
+    ),
+    "unknown world of ours": (
+        "",
+        'uri = "sim://motor"',
+        'x.toml: drones[3].uri: found "sim://motor"; allowed: sim://, sim://motors. Write uri = "sim://", or leave it '
+        "out.",
+    ),
+    "unknown platform": (
+        "",
+        'platform = "cf22"',
+        "x.toml: drones[3].platform: found cf22; allowed: one of paper, cf21, cf21plus, cf21thrust, cf21bl.",
+    ),
+    "delay within a step": (
+        "plant.command_delay = 0.013",
+        'uri = "sim://motors"',
+        "x.toml: plant.command_delay: found 0.013; allowed: multiples of 0.01 s, a step of the world, unless all "
+        "drones are sim://. For example 0.01.",
+    ),
+    "world on no host": (
+        'world.host = "desk"',
+        "",
+        'x.toml: world.host = "desk": there is no such host; [hosts] has none, there is no [hosts]. Mend the name.',
+    ),
+    "no port for the world": (
+        "base_port = 1024\nworld.owned = true",
+        "",
+        "x.toml: base_port = 1024: the world's owner listens on base_port - 1; ports begin at 1024. Raise it.",
     ),
     "outside the fence": (
         "fence.max = [4, 0.9, 3]",
@@ -295,7 +331,7 @@ def test_the_square_itself_is_right() -> None:
         ('{"name": ', "x.toml: found Input data was truncated; allowed: JSON text. Mend the line."),
         ('name = "x"\ndrones = []', "x.toml: drones: found no drone; allowed: one or more. Add a [[drones]]."),
         ('{"name": "x"}', "x.toml: drones: found nothing; allowed: a list of drones: one table [[drones]] each. "),
-        ('name = "x"\ndrones = [3]', "x.toml: drones[0]: found 3; allowed: a table with id, home, uri, yaw"),
+        ('name = "x"\ndrones = [3]', "x.toml: drones[0]: found 3; allowed: a table with id, home, uri, platform"),
         ('name = "x"\ndrones = 3', "x.toml: drones: found 3; allowed: a list of drones"),
         ("drones = []", 'x.toml: name: found nothing; allowed: 1 to 40 of a-z, 0-9, _ and -. Add for example name = "'),
         ('name = "X\\n"\ndrones = []', 'x.toml: name: found "X\\n"; allowed: 1 to 40 of a-z'),
@@ -357,7 +393,7 @@ def test_hostile_depth_is_a_config_error() -> None:
 
 def test_every_key_says_what_is_allowed_and_its_example_is() -> None:
     structs = [kind for kind in vars(tables).values() if isinstance(kind, type) and issubclass(kind, tables.Table)]
-    assert len(structs) == 13
+    assert len(structs) == 15
     for kind in structs:
         for entry in msgspec.structs.fields(kind):
             said = next((t for t in (entry.type, *get_args(entry.type)) if get_origin(t) is Annotated), None)

@@ -1,0 +1,91 @@
+"""Which engine flies a drone: its uri says so. Engines are entry points, ours as well as those of other packages."""
+
+from collections.abc import Callable, Hashable
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from crazychoir.errors import ConfigError, CrazyChoirError
+from crazychoir.platforms import platform
+from crazychoir.simulation.integrator import CFIntegrator
+from crazychoir.simulation.world import World, WorldSetup
+from crazychoir.swarm.checks import LIGHTWEIGHT, MOTORS, WORLD_STEP, WORLDS
+from crazychoir.swarm.config import SwarmConfig
+from crazychoir.swarm.tables import Drone
+
+Engine = Callable[[WorldSetup], World]
+
+OURS = {
+    LIGHTWEIGHT: EntryPoint(LIGHTWEIGHT, "crazychoir.simulation.engines:lightweight", WORLDS),
+    MOTORS: EntryPoint(MOTORS, "crazychoir.simulation.motors:world", WORLDS),
+}
+
+
+def lightweight(setup: WorldSetup) -> World:
+    """The paper's integrator; all drones of one platform."""
+    homes = np.array(setup.homes, dtype=float)
+    return CFIntegrator(setup.ids, homes, np.array(setup.yaws), setup.platforms[0], setup.dt, **setup.options)
+
+
+def worlds(config: SwarmConfig, ids: tuple[int, ...]) -> list[World]:
+    """The worlds of these drones, one an engine; raises ConfigError for an engine that cannot be had."""
+    together: dict[Hashable, list[Drone]] = {}
+    for drone in (config.drone(i) for i in ids):
+        together.setdefault(_apart(drone), []).append(drone)
+    return [_world(config, tuple(drones)) for drones in together.values()]
+
+
+def delay_steps(config: SwarmConfig, world: World) -> int:
+    """Steps by which commands of a world are late on their way; the lightweight one has that delay in its model."""
+    return 0 if isinstance(world, CFIntegrator) else round(config.plant.command_delay / world.dt)
+
+
+def _apart(drone: Drone) -> Hashable:
+    """What drones have in common that are in one world; lightweight ones do not act on each other."""
+    if drone.uri == LIGHTWEIGHT:
+        return LIGHTWEIGHT, drone.platform
+    return _entry_point(drone.uri).name
+
+
+def _entry_point(uri: str) -> EntryPoint:
+    """Of the engine of a uri that the swarm file may have."""
+    return OURS[uri] if uri in OURS else entry_points(group=WORLDS)[uri.partition("://")[0]]
+
+
+def _world(config: SwarmConfig, drones: tuple[Drone, ...]) -> World:
+    """One world of these drones, checked."""
+    uri, ids = drones[0].uri, tuple(drone.id for drone in drones)
+    entry = _entry_point(uri)
+    setup = WorldSetup(
+        ids=ids,
+        uris=tuple(drone.uri for drone in drones),
+        homes=tuple(drone.home for drone in drones),
+        yaws=tuple(drone.yaw for drone in drones),
+        platforms=tuple(platform(drone.platform) for drone in drones),
+        options=_options(config, uri),
+        wind=config.motors.wind,
+        seed=config.seed,
+        dt=WORLD_STEP,
+    )
+    try:
+        world: World = entry.load()(setup)
+    except CrazyChoirError:
+        raise
+    except Exception as error:
+        found = f"{type(error).__name__}: {error}"
+        allowed = f"an engine that makes a world: {entry.value} is a function of a WorldSetup"
+        raise ConfigError(f"uri {uri}", found, allowed, "Mend or update the package that it is from.") from error
+    if (tuple(world.ids), world.dt) != (ids, setup.dt):
+        found = f"a world of drones {list(world.ids)}, steps of {world.dt:g} s"
+        asked = f"what it was asked for: {list(ids)}, {setup.dt:g} s"
+        raise ConfigError(f"uri {uri}", found, asked, "Mend the engine.")
+    return world
+
+
+def _options(config: SwarmConfig, uri: str) -> dict[str, Any]:
+    """The table of the swarm file that is for this engine."""
+    table = {LIGHTWEIGHT: config.plant, MOTORS: config.motors}.get(uri)
+    options: dict[str, Any] = config.world.options if table is None else msgspec.to_builtins(table)
+    return options

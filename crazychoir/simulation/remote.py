@@ -1,0 +1,154 @@
+"""A drone and its body in two processes: the link at the drone's end, and what obeys it at the other."""
+
+import logging
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from crazychoir.bus.codec import encode
+from crazychoir.bus.local import BODIES, Port
+from crazychoir.bus.topics import BODY, COMMAND, CUT
+from crazychoir.errors import CodecError
+from crazychoir.runtime.actor import Actor
+from crazychoir.runtime.clock import SECOND, Clock
+from crazychoir.runtime.mailbox import Latest
+from crazychoir.simulation.world import Link, World, names, not_flown
+from crazychoir.types import FPQR, FRPY, XYZ, Body, Command, FullState, Vel
+
+log = logging.getLogger(__name__)
+SIZES: dict[type[Any], int] = {FPQR: 4, FRPY: 4, Vel: 4, XYZ: 5, FullState: 14}
+"""Numbers in a command of each kind."""
+GONE = 3.0
+"""s of silence after which a world's owner does not come back: all its drones have stopped their motors by then."""
+_NOTHING = encode(None)
+
+
+class RemoteLink:
+    """The way to a drone whose body is in the process of the world's owner.
+
+    The newest command counts, and each tick of the pilot brings one, so none is resent. From a cut on the cut itself is
+    what goes out with each tick, so that a lost message delays it by a tick.
+    """
+
+    def __init__(self, port: Port) -> None:
+        self.port, self._body = port, BODIES + port.address
+        self._cut = False
+        self._condition: Latest[Body] = Latest(port.bus.clock, f"drone {port.address} body", BODY.max_age)
+        port.bus.subscribe(BODY, self._body, port.address, self._condition)
+
+    def send(self, command: Command) -> None:
+        """On its way; raises ConfigError for a kind that the engine there does not fly, as soon as it has said so."""
+        if self._cut:
+            self.cut()
+            return
+        body = self._condition.peek()
+        if body is not None and type(command).__name__ not in body.flies:
+            raise not_flown(self.port.address, command, ", ".join(body.flies))
+        self.port.send(COMMAND, (self._body,), encode(command))
+
+    def cut(self) -> None:
+        """Stop the motors for good."""
+        self._cut = True
+        self.port.send(CUT, (self._body,), _NOTHING)
+
+    @property
+    def silence(self) -> float:
+        """s since the world's owner has said how the body is; infinite before the first time."""
+        return self._condition.age()
+
+    def harm(self) -> str:
+        """What has broken the body, or that nobody says how it is."""
+        body = self._condition.fresh()
+        if body is not None:
+            return body.harm
+        if not math.isfinite(self.silence):
+            return "nothing was ever heard of its world's owner (crazychoir-world)"
+        return f"its world's owner (crazychoir-world) is silent for {self.silence:.1f} s"
+
+
+class OwnerWatch(Actor):
+    """Says of which drones the world's owner has gone; it waits for one that has not come yet.
+
+    gone: called with each of them, once.
+    """
+
+    name = "owner watch"
+
+    def __init__(self, clock: Clock, links: Mapping[int, RemoteLink], gone: Callable[[int], None]) -> None:
+        self.clock, self.links, self.gone = clock, dict(links), gone
+
+    async def run(self) -> None:
+        """As often as a body says how it is, until all are gone."""
+        async for _ in self.clock.ticks(BODY.rate):
+            for i in [i for i, link in self.links.items() if GONE < link.silence < math.inf]:
+                del self.links[i]
+                self.gone(i)
+
+
+class RemoteBody:
+    """The other end: the body of one drone obeys what comes at its port from that drone, and nobody else.
+
+    obeyed: called after each command that was.
+    """
+
+    def __init__(self, port: Port, world: World, link: Link, obeyed: Callable[[], None] = lambda: None) -> None:
+        self.port, self.world, self.link, self.obeyed = port, world, link, obeyed
+        self.drone = port.address - BODIES
+        self.refused = 0
+        self._clock = port.bus.clock
+        self._commanded_ns: int | None = None
+        self._idle = self._was_cut = False
+        port.handlers[COMMAND.number] = self._commanded
+        port.handlers[CUT.number] = self._cut
+
+    @property
+    def silence(self) -> float:
+        """s since the last command; infinite before the first."""
+        return math.inf if self._commanded_ns is None else (self._clock.now_ns() - self._commanded_ns) / SECOND
+
+    def look(self) -> None:
+        """Nobody flies it any more: its motors stop, unless it has firmware that knows what to do."""
+        limit = self.world.command_timeout
+        if limit is None or self._idle or not limit < self.silence < math.inf:
+            return
+        self._idle = True
+        self.link.send(FPQR(np.zeros(4)))
+        if not self.world.resting(self.drone):
+            log.warning("drone %d: no command for %.2f s, limit %.2f s: no thrust", self.drone, self.silence, limit)
+
+    def _commanded(self, source: int, payload: bytes, number: int, channel: str, flags: int, age: float) -> None:
+        try:
+            command = self.port.bus.open(COMMAND.number, payload)
+        except CodecError:
+            self.port.counters.malformed += 1
+            return
+        if source != self.drone or not _whole(command):
+            self.port.counters.malformed += 1
+        elif not isinstance(command, self.world.flies):
+            self._refuse(str(not_flown(self.drone, command, names(self.world.flies))))
+        elif self._was_cut:
+            self._refuse(f"drone {self.drone}: its motors were cut: they stay off until its world is started again")
+        else:
+            self._commanded_ns, self._idle = self._clock.now_ns(), False
+            self.link.send(command)
+            self.obeyed()
+
+    def _refuse(self, reason: str) -> None:
+        """Say so, once; its agent is told what is flown here by BODY."""
+        self.refused += 1
+        if self.refused == 1:
+            log.error("%s", reason)
+
+    def _cut(self, source: int, payload: bytes, number: int, channel: str, flags: int, age: float) -> None:
+        if source == self.drone:
+            self._commanded_ns, self._was_cut = self._clock.now_ns(), True
+            self.link.cut()
+
+
+def _whole(command: Any) -> bool:
+    """Whether it has its kind's numbers, all of them finite: their sum is."""
+    flat = command.flat
+    fits = flat.shape == (SIZES[type(command)],) and flat.dtype == np.float64
+    return fits and math.isfinite(sum(flat.tolist()))

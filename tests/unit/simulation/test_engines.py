@@ -1,0 +1,116 @@
+"""Which world a uri means: ours, those of other packages, and what is said when one cannot be had."""
+
+import sys
+from importlib.metadata import EntryPoint, EntryPoints
+from types import ModuleType, SimpleNamespace
+
+import numpy as np
+import pytest
+
+from crazychoir.errors import ConfigError
+from crazychoir.platforms import CRAZYFLIE_21, PAPER
+from crazychoir.simulation import engines
+from crazychoir.simulation.engines import delay_steps, worlds
+from crazychoir.simulation.integrator import CFIntegrator
+from crazychoir.swarm import checks
+from crazychoir.swarm.checks import MOTORS, WORLDS
+from crazychoir.swarm.config import SwarmConfig
+from crazychoir.types import FPQR, FRPY
+
+
+def swarm(*drones, **tables):
+    rows = [{"id": i, "home": [float(i), 0.0, 0.0], **drone} for i, drone in enumerate(drones)]
+    return SwarmConfig.of({"name": "a", "drones": rows, **tables})
+
+
+def toy(setup):
+    """The engine of another package: a lightweight world that keeps what it was asked for."""
+    world = CFIntegrator(setup.ids, np.array(setup.homes), dt=setup.dt)
+    world.setup = setup
+    return world
+
+
+def broken(setup):
+    raise RuntimeError("no licence")
+
+
+def strange(setup):
+    return SimpleNamespace(ids=(99,), dt=0.5)
+
+
+@pytest.fixture
+def installed(monkeypatch):
+    """A package that brings the worlds toy://, broken:// and strange://."""
+    module = ModuleType("toys")
+    module.toy, module.broken, module.strange = toy, broken, strange
+    monkeypatch.setitem(sys.modules, "toys", module)
+    found = EntryPoints(EntryPoint(name, f"toys:{name}", WORLDS) for name in ("toy", "broken", "strange"))
+    for place in (engines, checks):
+        monkeypatch.setattr(place, "entry_points", lambda group: found.select(group=group))
+
+
+def test_a_package_brings_a_world(installed):
+    config = swarm(
+        {"uri": "toy://hall/1"},
+        {},
+        {"uri": "toy://hall/2", "platform": "cf21", "yaw": 0.5},
+        seed=5,
+        world={"options": {"sticky": True}},
+        motors={"wind": [0.5, 0.0, 0.0]},
+    )
+    one, other = worlds(config, config.ids)
+    assert (one.ids, other.ids) == ((0, 2), (1,))
+    asked = one.setup
+    assert (asked.ids, asked.uris, asked.seed, asked.dt) == ((0, 2), ("toy://hall/1", "toy://hall/2"), 5, 0.01)
+    assert asked.homes == ((0.0, 0.0, 0.0), (2.0, 0.0, 0.0))
+    assert (asked.yaws, asked.platforms) == ((0.0, 0.5), (PAPER, CRAZYFLIE_21))
+    assert (asked.options, asked.wind) == ({"sticky": True}, (0.5, 0.0, 0.0))
+    assert config.owned == (0, 2)
+
+
+def test_a_scheme_that_nobody_brings_is_refused_with_those_that_there_are(installed):
+    with pytest.raises(ConfigError, match="allowed: sim://, sim://motors, broken://, strange://, toy://"):
+        swarm({"uri": "toys://hall"})
+
+
+@pytest.mark.parametrize(
+    ("uri", "said"),
+    [
+        ("broken://", r"uri broken://: found RuntimeError: no licence; .*toys:broken is a function of a WorldSetup"),
+        ("strange://", r"uri strange://: found a world of drones \[99\], steps of 0.5 s; .*\[0\], 0.01 s"),
+    ],
+)
+def test_an_engine_that_does_not_work_is_named(installed, uri, said):
+    with pytest.raises(ConfigError, match=said):
+        worlds(swarm({"uri": uri}), (0,))
+
+
+def test_the_motor_level_world_gets_its_table(monkeypatch):
+    module = ModuleType("fake")
+    module.world = toy
+    monkeypatch.setitem(sys.modules, "fake", module)
+    monkeypatch.setitem(engines.OURS, MOTORS, EntryPoint(MOTORS, "fake:world", WORLDS))
+    (world,) = worlds(swarm({"uri": MOTORS}, {"uri": MOTORS}, motors={"battery": 0.5, "gusts": 0.2}), (0, 1))
+    assert world.setup.options["battery"] == 0.5
+    assert world.setup.options["gusts"] == 0.2
+    assert world.setup.options["downwash"] is True
+
+
+def test_lightweight_drones_of_several_platforms_fly_as_what_they_are():
+    config = swarm({}, {"platform": "cf21"}, {}, plant={"rate_lag": 0.0, "command_delay": 0.0})
+    made = worlds(config, config.ids)
+    assert {world.ids: world.platform for world in made} == {(0, 2): PAPER, (1,): CRAZYFLIE_21}
+
+
+def test_only_the_lightweight_world_has_the_delay_in_its_model():
+    config = swarm({}, plant={"command_delay": 0.03})
+    (lightweight,) = worlds(config, (0,))
+    assert delay_steps(config, lightweight) == 0
+    assert delay_steps(config, SimpleNamespace(dt=0.01)) == 3
+
+
+def test_a_link_refuses_what_its_engine_does_not_fly():
+    (world,) = worlds(swarm({}), (0,))
+    world.link(0).send(FPQR(np.zeros(4)))
+    with pytest.raises(ConfigError, match="drone 0: command: found FRPY; allowed: FPQR: what its engine flies"):
+        world.link(0).send(FRPY(np.zeros(4)))

@@ -1,0 +1,176 @@
+"""A drone and its body at two ports: what is obeyed, what is refused, who stops when nobody commands."""
+
+import asyncio
+
+import numpy as np
+import pytest
+from virtual_time import virtual
+
+from crazychoir.bus.codec import encode
+from crazychoir.bus.local import BODIES, Bus
+from crazychoir.bus.topics import BODY, COMMAND, CUT
+from crazychoir.errors import ConfigError
+from crazychoir.platforms import PAPER
+from crazychoir.simulation import remote
+from crazychoir.simulation.integrator import SILENCE, CFIntegrator
+from crazychoir.simulation.remote import GONE, OwnerWatch, RemoteBody, RemoteLink
+from crazychoir.types import FPQR, FRPY, XYZ, Body
+
+said: list[str] = []
+HOVER = FPQR(np.array([PAPER.weight, 0.0, 0.0, 0.0]))
+
+
+@pytest.fixture(autouse=True)
+def listening(monkeypatch):
+    """What is logged, in `said`."""
+    said.clear()
+    monkeypatch.setattr(remote.log, "_log", lambda level, text, arguments: said.append(text % arguments))
+
+
+class Pair:
+    """Drone 3 and its body in the air, on one bus."""
+
+    def __init__(self, clock, timeout=SILENCE):
+        self.clock, bus = clock, Bus(clock)
+        self.drone, self.there = bus.port(3), bus.port(BODIES + 3)
+        self.world = CFIntegrator((3,), np.array([[0.0, 0.0, 2.0]]))
+        self.world.command_timeout = timeout
+        self.obeyed = []
+        self.body = RemoteBody(self.there, self.world, self.world.link(3), lambda: self.obeyed.append(clock.now()))
+        self.link = RemoteLink(self.drone)
+
+    @property
+    def thrust(self):
+        """N, as it is commanded."""
+        return float(self.world.commands[0, 0])
+
+
+@virtual
+async def test_a_command_arrives(clock):
+    pair = Pair(clock)
+    pair.link.send(FPQR(np.array([0.1, 1.0, 2.0, 3.0])))
+    assert pair.world.commands[0].tolist() == [0.1, 1.0, 2.0, 3.0]
+    assert pair.obeyed == [0.0]
+    await clock.sleep(0.2)
+    assert pair.body.silence == pytest.approx(0.2)
+
+
+@virtual
+async def test_a_kind_that_the_engine_does_not_fly_is_refused_at_once(clock):
+    pair = Pair(clock)
+    pair.link.send(FRPY(np.zeros(4)))  # nobody has said yet what is flown
+    pair.link.send(FRPY(np.zeros(4)))
+    assert pair.body.refused == 2
+    assert said == [
+        "drone 3: command: found FRPY; allowed: FPQR: what its engine flies. "
+        "Choose a controller that sends one of these, or another uri for the drone."
+    ]
+    pair.there.publish(BODY, Body(["FPQR"]))
+    with pytest.raises(ConfigError, match="drone 3: command: found FRPY; allowed: FPQR"):
+        pair.link.send(FRPY(np.zeros(4)))
+    pair.link.send(HOVER)
+    assert pair.thrust == PAPER.weight
+    assert pair.body.refused == 2
+
+
+@virtual
+async def test_nobody_else_commands_it_and_bytes_that_are_no_command_are_counted(clock):
+    pair = Pair(clock)
+    other = pair.drone.bus.port(4)
+    wrong = [
+        (other, encode(FPQR(np.ones(4)))),
+        (pair.drone, encode(FPQR(np.array([np.nan, 0.0, 0.0, 0.0])))),
+        (pair.drone, encode(XYZ("go_to", np.zeros(4)))),
+        (pair.drone, encode("up")),
+        (pair.drone, b"\xff"),
+    ]
+    for port, payload in wrong:
+        port.send(COMMAND, (BODIES + 3,), payload)
+    other.send(CUT, (BODIES + 3,), encode(None))
+    assert pair.there.counters.malformed == len(wrong)
+    assert pair.thrust == PAPER.weight, "it hovers, as it did"
+    assert pair.obeyed == []
+    pair.link.send(FPQR(np.ones(4)))
+    assert pair.thrust == 1.0, "nobody has cut it"
+
+
+@virtual
+async def test_a_cut_goes_out_again_with_each_tick(clock):
+    pair = Pair(clock)
+    cuts = []
+    pair.there.handlers[CUT.number] = lambda *message: cuts.append(message[0])
+    pair.link.cut()
+    pair.link.send(HOVER)
+    assert (cuts, pair.obeyed) == ([3, 3], []), "and no command any more"
+
+
+@virtual
+async def test_a_body_whose_motors_were_cut_obeys_nobody_and_says_so_once(clock):
+    pair = Pair(clock)
+    pair.link.cut()
+    RemoteLink(pair.drone).send(HOVER)  # its agent was started again
+    RemoteLink(pair.drone).send(HOVER)
+    for _ in range(10):
+        pair.world.step()
+    assert pair.world.state(3).p[2] < 1.99, "it falls"
+    assert said == [
+        "drone 3: its motors were cut: they stay off until its world is started again"
+    ]
+
+
+@virtual
+async def test_a_drone_that_nobody_commands_has_no_thrust(clock):
+    pair = Pair(clock)
+    await clock.sleep(10.0)
+    pair.body.look()
+    assert pair.thrust == PAPER.weight, "nobody has ever flown it"
+    pair.link.send(HOVER)
+    await clock.sleep(0.9 * SILENCE)
+    pair.body.look()
+    assert pair.thrust == PAPER.weight
+    await clock.sleep(0.2 * SILENCE)
+    for _ in range(3):
+        pair.body.look()
+    assert pair.thrust == 0.0
+    assert said == [
+        "drone 3: no command for 0.55 s, limit 0.50 s: no thrust"
+    ]
+    pair.link.send(HOVER)
+    assert pair.thrust == PAPER.weight, "somebody does again"
+
+
+@virtual
+async def test_an_engine_with_firmware_is_left_alone(clock):
+    pair = Pair(clock, timeout=None)
+    pair.link.send(HOVER)
+    await clock.sleep(10.0)
+    pair.body.look()
+    assert pair.thrust == PAPER.weight
+
+
+@virtual
+async def test_a_drone_says_what_has_broken_its_body_or_that_it_hears_nothing(clock):
+    pair = Pair(clock)
+    assert pair.link.harm() == "nothing was ever heard of its world's owner (crazychoir-world)"
+    pair.there.publish(BODY, Body(["FPQR"]))
+    assert pair.link.harm() == ""
+    pair.there.publish(BODY, Body(["FPQR"], "crashed"))
+    assert pair.link.harm() == "crashed"
+    await clock.sleep(2.0)
+    assert pair.link.harm() == "its world's owner (crazychoir-world) is silent for 2.0 s"
+
+
+@virtual
+async def test_an_owner_that_was_there_is_missed_once_and_one_that_was_not_is_waited_for(clock):
+    pair, gone = Pair(clock), []
+    never = RemoteLink(pair.drone.bus.port(4))
+    watch = OwnerWatch(clock, {3: pair.link, 4: never}, lambda i: gone.append((i, clock.now())))
+    watching = asyncio.create_task(watch.run())
+    for _ in range(8):
+        pair.there.publish(BODY, Body(["FPQR"]))
+        await clock.sleep(0.5)
+    assert gone == []
+    await clock.sleep(10.0)
+    watching.cancel()
+    ((drone, when),) = gone
+    assert (drone, when) == (3, pytest.approx(3.5 + GONE, abs=0.3))

@@ -1,0 +1,198 @@
+"""The owner of a world and the agents of its drones, as two processes, in virtual time."""
+
+import asyncio
+import logging
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from crazychoir.agent import Agent
+from crazychoir.bus.local import BODIES, OBSERVER
+from crazychoir.bus.topics import TRUTH
+from crazychoir.errors import Refused
+from crazychoir.guidance.base import CFGuidance
+from crazychoir.launch.score import Score
+from crazychoir.runtime.clock import run_virtual
+from crazychoir.swarm.config import SwarmConfig
+from crazychoir.worlds import LEFT_ALONE, WorldProcess
+
+BRISK = {"takeoff_height": 0.5, "speed_limit": 2.0, "acceleration_limit": 4.0, "landing_speed": 0.6}
+
+
+class Wire:
+    """In the network's place: carries everything to another process at once, until it is torn."""
+
+    def __init__(self, here, there):
+        self.here, self.there, self.torn = here, there, False
+        here.forwarder = self
+
+    def forward(self, topic, source, to, payload, number, channel, flags, age):
+        for j in to if not self.torn else ():
+            if j in self.there.ports:
+                self.there.ports[j].deliver(topic.number, source, payload, number, channel, flags, age)
+
+    def then(self, work):
+        work()
+
+    def interested(self):
+        self.there.add_remote_interests(self.here.interests)
+
+
+def wired(one, other):
+    """Two processes, each with a way to the other; what was wanted before is served."""
+    wires = [Wire(one, other), Wire(other, one)]
+    for wire in wires:
+        wire.interested()
+    return wires
+
+
+def swarm(**tables):
+    drones = [{"id": i, "home": [float(i), 0.0, 0.0]} for i in range(2)]
+    return SwarmConfig.of({"name": "a", "drones": drones, "flight": BRISK, "world": {"owned": True}, **tables})
+
+
+class Hops(CFGuidance):
+    """Up, aside, down."""
+
+    async def mission(self):
+        await self.take_off()
+        await self.go_to(self.state.p + np.array([0.0, 0.5, 0.0]))
+        await self.sleep(1.0)
+        place = self.state.p.tolist()
+        await self.land()
+        return {"place": place}
+
+
+MISSION = SimpleNamespace(guidance=lambda i, config: Hops())
+
+
+async def two_processes(clock, config, meanwhile):
+    """An agent that flies all drones beside the owner of their world; what each has come to."""
+    world = WorldProcess(clock, config, "world", "here", 1)
+    agent = Agent(clock, config, MISSION, config.ids, alone=False)
+    wires = wired(agent.bus, world.bus)
+    serving = asyncio.create_task(world.serve())
+    flying = asyncio.create_task(agent.run())
+    await meanwhile(clock, world, agent, wires)
+    results = await flying
+    world.end("all have landed")
+    await serving
+    return results, world
+
+
+def fly(config, meanwhile=None):
+    async def nothing(clock, *parts):
+        await clock.sleep(0.0)
+
+    return run_virtual(lambda clock: two_processes(clock, config, meanwhile or nothing))
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.02, 0.013])
+def test_a_flight_is_the_same_bit_by_bit_wherever_the_body_is(delay):
+    config = swarm(plant={"command_delay": delay}, mocap={"latency": 0.02})
+    apart, world = fly(config)
+    together = run_virtual(lambda clock: Agent(clock, config, MISSION, config.ids).run())
+    assert apart == together
+    assert all(result["success"] for result in apart.values()), apart
+    assert world.report()["commands"] > 100
+
+
+def test_all_drones_of_the_world_are_in_one_and_obey_their_own_agents():
+    seen = {}
+
+    async def meanwhile(clock, world, agent, wires):
+        assert agent.owners == []
+        await clock.sleep(2.0)
+        seen.update({i: world.owners[0].world.state(i).p.tolist() for i in (0, 1)}, flown=world.flown)
+
+    _, world = fly(swarm(), meanwhile=meanwhile)
+    assert seen["flown"] == [0, 1]
+    assert [seen[i][0] for i in (0, 1)] == pytest.approx([0.0, 1.0], abs=0.02)
+    assert min(seen[i][2] for i in (0, 1)) > 0.3
+    assert world.report()["crashed"] == []
+
+
+def test_the_truth_comes_from_the_body():
+    async def main(clock):
+        config = swarm()
+        world = WorldProcess(clock, config, "world", "here", 1)
+        score = Score(world.bus, config.ids, source=config.source)
+        serving = asyncio.create_task(world.serve(score))
+        await clock.sleep(1.0)
+        world.end("enough")
+        await serving
+        return score, list(world.bus.ports)
+
+    score, ports = run_virtual(main)
+    assert score.min_separation == pytest.approx(1.0)
+    assert ports == [BODIES, BODIES + 1, OBSERVER]
+    assert TRUTH.of_body
+
+
+def test_an_owner_that_falls_silent_brings_its_drones_down_with_the_reason():
+    async def meanwhile(clock, world, agent, wires):
+        await clock.sleep(2.5)
+        for wire in wires:
+            wire.torn = True
+
+    results, _ = fly(swarm(), meanwhile=meanwhile)
+    for result in results.values():
+        assert not result["success"]
+        assert "pose 0.5" in result["reason"], result
+        assert "its world's owner (crazychoir-world) is silent for" in result["reason"]
+
+
+def test_the_owner_ends_when_nobody_flies_any_more(caplog):
+    ends = {}
+
+    async def meanwhile(clock, world, agent, wires):
+        await clock.sleep(1.0)
+        world.end("Ctrl-C")
+        ends["asked"] = clock.now()
+
+    async def main(clock):
+        results, _ = await two_processes(clock, swarm(), meanwhile)
+        return results, clock.now() - ends["asked"]
+
+    results, later = run_virtual(main)
+    assert all(result["success"] for result in results.values()), "they saw the floor when they landed"
+    assert later > 2.0 + LEFT_ALONE
+    said = [record.getMessage() for record in caplog.records if "world:" in record.getMessage()]
+    assert said == ["world: Ctrl-C: it goes on until the agents of drone(s) 0, 1 have ended"]
+
+
+def test_agents_that_have_just_ended_are_no_news(caplog):
+    fly(swarm())
+    assert not any("world:" in record.getMessage() for record in caplog.records)
+
+
+def test_an_owner_that_nobody_needs_ends_at_once():
+    async def main(clock):
+        world = WorldProcess(clock, swarm(), "world", "here", 1)
+        serving = asyncio.create_task(world.serve())
+        await clock.sleep(1.0)
+        world.end("Ctrl-C")
+        await serving
+        return clock.now()
+
+    assert run_virtual(main) < 1.2
+
+
+@pytest.mark.parametrize("how", ["refused", "broken"])
+def test_an_owner_that_cannot_go_on_ends_with_the_reason(how, caplog):
+    async def main(clock):
+        world = WorldProcess(clock, swarm(), "world", "here", 1)
+        serving = asyncio.create_task(world.serve())
+        await clock.sleep(1.0)
+        if how == "refused":
+            world.refuse(Refused("swarm a", "another owns the world of drone(s) 0, 1 too"))
+        else:
+            world.owners[0].world.states = None
+        await serving
+        return world.report()
+
+    with caplog.at_level(logging.CRITICAL):
+        report = run_virtual(main)
+    assert not report["success"]
+    assert ("another owns" if how == "refused" else "world failed: ") in report["reason"]
