@@ -75,6 +75,10 @@ string verb
 geometry_msgs/Point p  # m, world
 float64 yaw  # rad
 float64 duration  # s""",
+    "crazychoir_msgs/Body": """\
+std_msgs/Header header
+string[] flies  # kinds of commands that its engine obeys
+string harm  # what has broken it""",
     "crazychoir_msgs/Status": """\
 std_msgs/Header header
 string phase
@@ -224,6 +228,7 @@ MESSAGES: dict[Any, Message] = {
     FRPY: Message("crazychoir_msgs/FRPY", lambda command: command.flat.tolist()),
     Vel: Message("crazychoir_msgs/Vel", lambda command: command.flat.tolist()),
     XYZ: Message("crazychoir_msgs/XYZ", lambda command: (command.verb, *command.flat.tolist())),
+    Body: Message("crazychoir_msgs/Body", lambda body: (body.flies, body.harm)),
     Status: Message("crazychoir_msgs/Status", lambda status: [getattr(status, n) for n in status.__struct_fields__]),
     Body: Message("crazychoir_msgs/Body", lambda body: (body.harm,)),
     str: Message("std_msgs/String", lambda line: (line,)),

@@ -42,8 +42,8 @@ class Recorder(Actor):
     """Records every observable topic of the drones `ids`.
 
     observer: an address on a bus without drones, which asks for everything over the network; None on the bus of the
-    drones themselves: then each drone reads its own topics, which no other drone and no count of messages notices;
-    source: the address that says a topic of a drone.
+    drones themselves: then each drone reads its own topics, which no other drone and no count of messages notices.
+    source: the address that says a topic of drone i.
     """
 
     name = "recorder"

@@ -17,6 +17,7 @@ from crazychoir.types import (
     FRPY,
     XYZ,
     Acceleration,
+    Body,
     Command,
     FullState,
     Goto,
@@ -113,6 +114,11 @@ def test_status(suspect):
     assert list(found) == list(Status.__struct_fields__)
     assert found == {name: getattr(status, name) for name in Status.__struct_fields__}
     assert math.isnan(sent(Status(""))["cost"])
+
+
+@pytest.mark.parametrize("flies", [[], ["fpqr"], ["fpqr", "xyz", ""]])
+def test_body(flies):
+    assert sent(Body(flies, "größe")) == {"header": HEADER, "flies": flies, "harm": "größe"}
 
 
 def test_log_line():
