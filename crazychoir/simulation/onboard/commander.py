@@ -27,7 +27,10 @@ def clear(sp: Record) -> None:
 
 @kernel()
 def accept(fw: Record, priority: int) -> bool:
-    """May somebody of this priority give a set-point? Then he has control, and above the planner he disables it."""
+    """May somebody of this priority give a set-point? Then he has control, and above the planner he disables it.
+
+    Chosen: a disabled planner is silent until its next command, so that the last set-point grows old as any other.
+    """
     if priority < fw.priority:
         return False
     fw.priority, fw.stamp = priority, fw.tick

@@ -94,7 +94,7 @@ def compensate(fw: Record) -> None:
     if not steady:
         _voltages(fw)
     newtons, share = fw.thrust_max / FULL, 1.0 / fw.thrust_max
-    most = _thrust(fw, fw.vbat) * share
+    most = max(_thrust(fw, fw.vbat), 0.0) * share
     for i in range(4):
         f = fw.request[i] * newtons
         if f < fw.thrust_min:

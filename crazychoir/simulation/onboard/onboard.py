@@ -223,9 +223,8 @@ class Onboard:
     def define_trajectory(self, slot: int, offset: int, pieces: int) -> int:
         """Name what lies in the memory: offset in bytes, a multiple of 4; 8 if it does not fit."""
         words = offset // 4
-        if not (0 <= slot < TRAJECTORIES and offset % 4 == 0 <= offset and pieces > 0):
-            return planner.UNKNOWN
-        if words + pieces * PIECE > MEMORY:
+        placed = offset >= 0 and offset % 4 == 0 and words + pieces * PIECE <= MEMORY
+        if not (0 <= slot < TRAJECTORIES and pieces > 0 and placed):
             return planner.UNKNOWN
         plan = self.record["planner"]
         plan["offset"][slot], plan["pieces"][slot] = words, pieces

@@ -158,7 +158,7 @@ def entries(module: ModuleType) -> Any:
     return SimpleNamespace(**{name: law.overloads[law.signatures[0]].entry_point for name, law in laws.items()})
 
 
-# pid_rate, pid_attitude, velCtlPid, posCtlPid: kp, ki, kd, limit of the integral
+# pid_rate, pid_attitude, velCtlPid, posCtlPid: kp, ki, kd, limit of the integral (chosen for velocity and position)
 CRAZYFLIE = {
     "roll_rate": (250.0, 500.0, 2.5, 33.3),
     "pitch_rate": (250.0, 500.0, 2.5, 33.3),

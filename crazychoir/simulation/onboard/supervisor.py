@@ -99,7 +99,8 @@ def update(fw: Record) -> None:
     """At 25 Hz: at most one change of state.
 
     Chosen: a flying drone whose motors rest has landed, also under level-out; after landing a new take-off is allowed
-    for landedTimeout; free fall ends at once in locked, and both cut the motors.
+    for landedTimeout; free fall ends at once in locked, both cut the motors, and nobody is in control then; there is no
+    check of the motors' speeds, so arming succeeds at its next pass.
     """
     _see_tumbling(fw)
     _see_flying(fw)

@@ -97,6 +97,10 @@ def test_a_battery_off_its_low_pass_gives_what_the_curve_says(platform):
     assert got == pytest.approx([curve(platform, v * 3.7 / 3.9) / platform.firmware.thrust_max] * 4, rel=1e-9)
 
 
+def test_a_dead_battery_gives_nothing():
+    assert np.all(shares(output=LEGACY, thrust=65535, vbat=0.0, vbat_low=0.1) == 0.0)
+
+
 def test_an_empty_battery_limits_the_thrust():
     got = shares(output=LEGACY, thrust=65535, vbat=2.8, vbat_low=2.8)
     assert got == pytest.approx([curve(CRAZYFLIE_21, 2.8) / 0.12] * 4)
