@@ -94,9 +94,6 @@ int64[] gone
 string process
 string host
 string note""",
-    "crazychoir_msgs/Body": """\
-std_msgs/Header header
-string harm  # what has broken it, empty if nothing has""",
     "crazychoir_msgs/Value": """\
 std_msgs/Header header
 string json  # null for what is not finite""",
@@ -230,7 +227,6 @@ MESSAGES: dict[Any, Message] = {
     XYZ: Message("crazychoir_msgs/XYZ", lambda command: (command.verb, *command.flat.tolist())),
     Body: Message("crazychoir_msgs/Body", lambda body: (body.flies, body.harm)),
     Status: Message("crazychoir_msgs/Status", lambda status: [getattr(status, n) for n in status.__struct_fields__]),
-    Body: Message("crazychoir_msgs/Body", lambda body: (body.harm,)),
     str: Message("std_msgs/String", lambda line: (line,)),
     dict: Message("crazychoir_msgs/Value", lambda value: (in_json(value),)),
     Exchanged: Message("crazychoir_msgs/Round", exchanged),
