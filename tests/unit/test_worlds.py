@@ -24,13 +24,13 @@ class Wire:
     """In the network's place: carries everything to another process at once, until it is torn."""
 
     def __init__(self, here, there):
-        self.here, self.there, self.torn = here, there, False
+        self.here, self.there, self.torn, self.late = here, there, False, 0.0
         here.forwarder = self
 
     def forward(self, topic, source, to, payload, number, channel, flags, age):
         for j in to if not self.torn else ():
             if j in self.there.ports:
-                self.there.ports[j].deliver(topic.number, source, payload, number, channel, flags, age)
+                self.there.ports[j].deliver(topic.number, source, payload, number, channel, flags, age + self.late)
 
     def then(self, work):
         work()
@@ -141,6 +141,32 @@ def test_an_owner_that_falls_silent_brings_its_drones_down_with_the_reason():
         assert not result["success"]
         assert "pose 0.5" in result["reason"], result
         assert "its world's owner (crazychoir-world) is silent for" in result["reason"]
+
+
+def test_a_cut_reaches_the_body():
+    fell = {}
+
+    async def meanwhile(clock, world, agent, wires):
+        await clock.sleep(2.5)
+        agent.cut_all("emergency stop")
+        await clock.sleep(0.2)
+        fell.update({i: world.owners[0].world.state(i).v[2] for i in (0, 1)})
+
+    results, _ = fly(swarm(), meanwhile=meanwhile)
+    assert all(speed < -1.0 for speed in fell.values()), fell
+    assert all("emergency stop" in result["reason"] for result in results.values()), results
+
+
+def test_a_pose_is_as_old_as_its_way_was_long():
+    ages = []
+
+    async def meanwhile(clock, world, agent, wires):
+        wires[1].late = 0.03
+        await clock.sleep(1.5)
+        ages.extend(drone.pilot.state.age for drone in agent.drones.values())
+
+    fly(swarm(), meanwhile=meanwhile)
+    assert all(0.03 <= age < 0.045 for age in ages), ages
 
 
 def test_the_owner_ends_when_nobody_flies_any_more(caplog):
