@@ -52,7 +52,8 @@ def drawn(config: SwarmConfig, i: int) -> Drawing:
     pen = Pen(
         height=flight.ground + flight.takeoff_height, lift=options["lift"], yaw=options["yaw"], timing=options["timing"]
     )
-    return drawing(placed, pen, Limits(v_max=flight.speed_limit, a_max=flight.acceleration_limit))
+    low, high = config.fence.min, config.fence.max
+    return drawing(placed, pen, Limits(v_max=flight.speed_limit, a_max=flight.acceleration_limit, low=low, high=high))
 
 
 def guidance(i: int, config: SwarmConfig) -> CFGuidance:
@@ -81,8 +82,8 @@ def check(config: SwarmConfig, force: bool = False) -> list[str]:
             raise ConfigError(f"swarm {config.name}: mission_options.{key}", value, f"one of {', '.join(DEFAULTS)}")
     flown = drawn(config, config.ids[0])
     return [
-        f"the drawing takes {flown.path.duration:.1f} s, at most {flown.speed:.2f} m/s and {flown.acceleration:.2f} m/s2, "
-        f"{1e3 * flown.deviation:.1f} mm from what was drawn"
+        f"the drawing takes {flown.path.duration:.1f} s, at most {flown.speed:.2f} m/s and "
+        f"{flown.acceleration:.2f} m/s2, {1e3 * flown.deviation:.1f} mm from what was drawn"
     ]
 
 

@@ -6,7 +6,6 @@ crazychoir run figure --fast --drones 4 --picture out/figure.png
 lap;  laps;  yaw: rad at the start;  yaw_rate: rad/s.
 """
 
-import math
 from typing import Any
 
 import matplotlib.pyplot as plt
@@ -84,4 +83,4 @@ def picture(config: SwarmConfig, results: Results, path: str) -> None:
 
 def _path(config: SwarmConfig, i: int) -> np.ndarray:
     flight = figure(config.drone(i).home, config.flight.takeoff_height, config.mission_options)
-    return np.array([flight.sample(t).p for t in np.linspace(0.0, flight.duration, 1 + math.ceil(flight.duration / 0.05))])
+    return np.array([flight.sample(t).p for t in np.linspace(0.0, flight.duration, 500)])

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from crazychoir.filters.motion import Commanded, fly
+from crazychoir.filters.motion import STANDING, Commanded, fly, stands
 from crazychoir.filters.velocity import ROUNDING, lateness, readable
 from crazychoir.math3d import (
     Mat,
@@ -28,7 +28,8 @@ GATE = 25.0  # chi-square of 3 degrees of freedom: beyond it is one good pose of
 SLACK_P, SLACK_ANGLE = 0.002, 0.035  # m, rad: standard deviations of what a manoeuvre adds, for the gate alone
 DOUBTS = 5  # poses in a row beyond the gate: then it is the filter that is wrong
 UNKNOWN_V, UNKNOWN_D, UNKNOWN_W = 1.0, 5.0, 3.0  # m/s, m/s2, rad/s: standard deviations at a start
-FADE, FADE_TOLD = 0.5, 2.0  # s, in which d fades where nothing is measured: an acceleration; a thrust that is off
+SHAKY_V, DOUBTFUL_D = 0.01, 0.5  # m/s, m/s2: the same of who stands on the floor
+FADE = 0.5  # s, in which d fades where nothing is measured
 HISTORY = 512  # commands that are remembered: 2.1 s at 240 Hz
 
 # The memory: x (13,) of the instant of the measurement, d (3,), the upper triangles of both covariances, the time of
@@ -55,7 +56,7 @@ def _record(mem: Vec, history: Mat, u: Vec, now: float) -> None:
 @kernel()
 def _move(x: Vec, d: Triple, u: Vec, figures: Vec, h: float) -> bool:
     """Replace x by what comes h s later under u and the acceleration d; returns whether it stands on the floor."""
-    if figures[TOLD] > 0.0 and u[0] > 0.0:  # motors that are off tell nothing: it falls, or stands somewhere
+    if figures[TOLD] > 0.0 and (u[0] > 0.0 or x[2] < figures[FLOOR] + STANDING):
         return bool(fly(x, u, figures[PLATFORM:], figures[FLOOR], d, h))
     for c in range(3):
         x[c] += h * (x[3 + c] + 0.5 * h * d[c])
@@ -130,6 +131,15 @@ def _correct_place(mem: Vec, x: Vec, d: Triple, e: Triple, first: Triple, second
 
 
 @kernel()
+def _rest(mem: Vec, x: Vec, r: float) -> None:
+    """It stands on the floor: no velocity, and a thrust of which nothing is known yet."""
+    for c in range(3):
+        x[3 + c] = mem[D + c] = 0.0
+    mem[P], mem[P + 1], mem[P + 2], mem[P + 3] = min(mem[P], r), 0.0, 0.0, SHAKY_V**2
+    mem[P + 4], mem[P + 5] = 0.0, DOUBTFUL_D**2
+
+
+@kernel()
 def _correct_attitude(mem: Vec, x: Vec, e: Triple, grown: Triple, r: float) -> None:
     """Take in the innovation e of the attitude, rad, body: x in place, the covariance into the memory."""
     aa, aw, ww = grown
@@ -177,6 +187,8 @@ def _measure(
     if _beyond(turn, attitude[0] + figures[R_ANGLE] + SLACK_ANGLE**2):
         return -2.0
     _correct_place(mem, out, d, e, first, second, figures[R_P])
+    if figures[TOLD] > 0.0 and stands(out, u, figures[PLATFORM:], figures[FLOOR]):
+        _rest(mem, out, figures[R_P])
     _correct_attitude(mem, out, turn, attitude, figures[R_ANGLE])
     mem[0:D] = out
     d = (mem[D], mem[D + 1], mem[D + 2])
@@ -218,9 +230,10 @@ class KalmanFilter:
     DOUBTS-th in a row beyond it is believed: the filter starts again there, with the velocities it had. So it does
     after a gap longer than the horizon, with the mean velocity of the gap.
 
+    Who stands on the floor and is not lifted has no velocity and no d.
     The state is carried from the instant of the measurement to `now` under the commands of that time, which are
     remembered: `commanded` holds from one call to the next. While no pose comes it goes on so, and d fades: within
-    FADE_TOLD s, or within FADE s if it is the whole acceleration. The instants follow the period of the cameras as in
+    FADE s. The instants follow the period of the cameras as in
     VelocityFilter, whose attributes this has too.
 
     horizon: s, how far a prediction goes at most;  period: s of the cameras, 0 if they have no rate;
@@ -250,8 +263,8 @@ class KalmanFilter:
         self.refused = 0
         self.speed = 0.0
         self.measured = -math.inf
-        model = (1.0 / FADE, 0.0) if motion is None else (1.0 / FADE_TOLD, 1.0, motion.floor, *motion.platform)
-        self._figures = np.array([noise_p**2, noise_angle**2, jerk, push, swing, *model])
+        model = (0.0,) if motion is None else (1.0, motion.floor, *motion.platform)
+        self._figures = np.array([noise_p**2, noise_angle**2, jerk, push, swing, 1.0 / FADE, *model])
         self._memory, self._history = np.zeros(MEMORY), np.zeros((HISTORY, 5))
         self._memory[CALLED] = -math.inf
         self._history[:, 0] = -math.inf

@@ -61,6 +61,13 @@ def _stand(x: Vec) -> None:
 
 
 @kernel()
+def stands(x: Vec, u: Vec, platform: Vec, floor: float) -> bool:
+    """Whether x (13,) is on the floor and its thrust u[0] does not lift it; platform: Platform.flat."""
+    upright = 1.0 - 2.0 * (x[6] * x[6] + x[7] * x[7])
+    return bool(x[2] < floor + STANDING and u[0] * upright <= platform[0] * GRAVITY)
+
+
+@kernel()
 def _turn(x: Vec, u: Vec, h: float) -> None:
     """Attitude and body rates of x, h s later: the lag of the rates is exact, and they turn about their mean axis."""
     keep = math.exp(-h / RATE_LAG)
@@ -81,15 +88,15 @@ def fly(x: Vec, u: Vec, platform: Vec, floor: float, push: Triple, t: float) -> 
     """
     steps = math.ceil(t / STEP)
     lowest = min(x[2], floor)  # who is seen below the floor stays there: it is not where it was thought to be
-    stands = False
+    standing = False
     for _ in range(steps):
         h = t / steps
         _turn(x, u, 0.5 * h)
-        bx, by, bz = columns((x[6], x[7], x[8], x[9]))
-        stands = x[2] < floor + STANDING and u[0] * bz[2] <= platform[0] * GRAVITY
-        if stands:
+        standing = stands(x, u, platform, floor)
+        if standing:
             _stand(x)
             continue
+        bx, by, bz = columns((x[6], x[7], x[8], x[9]))
         v = (x[3], x[4], x[5])
         drag = (platform[1] * dot(bx, v), platform[2] * dot(by, v), platform[3] * dot(bz, v) - u[0])
         for c in range(3):
@@ -100,7 +107,7 @@ def fly(x: Vec, u: Vec, platform: Vec, floor: float, push: Triple, t: float) -> 
         if x[2] < lowest:
             x[2] = lowest
             _stand(x)
-    return stands
+    return standing
 
 
 @kernel(vector, vector, vector, real, real, memory)

@@ -37,7 +37,7 @@ class PDVRPGuidance(CFGuidance):
         self.member.report = lambda: {"task": "agreeing on start times", "cost": solution.cost}
         delays = await self.agree_on_start(route)
         if route.stops:
-            await self.fly(route, delays[self.id], solution)
+            await self.fly_route(route, delays[self.id], solution)
         else:
             await self.member.communicator.close("start")  # a neighbour may still lack our last message
         self.member.report = lambda: {"task": f"done: {len(self.served)} stops", "cost": solution.cost}
@@ -71,7 +71,7 @@ class PDVRPGuidance(CFGuidance):
         delays = await self.member.clock.compute(start_delays, flying, CLEARANCE)
         return {j: delays.get(j, 0.0) for j in known}
 
-    async def fly(self, route: Route, delay: float, solution: Solution) -> None:
+    async def fly_route(self, route: Route, delay: float, solution: Solution) -> None:
         """Wait, take off, serve stop by stop, come home, land."""
         self.member.report = lambda: {"task": f"waiting {delay:g} s for its start", "cost": solution.cost}
         await self.sleep(delay)

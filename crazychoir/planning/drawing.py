@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 
 from crazychoir.errors import ConfigError
 from crazychoir.math3d import Mat, Vec
-from crazychoir.planning.feasibility import Limits, check, peaks, references
+from crazychoir.planning.feasibility import Limits, peaks, references
 from crazychoir.planning.piecewise import Piecewise, joined
 from crazychoir.planning.point_to_point import PointToPoint, duration_for
 from crazychoir.planning.scaling import slowdown
@@ -94,12 +94,11 @@ def drawing(strokes: Sequence[npt.ArrayLike], pen: Pen = Pen(), limits: Limits =
                 lines.append(line)
                 parts.append(line)
             here = line.sample(line.duration) if line else begin
-    if len(parts) == 0:
-        raise ConfigError("drawing: strokes", f"{len(drawn)} of one place or none", "at least one line")
+    if len(lines) == 0:
+        raise ConfigError("drawing: strokes", f"{len(drawn)}, of one place each", "at least one line")
     path = joined(parts)
-    check(path, limits)
     most = peaks(path)
-    return Drawing(path, _deviation(lines, [xy for _, xy in drawn]), most["speed"], most["acceleration"])
+    return Drawing(path, _deviation(lines, [xy for _, xy in drawn if len(xy) > 1]), most["speed"], most["acceleration"])
 
 
 def _line(t: Vec, xy: Mat, pen: Pen, limits: Limits) -> Piecewise:
@@ -118,7 +117,7 @@ def _even(xy: Mat, t: Vec, pen: Pen) -> tuple[Mat, Vec]:
     """Places (n, 2) on the smoothed line, equally far along it, its ends as drawn, and the drawn times (n,) there."""
     u = np.cumsum([0.0, *np.linalg.norm(np.diff(xy, axis=0), axis=1)])
     fine = np.linspace(0.0, u[-1], max(10 * len(u), 100))
-    curve = _smoothed(xy, u, pen.smoothing, fine)
+    curve = smoothed(xy, u, pen.smoothing, fine)
     length = np.cumsum([0.0, *np.linalg.norm(np.diff(curve, axis=0), axis=1)])
     at = np.interp(np.linspace(0.0, length[-1], max(math.ceil(length[-1] / pen.spacing), 2) + 1), length, fine)
     places = np.column_stack([np.interp(at, fine, curve[:, 0]), np.interp(at, fine, curve[:, 1])])
@@ -126,7 +125,7 @@ def _even(xy: Mat, t: Vec, pen: Pen) -> tuple[Mat, Vec]:
     return places, np.interp(at, u, t)
 
 
-def _smoothed(xy: Mat, u: Vec, sigma: float, at: Vec) -> Mat:
+def smoothed(xy: Mat, u: Vec, sigma: float, at: Vec) -> Mat:
     """The cubic smoothing spline through places (k, 2) at parameters u (k,), evaluated: sum (w d / sigma)^2 <= k."""
     if len(xy) < 4:
         return np.column_stack([np.interp(at, u, xy[:, 0]), np.interp(at, u, xy[:, 1])])

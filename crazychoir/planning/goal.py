@@ -1,13 +1,16 @@
 """Goals: up, down, there, and lists of them with their times."""
 
+from dataclasses import replace
+
 import numpy as np
 import numpy.typing as npt
 
 from crazychoir.errors import ConfigError
 from crazychoir.math3d import Vec
 from crazychoir.planning.feasibility import Limits, check, references
+from crazychoir.planning.landing import Landing
 from crazychoir.planning.piecewise import Piecewise, joined
-from crazychoir.planning.point_to_point import PointToPoint, duration_for
+from crazychoir.planning.point_to_point import PointToPoint, duration_for, stopping
 from crazychoir.types import FullState
 
 LIMITS = Limits(v_max=1.0, a_max=2.0, yaw_rate_max=2.0)
@@ -35,6 +38,16 @@ def takeoff(start: FullState, height: float, duration: float = 0.0, limits: Limi
     if not height > start.p[2]:
         raise ConfigError("takeoff: height", height, f"more than the height at the start, {start.p[2]:.3f} m")
     return goto(start, np.array([*start.p[0:2], height]), None, duration, limits)
+
+
+def land(start: FullState, ground: float = 0.0, speed: float = 0.3, limits: Limits = LIMITS) -> Landing:
+    """To rest from any state, then straight down to z = ground m, world, at most `speed` m/s fast."""
+    stop = stopping(start, limits.a_max)
+    if not ground < stop.goal[2]:
+        raise ConfigError("land: ground", ground, f"less than the height at rest, {stop.goal[2]:.3f} m")
+    limits.check_places(references(stop)[1][:, 0:3], "land: set-point")
+    above, floor = FullState.at(stop.goal, yaw=start.yaw), np.array([*stop.goal[0:2], ground])
+    return Landing(stop, goto(above, floor, limits=replace(limits, v_max=min(speed, limits.v_max))))
 
 
 def timed_goals(start: FullState, goals: npt.ArrayLike, limits: Limits = LIMITS) -> Piecewise:

@@ -80,7 +80,7 @@ def allocated(waypoints: npt.ArrayLike) -> Vec:
     Source: Mellinger & Kumar 2011, ICRA, section IV-C.
     """
     w = checked_places(waypoints, "waypoints")
-    first = np.diff(chord_times(w, 1.0))
+    first = np.diff(chord_times(w))
     total = float(first.sum())
 
     def times(logs: Vec) -> Vec:

@@ -1,7 +1,5 @@
 """Clamped splines through places at given times."""
 
-import math
-
 import numpy as np
 import numpy.typing as npt
 from scipy.interpolate import BSpline, make_interp_spline
@@ -97,11 +95,11 @@ def _taylor(curve: BSpline, t: Vec) -> npt.NDArray[np.float64]:
     return np.asarray(np.moveaxis(np.pad(values, padding), 0, 1))
 
 
-def chord_times(places: Mat, speed: float) -> Vec:
-    """Times (k,) s of places (k, 3) flown at `speed` m/s on straight lines; equal neighbours are refused."""
+def chord_times(places: Mat) -> Vec:
+    """Times (k,) s of places (k, 3) flown at 1 m/s on straight lines; equal neighbours are refused."""
     lengths = np.linalg.norm(np.diff(places, axis=0), axis=1)
     if lengths.min() < 1e-6:
         k = int(np.argmin(lengths))
         raise ConfigError(f"places[{k + 1}]", places[k + 1].tolist(), "another place than the one before",
                           "Leave it out, or give times, to wait there.")  # fmt: skip
-    return np.concatenate([[0.0], np.cumsum(lengths)]) / (speed if math.isfinite(speed) else 1.0)
+    return np.cumsum([0.0, *lengths])

@@ -29,7 +29,7 @@ from crazychoir.runtime.actor import Actor, Restart
 from crazychoir.runtime.clock import SECOND
 from crazychoir.runtime.mailbox import Call
 from crazychoir.safety.flights import Flights, braking
-from crazychoir.safety.guard import Action, Fence, Guard, Throttle, Verdict
+from crazychoir.safety.guard import EDGE, Action, Fence, Guard, Throttle, Verdict
 from crazychoir.safety.limits import ReferenceLimits
 from crazychoir.swarm.tables import Flight
 from crazychoir.types import Acceleration, Command, FullState, Goto, Point, Pose, Reference, State
@@ -39,6 +39,8 @@ ON_THE_FLOOR = 0.04
 """m above the ground at which a landing drone stops its motors."""
 TOUCHDOWN_LATE = 2.0
 """s after the planned touch-down when a drone at rest (below AT_REST m/s) counts as landed."""
+TOUCHDOWN_UNSEEN = 0.5
+"""The same for one that is not seen."""
 AT_REST = 0.05
 GIVE_UP_HOVER = 2.0
 """s of hovering after guidance has failed, before the landing."""
@@ -47,6 +49,8 @@ GIVE_UP_TICKS = 0.5
 
 LIFTED = 0.03
 """m above where it stood at which a drone flies: below, its controllers learn nothing from an error of the height."""
+SEEN = 0.1
+"""s, the age of a state beyond which it is a prediction, of which the controllers learn nothing."""
 BLIND = 2.0
 """s, how far it predicts its own motion without a pose: as long as the safety table lets it fly so."""
 
@@ -300,7 +304,7 @@ class Pilot(Actor):
         if self.guard.acts:
             return 0.0
         start, now = self._departure(), self.clock.now()
-        goal = self.fence.nearest(np.asarray(p, dtype=float), inset=0.0)
+        goal = self.fence.nearest(np.asarray(p, dtype=float), inset=EDGE)
         seconds = self.flights.go_to(start, goal, start.yaw if yaw is None else yaw, duration, now)
         self._flown = start
         self.mode, self._obeyed = Mode.HOVER, NOMINAL
@@ -423,9 +427,14 @@ class Pilot(Actor):
         return self._follow(state, now)
 
     def _is_down(self, state: State, now: float) -> bool:
-        """Low enough; or the descent is long over and it moves no more, whatever height cameras and floor say."""
-        low = state.flat[2] < self.limits.ground + ON_THE_FLOOR
-        over = isinstance(self.flights.plan, Landing) and self.flights.done(now, TOUCHDOWN_LATE)
+        """Low enough; or the descent is over and it moves no more, whatever height cameras and floor say.
+
+        A height that is only predicted does not count: it may be wrong by a fall that breaks the drone.
+        """
+        seen = state.age <= SEEN
+        low = seen and state.flat[2] < self.limits.ground + ON_THE_FLOOR
+        landing = isinstance(self.flights.plan, Landing)
+        over = landing and self.flights.done(now, TOUCHDOWN_LATE if seen else TOUCHDOWN_UNSEEN)
         return bool(low or (over and np.linalg.norm(state.v) < AT_REST))
 
     def _follow(self, state: State, now: float) -> Command | None:
@@ -437,14 +446,15 @@ class Pilot(Actor):
                 return chosen.follower.command(state, reference, now)
             if isinstance(reference, FullState):
                 self._flown, flights.plan = self.reference_limits.full_state(reference, state), None
-                chosen.trim.frozen = self._flown is not reference
+                chosen.trim.frozen = self._flown is not reference or state.age > SEEN
                 return chosen.tracker.command(state, self._flown, now)
         if flights.plan is None:
             self._brake()
         self._flown = flights.sample(now)
         if self.mode is Mode.TAKEOFF and flights.done(now):
             self.mode = Mode.HOVER
-        chosen.trim.frozen = self.mode is Mode.TAKEOFF and state.flat[2] < self._lift_off
+        low = self.mode is Mode.TAKEOFF and state.flat[2] < self._lift_off
+        chosen.trim.frozen = low or state.age > SEEN
         return chosen.tracker.command(state, self._flown, now)
 
     def _obey(self, verdict: Verdict) -> None:

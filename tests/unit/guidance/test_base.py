@@ -152,7 +152,7 @@ async def test_a_flight_waits_while_the_safety_table_brakes_it(clock):
     async with in_the_air(clock) as (guidance, pilot):
         go_to, refused_until = pilot.go_to, clock.now() + 3.0
 
-        def braking(p, duration=0.0):
+        def braking(p, yaw=None, duration=0.0):
             return 0.0 if clock.now() < refused_until else go_to(p, duration=duration)
 
         pilot.go_to = braking

@@ -9,6 +9,7 @@ from virtual_time import virtual
 from crazychoir.bus.local import Bus
 from crazychoir.bus.topics import STATE
 from crazychoir.errors import Hung
+from crazychoir.filters.velocity import VelocityFilter
 from crazychoir.guidance.base import CFDistributedFeedback, Interrupted, Member
 from crazychoir.runtime.clock import run_virtual
 from crazychoir.safety.guard import Fence
@@ -119,7 +120,9 @@ def test_each_law_hears_of_this_tick_whichever_drone_is_seen_first(order):
         world = CFIntegrator((0, 1), np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 1.0]]))
         laws = [Told(), Told()]
         for port, law in zip([bus.port(0), bus.port(1)], laws, strict=True):
-            pilot = Pilot(port, SimulatedLink(world, port.address), config.flight, Fence.box((-3, -3, -0.2), (3, 3, 2)))
+            fence = Fence.box((-3, -3, -0.2), (3, 3, 2))
+            seen = VelocityFilter()
+            pilot = Pilot(port, SimulatedLink(world, port.address), config.flight, fence, state_filter=seen)
             pilot.mode = Mode.HOVER
             law.bind(Member(port.address, config, clock, Communicator(port, graphs.path(2)), pilot))
         endings = [asyncio.create_task(law.run_law()) for law in laws]

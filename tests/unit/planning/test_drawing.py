@@ -1,4 +1,5 @@
 import math
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -6,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from crazychoir.errors import ConfigError
-from crazychoir.planning.drawing import STANDARD, Pen, drawing
+from crazychoir.planning.drawing import STANDARD, Pen, drawing, smoothed
 from crazychoir.planning.feasibility import Limits, check, peaks
 from crazychoir.planning.stroke import read_strokes
 
@@ -92,15 +93,43 @@ def test_tremor_is_smoothed_within_the_deviation_that_is_reported():
     assert 0.0 < drawn.deviation < 0.03
 
 
+def test_smoothing_leaves_the_ends_where_they_are():
+    shaken = ARC + np.random.default_rng(2).normal(scale=0.01, size=ARC.shape)
+    u = np.cumsum([0.0, *np.linalg.norm(np.diff(shaken, axis=0), axis=1)])
+    places = smoothed(shaken, u, 0.012, u)
+    np.testing.assert_allclose(places[[0, -1]], shaken[[0, -1]], atol=1e-4)
+    assert np.linalg.norm(places - ARC, axis=1)[5:-5].mean() < 0.6 * np.linalg.norm(shaken - ARC, axis=1).mean()
+
+
+def test_the_deviation_looks_from_the_drawn_line_and_from_the_flown_one(word):
+    drawn = drawing(word[1:2], Pen(timing="drawn"))
+    flown = np.array([drawn.path.sample(t).p[0:2] for t in np.linspace(0.0, drawn.path.duration, 2000)])
+    apart = np.linalg.norm(flown[:, None] - word[1][None, :, 1:], axis=2)
+    assert drawn.deviation == pytest.approx(max(apart.min(axis=0).max(), apart.min(axis=1).max()), abs=0.003)
+    assert apart.min(axis=1).max() > apart.min(axis=0).max() + 0.004  # it overshoots
+
+
+def test_a_bend_that_is_cut_counts_too():
+    tip = np.array([(0.0, 0.0), (0.5, 0.0), (0.5 + 0.5 * math.cos(1.3), 0.5 * math.sin(1.3))])
+    drawn = drawing([np.concatenate([np.linspace(a, b, 60) for a, b in pairwise(tip)])], Pen(smoothing=0.02))
+    flown = np.array([drawn.path.sample(t).p[0:2] for t in np.linspace(0.0, drawn.path.duration, 4000)])
+    cut = float(np.linalg.norm(flown - tip[1], axis=1).min())
+    assert cut > 0.01
+    assert drawn.deviation >= cut - 0.001
+
+
 def test_a_dot_is_flown_to():
-    path = drawing([ARC, [(0.0, 0.0), (0.0, 0.0)]]).path
+    drawn = drawing([[(0.1, 0.1)], ARC, [(0.0, 0.0), (0.0, 0.0)]])
+    path = drawn.path
+    assert drawn.deviation < 0.01
+    np.testing.assert_allclose(path.sample(0.0).p, (0.1, 0.1, 1), atol=1e-9)
     np.testing.assert_allclose(path.sample(path.duration).p, (0, 0, 1), atol=1e-9)
 
 
 def test_other_limits_hold_too():
-    limits = Limits(v_max=1.0, a_max=3.0, j_max=8.0, tilt_max=0.25)
+    limits = Limits(v_max=1.0, a_max=3.0, j_max=2.0, tilt_max=0.25)
     most = peaks(drawing([ARC, LINE], limits=limits).path)
-    assert most["jerk"] <= 8.0 * 1.001
+    assert most["jerk"] <= 2.0 * 1.001
     assert most["tilt"] <= 0.25 * 1.001
 
 
@@ -109,6 +138,7 @@ def test_other_limits_hold_too():
     [
         ([], {}, {}, "at least one line"),
         ([[(1, 1)]], {}, {}, "at least one line"),
+        ([[(1, 1)], [(0, 1)]], {}, {}, "at least one line"),
         ([ARC, [(0, 0), (math.nan, 0)]], {}, {}, r"strokes\[1\]\[1\]"),
         ([ARC], {"timing": "drawn"}, {}, "rows of t, x, y"),
         ([ARC], {"timing": "slow"}, {}, "Pen: timing"),

@@ -65,3 +65,13 @@ def test_a_way_through_the_fence_is_refused():
     with pytest.raises(ConfigError, match="wider fence"):
         join(start, RUNNING, 3.0, Limits(v_max=2, a_max=2, high=(0.9, 9, 9)))
     join(start, RUNNING, 3.0, Limits(v_max=2, a_max=2, high=(0.92, 9, 9)))
+    falling = FullState.at((0.5, 0, 0.6), (0, 0, -0.5))
+    with pytest.raises(ConfigError, match="wider fence"):
+        join(falling, RUNNING, 3.0, Limits(v_max=2, a_max=2, low=(-9, -9, 0.55)))
+
+
+def test_who_is_outside_of_the_fence_may_come_back():
+    for sign in (-1.0, 1.0):
+        start = FullState.at((sign * 0.9, 0, 1))
+        plan = join(start, RUNNING, 3.0, Limits(v_max=2, a_max=4, low=(-0.6, -0.6, 0), high=(0.6, 0.6, 2)))
+        np.testing.assert_allclose(plan.sample(plan.way.duration).p, RUNNING.sample(3.0 + plan.way.duration).p)

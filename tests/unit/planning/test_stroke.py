@@ -22,6 +22,13 @@ def test_thinning_keeps_both_ends_and_distances(places, distance):
     assert len(steps) < 2 or steps[-1] >= 0.5 * distance
 
 
+def test_the_last_place_takes_the_part_of_one_that_is_too_near():
+    xy = np.array([(0.0, 0.0), (0.1, 0.0), (0.2, 0.0), (0.23, 0.0)])
+    assert thinned(xy, 0.1) == [0, 1, 3]
+    assert thinned(xy, 0.05) == [0, 1, 2, 3]
+    assert thinned(xy, 1.0) == [0, 3]
+
+
 def test_repeated_places_and_times_are_no_trouble():
     t, xy = checked([(0, 0, 0), (0, 0, 0), (0, 1, 0), (1, 1, 0), (1, 1, 1)], "stroke")
     np.testing.assert_array_equal(t, [0, 0, 1])

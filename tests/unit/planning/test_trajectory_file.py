@@ -41,6 +41,15 @@ def test_velocities_are_honoured(tmp_path):
     assert flight.sample(0.0).flat[13] == pytest.approx(0.1)
 
 
+def test_yaws_go_the_short_way_with_and_without_their_rates(tmp_path):
+    for rates in ("", ",yaw_rate"):
+        file = tmp_path / "yaws.csv"
+        file.write_text(f"{HEAD}{rates}\n0,0,0,1,3{',0.1' if rates else ''}\n1,1,0,1,-3{',0.1' if rates else ''}\n")
+        yaws = [read_samples(file).sample(t).yaw for t in np.linspace(0.0, 1.0, 20)]
+        assert yaws == sorted(yaws)
+        assert yaws[-1] == pytest.approx(2 * np.pi - 3)
+
+
 def test_pieces_come_back_to_the_last_digit(tmp_path):
     flight = minimum_snap([[0, 0, 1], [1, 0, 1], [1, 1, 1]], [0, 1.1, 2.7], yaws=[0, 1, 2])
     write_pieces(tmp_path / "pieces.csv", flight)
