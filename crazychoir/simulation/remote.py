@@ -22,6 +22,8 @@ SIZES: dict[type[Any], int] = {FPQR: 4, FRPY: 4, Vel: 4, XYZ: 5, FullState: 14}
 """Numbers in a command of each kind."""
 GONE = 3.0
 """s of silence after which a world's owner does not come back: all its drones have stopped their motors by then."""
+PATIENT = 5.0
+"""s after which a drone that waits for its world says so."""
 _NOTHING = encode(None)
 
 
@@ -78,7 +80,12 @@ class OwnerWatch(Actor):
 
     async def run(self) -> None:
         """As often as a body says how it is."""
+        patient_until = self.clock.now() + PATIENT
         async for _ in self.clock.ticks(BODY.rate):
+            waiting = [i for i, link in self.links.items() if link.silence == math.inf]
+            if waiting and self.clock.now() > patient_until:
+                patient_until, names = math.inf, ", ".join(map(str, waiting))
+                log.warning("drone(s) %s: waiting for the owner of their world: crazychoir-world --swarm ...", names)
             for i in [i for i, link in self.links.items() if GONE < link.silence < math.inf]:
                 del self.links[i]
                 self.gone(i)

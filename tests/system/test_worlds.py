@@ -135,7 +135,7 @@ async def kill_the_owner(folder: Path) -> None:
     assert ended["code"] == 1
     assert "world: its owner ended with code -9" in run.program.text
     for i in ("0", "1"):
-        assert "pose 0.5" in ended["reasons"][i], ended["reasons"]
+        assert "s old, limit" in ended["reasons"][i], ended["reasons"]
         assert "its world's owner (crazychoir-world) is silent" in ended["reasons"][i]
 
 

@@ -2,6 +2,8 @@
 
 import asyncio
 import logging
+import sys
+from importlib.metadata import EntryPoint
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,10 +12,14 @@ import pytest
 from crazychoir.agent import Agent
 from crazychoir.bus.local import BODIES, OBSERVER
 from crazychoir.bus.topics import TRUTH
-from crazychoir.errors import Refused
+from crazychoir.errors import ConfigError, Refused
 from crazychoir.guidance.base import CFGuidance
 from crazychoir.launch.score import Score
 from crazychoir.runtime.clock import run_virtual
+from crazychoir.simulation import engines
+from crazychoir.simulation.delay import DelayedLink
+from crazychoir.simulation.integrator import CFIntegrator
+from crazychoir.swarm.checks import MOTORS
 from crazychoir.swarm.config import SwarmConfig
 from crazychoir.worlds import LEFT_ALONE, WorldProcess
 
@@ -24,13 +30,13 @@ class Wire:
     """In the network's place: carries everything to another process at once, until it is torn."""
 
     def __init__(self, here, there):
-        self.here, self.there, self.torn = here, there, False
+        self.here, self.there, self.torn, self.late = here, there, False, 0.0
         here.forwarder = self
 
     def forward(self, topic, source, to, payload, number, channel, flags, age):
         for j in to if not self.torn else ():
             if j in self.there.ports:
-                self.there.ports[j].deliver(topic.number, source, payload, number, channel, flags, age)
+                self.there.ports[j].deliver(topic.number, source, payload, number, channel, flags, age + self.late)
 
     def then(self, work):
         work()
@@ -64,13 +70,22 @@ class Hops(CFGuidance):
         return {"place": place}
 
 
+class Stays(CFGuidance):
+    """Up, for a long time."""
+
+    async def mission(self):
+        await self.take_off()
+        await self.sleep(600.0)
+
+
 MISSION = SimpleNamespace(guidance=lambda i, config: Hops())
+ENDLESS = SimpleNamespace(guidance=lambda i, config: Stays())
 
 
-async def two_processes(clock, config, meanwhile):
+async def two_processes(clock, config, meanwhile, mission=MISSION):
     """An agent that flies all drones beside the owner of their world; what each has come to."""
     world = WorldProcess(clock, config, "world", "here", 1)
-    agent = Agent(clock, config, MISSION, config.ids, alone=False)
+    agent = Agent(clock, config, mission, config.ids, alone=False)
     wires = wired(agent.bus, world.bus)
     serving = asyncio.create_task(world.serve())
     flying = asyncio.create_task(agent.run())
@@ -130,17 +145,82 @@ def test_the_truth_comes_from_the_body():
     assert TRUTH.of_body
 
 
-def test_an_owner_that_falls_silent_brings_its_drones_down_with_the_reason():
+def test_an_owner_that_falls_silent_brings_its_drones_down_with_the_reason_whatever_their_mission_waits_for():
     async def meanwhile(clock, world, agent, wires):
         await clock.sleep(2.5)
         for wire in wires:
             wire.torn = True
 
-    results, _ = fly(swarm(), meanwhile=meanwhile)
+    async def main(clock):
+        results, _ = await two_processes(clock, swarm(), meanwhile, ENDLESS)
+        return results, clock.now()
+
+    results, ended = run_virtual(main)
+    assert ended < 2.5 + 10.0
     for result in results.values():
         assert not result["success"]
-        assert "pose " in result["reason"], result
+        assert "s old, limit" in result["reason"], result
         assert "its world's owner (crazychoir-world) is silent for" in result["reason"]
+
+
+class Foreign:
+    """A world that is not ours: as the lightweight one, without a delay in its model."""
+
+    def __init__(self, setup):
+        self._world = CFIntegrator(setup.ids, np.array(setup.homes), dt=setup.dt)
+
+    def __getattr__(self, name):
+        return getattr(self._world, name)
+
+
+def test_a_world_that_has_no_delay_of_its_own_gets_the_delay_of_the_swarm_file(monkeypatch):
+    monkeypatch.setitem(sys.modules, "foreign", SimpleNamespace(world=Foreign))
+    monkeypatch.setitem(engines.OURS, MOTORS, EntryPoint(MOTORS, "foreign:world", "crazychoir.worlds"))
+    drones = [{"id": i, "home": [float(i), 0.0, 0.0], "uri": MOTORS} for i in range(2)]
+
+    async def main(clock):
+        world = WorldProcess(clock, swarm(drones=drones, plant={"command_delay": 0.03}), "world", "here", 1)
+        return [body.link for body in world.bodies], world.owners[0].world
+
+    links, world = run_virtual(main)
+    assert [(type(link), link.steps) for link in links] == [(DelayedLink, 3)] * 2
+    assert world.ids == (0, 1)
+
+
+def test_a_world_in_which_nobody_can_fly_what_is_sent_is_refused_at_its_start():
+    async def main(clock):
+        with pytest.raises(ConfigError, match="drone 0: sender: found frpy; allowed: fpqr"):
+            WorldProcess(clock, swarm(control={"sender": "frpy"}), "world", "here", 1)
+        with pytest.raises(ConfigError, match="drone 0: sender: found vel; allowed: fpqr"):
+            Agent(clock, swarm(control={"sender": "vel"}), MISSION, (0, 1))
+
+    run_virtual(main)
+
+
+def test_a_cut_reaches_the_body():
+    fell = {}
+
+    async def meanwhile(clock, world, agent, wires):
+        await clock.sleep(2.5)
+        agent.cut_all("emergency stop")
+        await clock.sleep(0.2)
+        fell.update({i: world.owners[0].world.state(i).v[2] for i in (0, 1)})
+
+    results, _ = fly(swarm(), meanwhile=meanwhile)
+    assert all(speed < -1.0 for speed in fell.values()), fell
+    assert all("emergency stop" in result["reason"] for result in results.values()), results
+
+
+def test_a_pose_is_as_old_as_its_way_was_long():
+    ages = []
+
+    async def meanwhile(clock, world, agent, wires):
+        wires[1].late = 0.03
+        await clock.sleep(1.5)
+        ages.extend(drone.pilot.state.age for drone in agent.drones.values())
+
+    fly(swarm(), meanwhile=meanwhile)
+    assert all(0.03 <= age < 0.045 for age in ages), ages
 
 
 def test_the_owner_ends_when_nobody_flies_any_more(caplog):

@@ -6,13 +6,15 @@ import numpy as np
 import pytest
 from virtual_time import virtual
 
-from crazychoir.bus.local import Bus
-from crazychoir.bus.topics import POSE, TRUTH
+from crazychoir.bus.local import BODIES, Bus
+from crazychoir.bus.topics import BODY, POSE, TRUTH
 from crazychoir.mocap.simulated import SimulatedMocap
+from crazychoir.platforms import PAPER
 from crazychoir.runtime.clock import run_virtual
 from crazychoir.runtime.mailbox import Call
 from crazychoir.simulation.integrator import CFIntegrator
 from crazychoir.simulation.owner import MOST_CATCH_UP, WorldOwner
+from crazychoir.types import FPQR, Body
 
 
 class Owned:
@@ -43,6 +45,29 @@ async def test_poses_come_at_the_rate_of_the_cameras_and_truth_at_its_own(clock)
     assert [len(owned.poses[i]) for i in (0, 1)] == [50, 50]
     assert [len(owned.truths[i]) for i in (0, 1)] == [TRUTH.rate, TRUTH.rate]
     assert owned.owner.looked_ns == pytest.approx(1e9)
+
+
+@virtual
+async def test_bodies_elsewhere_speak_at_their_own_addresses_and_obey_late(clock):
+    bus = Bus(clock)
+    for i in (0, 1):
+        bus.port(BODIES + i)
+    reader, boxes = bus.port(7), {}
+    for topic in (POSE, TRUTH, BODY):
+        boxes[topic] = topic.mailbox(clock)
+        bus.subscribe(topic, BODIES + 1, reader.address, boxes[topic])
+    world = CFIntegrator((0, 1), np.array([[0.0, 0.0, 2.0], [1.0, 0.0, 2.0]]))
+    owner = WorldOwner(bus, world, SimulatedMocap((0, 1), 1), 100.0, base=BODIES, delay=2)
+    link = owner.link(1, "fpqr")
+    link.send(FPQR(np.array([0.1, 0.0, 0.0, 0.0])))
+    thrusts = []
+    for _ in range(25):
+        owner.step()
+        thrusts.append(world.commands[1, 0])
+    assert thrusts[:3] == [PAPER.weight, PAPER.weight, 0.1]
+    assert boxes[POSE].peek().p == pytest.approx(world.state(1).p, abs=0.01)
+    assert boxes[TRUTH].peek().flat.tolist() == world.state(1).flat.tolist()
+    assert boxes[BODY].peek() == Body("")
 
 
 @virtual
