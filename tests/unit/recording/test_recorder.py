@@ -46,7 +46,7 @@ VALUES = {
     POSE: Pose(np.arange(7.0), 0.25), STATE: State.at((1, 2, 3), (4, 5, 6)), REFERENCE: FullState(np.arange(14.0)),
     COMMAND: FPQR(np.arange(4.0)), TRUTH: State.at((7, 8, 9)), STATUS: Status("hovering", suspect=[1], cost=0.5),
     RESULT: {"success": True, "place": np.ones(3)}, LOG: "drone 1: a line",
-    BODY: Body(["fpqr"]),
+    BODY: Body("crashed"),
 }  # fmt: skip
 
 
