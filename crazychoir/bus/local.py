@@ -27,6 +27,8 @@ BODIES = 1 << 25
 
 Handler = Callable[[int, bytes, int, str, int, float], None]
 """Called with (source, payload, number, channel, flags, age)."""
+Tap = Callable[[int, int, int, int, bytes, str, int, float], None]
+"""Called with (destination, topic, source, number, payload, channel, flags, age) of each message as it arrives."""
 
 
 class Forwarder(Protocol):
@@ -132,7 +134,7 @@ class Bus:
         self.interests: list[Interest] = []
         self.unroutable = 0
         self.stopped = False
-        self.tap: Callable[[int, int, int, int, bytes], None] | None = None
+        self.tap: Tap | None = None
         self._readers: dict[int, dict[int, Readers]] = {}
         self._opened: tuple[bytes | None, Any] = (None, None)
 
@@ -306,7 +308,7 @@ class Port:
         bus = self.bus
         self.counters.received += 1
         if bus.tap is not None:
-            bus.tap(self.address, topic, source, number, payload)
+            bus.tap(self.address, topic, source, number, payload, channel, flags, age)
         self.heard_ns[source] = self._now_ns()
         handler = self.handlers.get(topic)
         if handler is not None:

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from crazychoir.cli import look, param, solve
+from crazychoir.cli import look, param, plot, solve
 from crazychoir.cli.show import (
     STDERR,
     Progress,
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 app = typer.Typer(add_completion=False, no_args_is_help=True, help="Swarms that optimise and fly together.")
 app.command()(solve.solve)
+app.command()(plot.plot)
 for command in (look.topics, look.echo, look.hz, look.status, look.impair, look.stop):
     app.command()(command)
 
@@ -54,6 +55,7 @@ def run(
     swarm: Annotated[str | None, typer.Option(help="Swarm file for a mission.")] = None,
     force: Annotated[bool, typer.Option(help="Fly a formation that is very slow.")] = False,
     picture: Annotated[Path | None, typer.Option(help="Where to draw the picture (PNG).")] = None,
+    record: Annotated[Path | None, typer.Option(help="New file to record the flight into (.mcap).")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object, nothing else.")] = False,
 ) -> None:
     """Fly a mission on this machine; Ctrl-C lands the drones."""
@@ -68,6 +70,7 @@ def run(
     from crazychoir.guidance.mission import has
     from crazychoir.launch.flight import fly_fast, fly_real
     from crazychoir.launch.network import apart, swarm_file
+    from crazychoir.launch.recording import recording_file
     from crazychoir.launch.running import Run, recorded
 
     given = {"--fast": fast, "--processes": processes, "--picture": picture, "--drones": drones}
@@ -81,15 +84,16 @@ def run(
             with Progress(status_table, enabled=not as_json) as progress:
                 for text in warned:
                     progress.say(text)
-                if fast:
-                    result = fly_fast(config, mission, progress)
-                else:
-                    config = config if only is not None else apart(config, processes)
-                    source = named_file(what, swarm)
-                    with swarm_file(config) as path, recorded(Run(config.name, what, source, str(path))):
-                        progress.say(f"Look into it (or echo, hz, impair, stop): crazychoir status --swarm {path}")
-                        flags = ["--force"] if force else []
-                        result = fly_real(path, config, mission, flags, progress, progress.say, started)
+                config = config if fast or only is not None else apart(config, processes)
+                with recording_file(record, config, virtual=fast) as file:
+                    if fast:
+                        result = fly_fast(config, mission, progress, file)
+                    else:
+                        source = named_file(what, swarm)
+                        with swarm_file(config) as path, recorded(Run(config.name, what, source, str(path))):
+                            progress.say(f"Look into it (or echo, hz, impair, stop): crazychoir status --swarm {path}")
+                            flags = ["--force"] if force else []
+                            result = fly_real(path, config, mission, flags, progress, progress.say, started, file)
             result["picture"] = _drawn(mission, config, result, picture)
     except CrazyChoirError as error:
         fail(error, as_json)

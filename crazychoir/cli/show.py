@@ -3,7 +3,6 @@
 import contextlib
 import json
 import logging
-import math
 import os
 import sys
 import time
@@ -16,6 +15,7 @@ from rich.console import Console, Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
+from crazychoir.bus.plain import plain
 from crazychoir.errors import CrazyChoirError, Refused
 
 if TYPE_CHECKING:
@@ -60,19 +60,6 @@ def write_json(value: Any) -> None:
     """One line of JSON on standard output, at once."""
     sys.stdout.write(json.dumps(plain(value), default=str) + "\n")
     sys.stdout.flush()
-
-
-def plain(value: Any) -> Any:
-    """What JSON has for any value that travels: lists for arrays, fields by name, null for what is not finite."""
-    if isinstance(value, dict):
-        return {key if isinstance(key, str | int) else str(key): plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [plain(item) for item in value]
-    if hasattr(value, "tolist"):  # an array
-        return plain(value.tolist())
-    if hasattr(value, "__struct_fields__"):  # a wire type
-        return {name: plain(getattr(value, name)) for name in value.__struct_fields__}
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def fail(error: CrazyChoirError, as_json: bool) -> NoReturn:
@@ -196,11 +183,20 @@ def summary_table(run: dict[str, Any]) -> Table:
     for key, form in shown:
         if run.get(key) is not None:
             table.add_row(key, form.format(run[key] if not isinstance(run[key], dict) else _pairs(run[key])))
+    if run.get("recording"):
+        table.add_row("recording", Text(_recording(run["recording"])))
     for i, reason in run["reasons"].items():
         table.add_row(f"drone {i}", Text(_of(i, reason), "red"))
     if run["absent"]:
         table.add_row("absent", f"[red]{run['absent']}[/]")
     return table
+
+
+def _recording(recording: dict[str, Any]) -> str:
+    """Where it is, and what is not in it."""
+    lost, error = recording["lost"], recording["error"]
+    text = f"{recording['file']}: {recording['messages']} messages"
+    return text + (f", {lost} lost" if lost else "") + (f"; ended early: {error}" if error else "")
 
 
 def _pairs(values: dict[Any, Any]) -> str:

@@ -15,6 +15,8 @@ from crazychoir.guidance.mission import Mission, has
 from crazychoir.launch.network import attached, observer
 from crazychoir.launch.processes import run_children
 from crazychoir.launch.score import Score, Watch, goal_of
+from crazychoir.recording.file import RecordingFile
+from crazychoir.recording.recorder import Recorder
 from crazychoir.runtime.clock import Clock, run_virtual, run_wall
 from crazychoir.simulation.trace import Trace
 from crazychoir.swarm.checks import TOUCHING
@@ -26,8 +28,10 @@ NOBODY_MOVED = "the law returned None in every step of every drone: all hovered,
 Results = dict[int, dict[str, Any]]
 
 
-def fly_fast(config: SwarmConfig, mission: Mission, watch: Watch | None = None) -> dict[str, Any]:
-    """The whole swarm in this process, in virtual time."""
+def fly_fast(
+    config: SwarmConfig, mission: Mission, watch: Watch | None = None, file: RecordingFile | None = None
+) -> dict[str, Any]:
+    """The whole swarm in this process, in virtual time; recorded into `file`."""
     began = time.perf_counter()
 
     async def main(clock: Clock) -> dict[str, Any]:
@@ -35,6 +39,8 @@ def fly_fast(config: SwarmConfig, mission: Mission, watch: Watch | None = None) 
         agent = Agent(clock, config, mission, config.ids, trace=trace)
         score = Score(agent.bus, config.ids, goal_of(mission, config), watch or (lambda score: None))
         agent.services.append(score)
+        recorder = Recorder(agent.bus, config.ids, file) if file else None
+        agent.services += [recorder] if recorder else []
         results = await agent.run()
         rounds = max(drone.communicator.rounds for drone in agent.drones.values())
         counters = [drone.port.counters for drone in agent.drones.values()]
@@ -42,6 +48,7 @@ def fly_fast(config: SwarmConfig, mission: Mission, watch: Watch | None = None) 
         wall = time.perf_counter() - began
         return summary(config, mission, results, score, clock.now(), wall) | {
             "messages": messages, "rounds": rounds, "digest": trace.digest(),
+            "recording": recorder.result() if recorder else None,
         }  # fmt: skip
 
     return run_virtual(main)
@@ -50,8 +57,9 @@ def fly_fast(config: SwarmConfig, mission: Mission, watch: Watch | None = None) 
 def fly_real(
     path: Path, config: SwarmConfig, mission: Mission, options: Iterable[str] = (), watch: Watch | None = None,
     say: Callable[[str], None] = lambda line: None, started: tuple[int, ...] | None = None,
+    file: RecordingFile | None = None,
 ) -> dict[str, Any]:  # fmt: skip
-    """One process a group of the swarm file, over Zenoh; this process looks on.
+    """One process a group of the swarm file, over Zenoh; this process looks on, and records into `file`.
 
     path: the file of `config`, for the processes;  started: the drones to start, None for all: whole groups.
     """
@@ -65,12 +73,15 @@ def fly_real(
         score = Score(
             link.bus, config.ids, goal_of(mission, config), watched, address=address, source=config.source
         )  # fmt: skip
-        async with attached(link, score):
+        recorder = Recorder(link.bus, config.ids, file, address, config.source) if file else None
+        async with attached(link, score, *([recorder] if recorder else [])):
             results = await run_children(
                 groups, path, config, list(options), say, lambda: all_wait(config, score), starts_world(config, started)
             )
         wall = time.perf_counter() - began
-        return summary(config, mission, results, score, wall, wall, started)
+        return summary(config, mission, results, score, wall, wall, started) | {
+            "recording": recorder.result() if recorder else None
+        }
 
     return run_wall(main)
 

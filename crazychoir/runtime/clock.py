@@ -40,6 +40,8 @@ class Clock:
     """What both clocks share: the heap of alarms, sleeping, ticking."""
 
     virtual = False
+    epoch_ns = 0
+    """ns since 1970 at which `now_ns` was 0; 0 in virtual time."""
 
     def __init__(self) -> None:
         self._heap: list[tuple[int, int, int, int, Alarm]] = []
@@ -182,6 +184,7 @@ class WallClock(Clock):
         super().__init__()
         self._loop = loop
         self._fd = Timerfd()
+        self.epoch_ns = time.time_ns() - time.monotonic_ns()
         self._armed_ns = 0
         spare = max(1, min(4, (os.cpu_count() or 1) - 1))  # a processor for the event loop
         self._pool = ThreadPoolExecutor(max_workers=spare, thread_name_prefix="compute")

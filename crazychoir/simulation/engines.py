@@ -1,6 +1,7 @@
 """Which engine flies a drone: its uri says so. Engines are entry points, ours as well as those of other packages."""
 
-from collections.abc import Callable, Hashable
+from collections.abc import Callable
+from dataclasses import asdict
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
@@ -9,6 +10,9 @@ import numpy as np
 
 from crazychoir.errors import ConfigError, CrazyChoirError
 from crazychoir.platforms import platform
+from crazychoir.simulation.air import Wind
+from crazychoir.simulation.crazyflies import CrazyflieWorld
+from crazychoir.simulation.imu import Imu
 from crazychoir.simulation.integrator import CFIntegrator
 from crazychoir.simulation.world import World, WorldSetup
 from crazychoir.swarm.checks import LIGHTWEIGHT, MOTORS, WORLD_STEP, WORLDS
@@ -19,34 +23,40 @@ Engine = Callable[[WorldSetup], World]
 
 OURS = {
     LIGHTWEIGHT: EntryPoint(LIGHTWEIGHT, "crazychoir.simulation.engines:lightweight", WORLDS),
-    MOTORS: EntryPoint(MOTORS, "crazychoir.simulation.motors:world", WORLDS),
+    MOTORS: EntryPoint(MOTORS, "crazychoir.simulation.engines:motors", WORLDS),
 }
 
 
 def lightweight(setup: WorldSetup) -> World:
-    """The paper's integrator; all drones of one platform."""
+    """The paper's integrator."""
     homes = np.array(setup.homes, dtype=float)
-    return CFIntegrator(setup.ids, homes, np.array(setup.yaws), setup.platforms[0], setup.dt, **setup.options)
+    return CFIntegrator(setup.ids, homes, np.array(setup.yaws), setup.platforms, setup.dt, **setup.options)
+
+
+def motors(setup: WorldSetup) -> World:
+    """Rotors, batteries, sensors, air, and the firmware on board."""
+    options = dict(setup.options)
+    gusts, gust_time, noise = options["gusts"], options["gust_time"], options["imu_noise"]
+    wind = Wind(setup.wind, gusts, gust_time) if gusts > 0.0 or any(setup.wind) else None
+    sheet = asdict(Imu())
+    return CrazyflieWorld(
+        setup.ids, np.array(setup.homes, dtype=float), np.array(setup.yaws), setup.platforms, dt=setup.dt,
+        seed=setup.seed, wind=wind, imu=Imu(**{name: noise * value for name, value in sheet.items()}),
+        ground_effect=options["ground_effect"], downwash=options["downwash"], charge=options["battery"],
+    )  # fmt: skip
 
 
 def worlds(config: SwarmConfig, ids: tuple[int, ...]) -> list[World]:
     """The worlds of these drones, one an engine; raises ConfigError for an engine that cannot be had."""
-    together: dict[Hashable, list[Drone]] = {}
+    together: dict[str, list[Drone]] = {}
     for drone in (config.drone(i) for i in ids):
-        together.setdefault(_apart(drone), []).append(drone)
+        together.setdefault(_entry_point(drone.uri).name, []).append(drone)
     return [_world(config, tuple(drones)) for drones in together.values()]
 
 
 def delay_steps(config: SwarmConfig, world: World) -> int:
     """Steps by which commands of a world are late on their way; the lightweight one has that delay in its model."""
     return 0 if isinstance(world, CFIntegrator) else round(config.plant.command_delay / world.dt)
-
-
-def _apart(drone: Drone) -> Hashable:
-    """What drones have in common that are in one world; lightweight ones do not act on each other."""
-    if drone.uri == LIGHTWEIGHT:
-        return LIGHTWEIGHT, drone.platform
-    return _entry_point(drone.uri).name
 
 
 def _entry_point(uri: str) -> EntryPoint:

@@ -6,12 +6,11 @@ from typing import Literal
 
 import numpy as np
 
-from crazychoir.errors import ConfigError
 from crazychoir.math3d import GRAVITY, Mat, Triple, Vec, clip, columns, dot, kernel, matrix, memory, real, table, vector
 from crazychoir.platforms import PAPER, Platform
 from crazychoir.simulation.links import EulerRatesLink, SimulatedLink
+from crazychoir.simulation.truth import Truth
 from crazychoir.simulation.world import not_flown
-from crazychoir.types import State
 
 THRUST, MAX_THRUST, MASS = 0, 4, 0  # columns of a command and of Platform.flat
 SILENCE = 0.5
@@ -116,12 +115,12 @@ def _put_down(x: Vec) -> None:
         x[6], x[7], x[8], x[9] = 0.0, 0.0, x[8] / n, x[9] / n
 
 
-@kernel(matrix, vector, table, table, memory)
-def _admit(commands: Mat, platform: Vec, accepted: Mat, previous: Mat, counts: Vec) -> None:
-    """Clip commands to the platform's limits, counting where it was needed; a command with a NaN repeats the last."""
+@kernel(matrix, matrix, table, table, memory)
+def _admit(commands: Mat, platforms: Mat, accepted: Mat, previous: Mat, counts: Vec) -> None:
+    """Clip commands to the limits of platforms (N, 9), counting where needed; a command with a NaN repeats the last."""
     for i in range(commands.shape[0]):
         for c in range(4):
-            value, limit = commands[i, c], platform[MAX_THRUST + c]
+            value, limit = commands[i, c], platforms[i, MAX_THRUST + c]
             if not math.isfinite(value):
                 accepted[i] = previous[i]
                 counts[i] += 1.0
@@ -131,13 +130,13 @@ def _admit(commands: Mat, platform: Vec, accepted: Mat, previous: Mat, counts: V
             counts[i] += 1.0 if np.any(accepted[i] != commands[i]) else 0.0
 
 
-@kernel(table, table, matrix, real, vector, vector, memory, memory, memory, real)
+@kernel(table, table, matrix, real, matrix, vector, memory, memory, memory, real)
 def _advance(
     x: Mat,
     actual: Mat,
     target: Mat,
     h: float,
-    platform: Vec,
+    platforms: Mat,
     lags: Vec,
     alive: Vec,
     resting: Vec,
@@ -146,7 +145,10 @@ def _advance(
 ) -> None:
     """Advance all drones by h with the held commands `target`; replaces x (N, 13) and inputs `actual` (N, 4)."""
     k, u, y, goal = np.empty((5, 10)), np.empty((3, 4)), np.empty(10), np.empty(4)
+    platform = np.empty(platforms.shape[1])
     for i in range(x.shape[0]):
+        for c in range(platforms.shape[1]):
+            platform[c] = platforms[i, c]
         for c in range(4):
             goal[c] = target[i, c] * alive[i]
         for s in range(3):
@@ -168,24 +170,13 @@ def _advance(
             _put_down(x[i])
 
 
-@kernel(matrix, memory)
-def _closest(x: Mat, best: Vec) -> None:
-    """The closest pair of drones: best (3,) = row, row, distance m."""
-    best[2] = math.inf
-    for i in range(x.shape[0]):
-        for j in range(i):
-            d = (x[i, 0] - x[j, 0]) ** 2 + (x[i, 1] - x[j, 1]) ** 2 + (x[i, 2] - x[j, 2]) ** 2
-            if d < best[2]:
-                best[0], best[1], best[2] = j, i, d
-    best[2] = math.sqrt(best[2])
-
-
-class CFIntegrator:
+class CFIntegrator(Truth):
     """The paper's lightweight simulation: Runge-Kutta of order 4, one compiled pass for all drones.
 
-    ids: the drones, row by row;  p0: (N, 3) m;  yaw0: (N,) rad;  dt: s;  inputs: "rates" (body) or "euler" (the paper's
-    Euler-angle rates);  rate_lag, thrust_lag: s, first order, exact;  command_delay: s, exact for any value: one
-    that is no multiple of dt splits the step where the input switches.
+    ids: the drones, row by row;  p0: (N, 3) m;  yaw0: (N,) rad;  platform: of all, or one a drone;
+    dt: s;  inputs: "rates" (body) or "euler" (the paper's Euler-angle rates);  rate_lag, thrust_lag: s, first order,
+    exact;  command_delay: s, exact for any value: one that is no multiple of dt splits the step where the input
+    switches.
 
     The floor is z = 0: a drone rests on it without slipping until its thrust exceeds its weight.
     A drone that starts on the floor has its motors stopped, one in the air hovers, until its first command arrives.
@@ -199,7 +190,7 @@ class CFIntegrator:
         ids: Sequence[int],
         p0: Mat,
         yaw0: Vec | None = None,
-        platform: Platform = PAPER,
+        platform: Platform | Sequence[Platform] = PAPER,
         dt: float = 0.01,
         *,
         rate_lag: float = 0.0,
@@ -207,30 +198,19 @@ class CFIntegrator:
         command_delay: float = 0.0,
         inputs: Literal["rates", "euler"] = "rates",
     ) -> None:
-        self.ids, self.platform, self.dt, self.tick = tuple(ids), platform, dt, 0
+        super().__init__(ids, p0, yaw0, platform, dt)
         n = len(self.ids)
-        if np.shape(p0) != (n, 3) or not np.all(np.isfinite(p0)):
-            raise ConfigError("CFIntegrator: p0", p0, f"finite, shape ({n}, 3): one row a drone")
-        self.row = {drone: row for row, drone in enumerate(self.ids)}
-        self.states = _standing(p0, np.zeros(n) if yaw0 is None else yaw0)
         self.commands = np.zeros((n, 4))
-        self.commands[:, THRUST] = np.where(self.states[:, 2] > 0.0, platform.weight, 0.0)
-        self.limited = np.zeros(n)
-        self.impact = np.zeros(n)
-        self._resting = np.where(self.states[:, 2] > 0.0, 0.0, 1.0)
+        self.commands[:, THRUST] = np.where(self.states[:, 2] > 0.0, [row.weight for row in self.platforms], 0.0)
         self._alive = np.ones(n)
         self._held = {i: self.commands[row] for i, row in self.row.items()}
         self._actual = self.commands.copy()
-        self._platform, self._lags = platform.flat, np.array([thrust_lag, rate_lag])
+        self._flat = np.array([row.flat for row in self.platforms])
+        self._lags = np.array([thrust_lag, rate_lag])
         self._late = int(command_delay / dt + 1e-9)
         self._split = max(command_delay - self._late * dt, 0.0)
         self._sent = [self.commands.copy() for _ in range(self._late + 2)]
         self._euler = float(inputs == "euler")
-
-    @property
-    def time(self) -> float:
-        """s since the start."""
-        return self.tick * self.dt
 
     def link(self, i: int, kind: str = "fpqr") -> SimulatedLink:
         """The way to drone i: body rates in, whatever the inputs are; raises ConfigError for another kind."""
@@ -249,7 +229,7 @@ class CFIntegrator:
     def step(self) -> None:
         """Advance every drone by dt."""
         size, k = len(self._sent), self.tick
-        _admit(self.commands, self._platform, self._sent[k % size], self._sent[(k - 1) % size], self.limited)
+        _admit(self.commands, self._flat, self._sent[k % size], self._sent[(k - 1) % size], self.limited)
         if self._split > 1e-9 * self.dt:
             self._run(self._sent[(k - self._late - 1) % size], self._split)
         self._run(self._sent[(k - self._late) % size], self.dt - self._split)
@@ -261,49 +241,10 @@ class CFIntegrator:
             self._actual,
             target,
             h,
-            self._platform,
+            self._flat,
             self._lags,
             self._alive,
             self._resting,
             self.impact,
             self._euler,
         )
-
-    def state(self, i: int) -> State:
-        """The truth about drone i, a copy."""
-        return State(self.states[self.row[i]].copy())
-
-    def resting(self, i: int) -> bool:
-        """Does drone i stand on the floor?"""
-        return bool(self._resting[self.row[i]])
-
-    @property
-    def crashed(self) -> list[int]:
-        """Drones that have touched the floor faster than their platform may."""
-        return [i for i in self.ids if self.impact[self.row[i]] > self.platform.max_landing_speed]
-
-    def harm(self, i: int) -> str:
-        """At which speed the floor has broken drone i; empty if it has not."""
-        impact, allowed = self.impact[self.row[i]], self.platform.max_landing_speed
-        return f"crashed: hit the floor at {impact:.2f} m/s, allowed {allowed:g} m/s" if impact > allowed else ""
-
-    def closest(self) -> tuple[int, int, float]:
-        """The closest two drones and their distance in m; (-1, -1, inf) for one drone."""
-        best = np.full(3, -1.0)
-        _closest(self.states, best)
-        if best[0] < 0.0:
-            return -1, -1, math.inf
-        return self.ids[int(best[0])], self.ids[int(best[1])], float(best[2])
-
-    def min_separation(self) -> float:
-        """m, the smallest distance between two drones; inf for one drone."""
-        return self.closest()[2]
-
-
-def _standing(p0: Mat, yaw0: Vec) -> Mat:
-    """(N, 13) level states at rest at p0, not below the floor."""
-    x = np.zeros((len(p0), 13))
-    x[:, 0:3] = p0
-    x[:, 2] = np.maximum(x[:, 2], 0.0)
-    x[:, 8], x[:, 9] = np.sin(0.5 * yaw0), np.cos(0.5 * yaw0)
-    return x

@@ -79,9 +79,11 @@ class WorldOwner(Actor):
             self.trace.update(world.states.tobytes())
         if self._tick % self._look_every == 0:
             self.looked_ns = self.bus.clock.now_ns()
-            for port, pose in zip(self._ports.values(), self.cameras.sample(world.states, self._tick), strict=True):
+            poses = self.cameras.sample(world.states, self._tick)
+            for (i, port), pose in zip(self._ports.items(), poses, strict=True):
                 if pose is not None:
                     seen = Pose(pose.flat, pose.age + late) if late else pose
+                    world.see(i, seen)
                     port.publish(POSE, seen, seen.age)
         if self._tick % self._truth_every == 0:
             for i, port in self._ports.items():

@@ -7,7 +7,7 @@ from typing import Any, Protocol
 from crazychoir.errors import ConfigError
 from crazychoir.math3d import Mat
 from crazychoir.platforms import Platform
-from crazychoir.types import FPQR, FRPY, XYZ, Command, State, Vel
+from crazychoir.types import FPQR, FRPY, XYZ, Command, Pose, State, Vel
 
 KINDS: dict[str, tuple[type[Any], ...]] = {"fpqr": (FPQR,), "frpy": (FRPY,), "vel": (Vel, XYZ), "xyz": (XYZ,)}
 """What is sent for each `sender` of a swarm file: velocities end with the XYZ that stops."""
@@ -76,6 +76,10 @@ class World(Protocol):
 
     def link(self, i: int, kind: str) -> Link:
         """The way to drone i for commands of this kind; raises ConfigError for one that is not flown here."""
+        ...
+
+    def see(self, i: int, pose: Pose) -> None:
+        """The cameras have seen drone i: what its radio would tell its estimator; without one, nothing."""
         ...
 
     def state(self, i: int) -> State:

@@ -119,3 +119,16 @@ def test_without_drag_a_tumbling_fall_keeps_its_energy():
     v = world.states[0, 3:6]
     assert 0.5 * v @ v + GRAVITY * world.states[0, 2] == pytest.approx(energy, rel=1e-12)
     assert np.linalg.norm(world.states[0, 6:10]) == pytest.approx(1.0, abs=1e-15)
+
+
+def test_each_drone_has_the_figures_of_its_own_platform():
+    rows = [PAPER, replace(PAPER, mass=0.04, drag=(0.03, 0.02, 0.01))]
+    together = CFIntegrator([0, 1], np.array([START[:3], START[:3]]), platform=rows)
+    together.states[:, :10] = START
+    for i in (0, 1):
+        together.command(i, U)
+    for _ in range(100):
+        together.step()
+    for i in (0, 1):
+        np.testing.assert_array_equal(together.states[i], flown(0.01, platform=rows[i]))
+    assert abs(together.states[0, 2] - together.states[1, 2]) > 0.3

@@ -9,9 +9,9 @@ from crazychoir.bus.codec import encode
 from crazychoir.bus.impairment import Impairment
 from crazychoir.bus.local import ANY, OBSERVER, Bus, Interest
 from crazychoir.bus.rules import Partition, Rule
-from crazychoir.bus.topics import HEARTBEAT, LOG, POSE, REQUEST, RESULT, ROSTER, ROUND, STATE, STATUS, TRUTH
+from crazychoir.bus.topics import COMMAND, HEARTBEAT, LOG, POSE, REQUEST, RESULT, ROSTER, ROUND, STATE, STATUS, TRUTH
 from crazychoir.runtime.mailbox import Latest
-from crazychoir.types import Pose, State, Status
+from crazychoir.types import FPQR, FRPY, XYZ, FullState, Pose, State, Status, Vel
 
 LOSS = Impairment(1, [Rule({"loss": 1.0})])
 
@@ -418,5 +418,17 @@ async def test_the_tap_sees_every_message_between_drones(clock):
     seen = []
     bus.tap = lambda *message: seen.append(message)
     one.publish(STATE, State.at((1, 2, 3)))
-    one.send(ROUND, (2,), b"xy", 5)
-    assert seen == [(2, ROUND.number, 1, 5, b"xy")]
+    one.send(ROUND, (2,), b"xy", 5, "sum", 9, age=0.25)
+    assert seen == [(2, ROUND.number, 1, 5, b"xy", "sum", 9, 0.25)]
+
+
+@virtual
+async def test_whoever_reads_commands_gets_each_type_of_them(clock):
+    bus, one, _ = ports(clock, 1, 2)
+    box = reading(bus, COMMAND, 1, 2)
+    x = np.ones(14)
+    for command in (FPQR(x[:4]), FRPY(x[:4]), Vel(x[:4]), XYZ("land", x[:5]), FullState(x)):
+        one.publish(COMMAND, command)
+        heard = box.peek()
+        assert type(heard) is type(command)
+        assert heard.flat.tolist() == command.flat.tolist()

@@ -123,6 +123,16 @@ def test_a_run_says_who_failed_and_who_is_absent():
     assert "[2]" in text
 
 
+def test_a_run_says_where_its_recording_is_and_what_it_lacks():
+    whole = {"file": "a.mcap", "messages": 7, "lost": 0, "error": ""}
+    text = printed(show.summary_table(RUN | {"recording": whole}))
+    assert "a.mcap: 7 messages" in text
+    assert "lost" not in text
+    text = printed(show.summary_table(RUN | {"recording": whole | {"lost": 2, "error": "No space left"}}))
+    assert "a.mcap: 7 messages, 2 lost; ended early: No space left" in text
+    assert "recording" not in printed(show.summary_table(RUN | {"recording": None}))
+
+
 def test_progress_draws_a_few_times_a_second_and_says_lines(screen, monkeypatch):
     now, drawn = [100.0], []
 

@@ -1,0 +1,80 @@
+"""crazychoir plot: a recording as pictures, tables and figures."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich import box
+from rich.table import Table
+
+from crazychoir.cli.show import STDERR, fail, set_up_logging, write_json
+from crazychoir.errors import ConfigError, CrazyChoirError
+
+if TYPE_CHECKING:
+    from crazychoir.recording.figures import Flight
+    from crazychoir.recording.reading import Recording
+
+HEADS = {
+    "flown_m": "flown m", "highest_m": "highest m", "fastest_m_s": "fastest m/s", "compared_s": "compared s",
+    "tracking_rmse_m": "RMSE m", "tracking_max_m": "worst m", "estimation_rmse_m": "state RMSE m",
+}  # fmt: skip
+COMPARED = (
+    "RMSE, worst: truth against the reference position, for so many seconds as there was one (a law that commands "
+    "accelerations has none). State RMSE: truth against what the drone took for its position."
+)
+
+
+def plot(
+    file: Annotated[Path, typer.Argument(help="Recording of `crazychoir run --record`.")],
+    out: Annotated[Path | None, typer.Option(help="Folder for the files; else FILE without .mcap.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object, nothing else.")] = False,
+) -> None:
+    """Draw a recorded flight: paths, heights, errors, distances; with a table a drone (CSV)."""
+    set_up_logging()
+    from crazychoir.recording.figures import TOPICS, flight_of  # numerics: 1 s that --help does not need
+    from crazychoir.recording.reading import read
+
+    try:
+        recording = read(file, TOPICS)
+        flight = flight_of(recording)
+        folder = out or file.with_suffix("")
+        files = _write(flight, folder)
+    except CrazyChoirError as error:
+        fail(error, as_json)
+    figures = flight.figures()
+    if not recording.complete:
+        text = f"{file}: the recording was cut off: only its first {figures['seconds']:.1f} s are there"
+        STDERR.print(text, style="yellow", markup=False, highlight=False, soft_wrap=True)
+    if as_json:
+        told = {"file": file, "complete": recording.complete, "about": recording.about, "files": files}
+        write_json({"success": True, **told, **figures})
+    else:
+        _show(recording, figures)
+        names = ", ".join(path.stem for path in files if path.suffix == ".png")
+        STDERR.print(f"In {folder}/: {names} (.png and .pdf), drone*.csv", markup=False, highlight=False)
+
+
+def _write(flight: "Flight", folder: Path) -> list[Path]:
+    """Pictures and tables; raises ConfigError where they cannot be written."""
+    from crazychoir.recording.plots import draw
+
+    tables = [folder / f"drone{track.drone}.csv" for track in flight.tracks]
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for table, track in zip(tables, flight.tracks, strict=True):
+            track.write(table)
+        return [*draw(flight, folder), *tables]
+    except OSError as error:
+        raise ConfigError("--out", str(folder), "a folder that can be written", problem=str(error.strerror)) from error
+
+
+def _show(recording: "Recording", figures: dict[str, Any]) -> None:
+    about, least = recording.about, figures["min_separation_m"]
+    title = f"{about['mission']}, seed {about['seed']}, {figures['seconds']:.2f} s of {about['time']} time"
+    table = Table("drone", *HEADS.values(), title=title, box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), show_edge=False)
+    for i, own in figures["drones"].items():
+        table.add_row(str(i), *("" if own[key] is None else f"{own[key]:.3f}" for key in HEADS))
+    STDERR.print(table)
+    STDERR.print(COMPARED)
+    if least is not None:
+        STDERR.print(f"Least distance of two drones: {least:.3f} m", highlight=False)

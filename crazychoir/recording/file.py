@@ -1,0 +1,179 @@
+"""One MCAP file as it grows: what was written is whole chunks, so that it can be read whatever ends the program.
+
+    magic, header, metadata, attachment (the swarm file), chunk, chunk, ..., index, footer, magic
+
+A process that is killed leaves all chunks that it has written: they are the operating system's by then. A machine that
+loses its power leaves those that are on the disk: in real time, all but those of the last second or two.
+"""
+
+import contextlib
+import os
+import threading
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from mcap.well_known import MessageEncoding, SchemaEncoding
+from mcap.writer import Writer
+
+from crazychoir.errors import ConfigError
+from crazychoir.recording.messages import Message
+from crazychoir.runtime.clock import SECOND
+
+ABOUT = "crazychoir"
+"""Name of the record that says what was flown."""
+SWARM_FILE = "swarm.json"
+SUFFIX = ".mcap"
+
+
+@dataclass(eq=False)
+class Series:
+    """The messages of one topic of one drone; id: of its MCAP channel, 0 before its first message is written."""
+
+    drone: int
+    topic: str
+    message: Message
+    id: int = 0
+
+    @property
+    def name(self) -> str:
+        """As tools show it."""
+        return f"/drone{self.drone}/{self.topic}"
+
+
+@dataclass(slots=True)
+class Entry:
+    """One message on its way to the file: when it came and when it was born, in ns."""
+
+    series: Series
+    came_ns: int
+    born_ns: int
+    data: bytes
+
+
+class _Blocks:
+    """What a Writer has written since it was last taken."""
+
+    def __init__(self) -> None:
+        self._parts: list[bytes] = []
+        self._end = 0
+
+    def write(self, part: bytes) -> None:
+        self._parts.append(part)
+        self._end += len(part)
+
+    def tell(self) -> int:
+        return self._end
+
+    def flush(self) -> None:
+        """Nothing lies elsewhere."""
+
+    def take(self) -> bytes:
+        parts, self._parts = self._parts, []
+        return b"".join(parts)
+
+
+class RecordingFile:
+    """A new file at `path`; raises ConfigError where there is one, or where none can be.
+
+    about: what was flown, as texts;  swarm: the swarm file;  durable: on the disk within a second or two, which a
+    thread should wait for. Later nothing raises: `error` says what ended the recording, and the file keeps what it has.
+    `write` and `close` may be called from any thread.
+    """
+
+    def __init__(self, path: Path, about: Mapping[str, str], swarm: str, durable: bool) -> None:
+        self.path, self.durable = path, durable
+        self.written = 0
+        """Messages in the file."""
+        self.error = ""
+        self._fd = _create(path)
+        self._turn = threading.Lock()
+        self._synced_ns = 0
+        self._schemas: dict[str, int] = {}
+        self._blocks = _Blocks()
+        self._writer = Writer(self._blocks)  # type: ignore[arg-type]  # takes all that it writes, and tells where it is
+        self._writer.start(profile="ros2", library=f"crazychoir {about['version']}")
+        self._writer.add_metadata(ABOUT, dict(about))
+        self._writer.add_attachment(0, 0, SWARM_FILE, "application/json", swarm.encode())
+        if not self._put(sync=durable):
+            self.close()
+            raise ConfigError("--record", str(path), "a disk with room", problem=self.error)
+
+    def write(self, entries: Sequence[Entry]) -> None:
+        """Add these as a chunk of their own."""
+        with self._turn:
+            if self._fd < 0 or self.error or not entries:
+                return
+            try:
+                self._add(entries)
+            except Exception as error:  # noqa: BLE001 - whatever it is, it is said, and the flight goes on
+                self.error = f"{type(error).__name__}: {error}"
+
+    def close(self) -> None:
+        """End the file with its index; one without a message goes."""
+        with self._turn:
+            if self._fd < 0:
+                return
+            if self.written and not self.error:
+                self._writer.finish()
+                self._put(sync=self.durable)
+            os.close(self._fd)
+            self._fd = -1
+            if not self.written:
+                self.path.unlink(missing_ok=True)
+
+    def _add(self, entries: Sequence[Entry]) -> None:
+        for entry in entries:
+            series = entry.series
+            series.id = series.id or self._channel(series)
+            self._writer.add_message(series.id, entry.came_ns, entry.data, entry.born_ns)
+        self._writer.flush()
+        now_ns = entries[-1].came_ns
+        due = self.durable and now_ns - self._synced_ns >= SECOND
+        if self._put(sync=due):
+            self.written += len(entries)
+            self._synced_ns = now_ns if due else self._synced_ns
+
+    def _channel(self, series: Series) -> int:
+        kind = series.message.type
+        if kind not in self._schemas:
+            text = series.message.schema.encode()
+            self._schemas[kind] = self._writer.register_schema(kind, SchemaEncoding.ROS2, text)
+        told = {"drone": str(series.drone), "topic": series.topic}
+        return self._writer.register_channel(series.name, MessageEncoding.CDR, self._schemas[kind], told)
+
+    def _put(self, sync: bool) -> bool:
+        """Hand over what is whole; what fits only in part is cut off again: the file ends with a whole chunk."""
+        good = os.lseek(self._fd, 0, os.SEEK_CUR)
+        left = memoryview(self._blocks.take())
+        try:
+            while left:
+                left = left[os.write(self._fd, left) :]
+            if sync:
+                os.fdatasync(self._fd)
+        except OSError as error:
+            self.error = error.strerror or str(error)
+            with contextlib.suppress(OSError):
+                os.ftruncate(self._fd, good)
+        return not self.error
+
+
+def check_path(path: Path) -> None:
+    """Refuse, before anything is done, a name that no reader would take."""
+    if path.suffix != SUFFIX:
+        raise ConfigError("--record", str(path), f"a new file whose name ends in {SUFFIX}, for example flight{SUFFIX}")
+
+
+def _create(path: Path) -> int:
+    check_path(path)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        return os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666)
+    except FileExistsError as error:
+        if not path.exists():
+            raise ConfigError("--record", str(path), "a file in a folder", problem="its folder is a file") from error
+        do = "A recording is never written over: name another, or remove that one."
+        raise ConfigError("--record", str(path), "a new file", do, problem="there is one already") from error
+    except OSError as error:
+        do = "Name a file in a folder of yours."
+        raise ConfigError("--record", str(path), "a file that can be made", do, str(error.strerror)) from error

@@ -1,0 +1,128 @@
+"""The recorder of a flight: an actor that writes what the drones of a bus say into a file.
+
+It never holds the flight up: messages are packed as they come, written in batches away from the event loop, and let go
+when the disk cannot keep up. What fails in it ends the recording, with the reason, and nothing else.
+"""
+
+import asyncio
+import logging
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from functools import partial
+from typing import Any
+
+from crazychoir.bus.local import Bus
+from crazychoir.bus.topics import BY_NAME, OBSERVABLE, ROUND, Topic
+from crazychoir.recording.file import Entry, RecordingFile, Series
+from crazychoir.recording.messages import MESSAGES, Exchanged, Pack, packer, usual
+from crazychoir.runtime.actor import Actor
+from crazychoir.runtime.clock import SECOND
+from crazychoir.runtime.mailbox import Call
+
+log = logging.getLogger(__name__)
+BATCHES = 4.0
+"""Hz: a program that is killed loses what came since the last batch."""
+MOST_WAITING = 64 << 20
+"""Bytes that wait for the disk; what comes then is lost."""
+
+
+@dataclass
+class Recorded:
+    """What came of a recording: messages in the file, and those that are not, as the disk was slow or no field of a
+    message holds them; error: why it ended before the flight, empty if it did not.
+    """
+
+    file: str
+    messages: int
+    lost: int
+    error: str
+
+
+class Recorder(Actor):
+    """Records every observable topic of the drones `ids`.
+
+    observer: an address on a bus without drones, which asks for everything over the network; None on the bus of the
+    drones themselves: then each drone reads its own topics, which no other drone and no count of messages notices.
+    source: the address that says a topic of drone i.
+    """
+
+    name = "recorder"
+
+    def __init__(
+        self, bus: Bus, ids: Sequence[int], file: RecordingFile, observer: int | None = None,
+        source: Callable[[Topic, int], int] = lambda topic, i: i,
+    ) -> None:  # fmt: skip
+        self.bus, self.clock, self.file = bus, bus.clock, file
+        self.lost = 0
+        self._series: dict[tuple[int, str, Any], tuple[Series, Pack]] = {}
+        self._waiting: list[Entry] = []
+        self._bytes = 0
+        self._said = False
+        for i in ids:
+            for topic in map(BY_NAME.__getitem__, OBSERVABLE):
+                take = partial(self._take, i, topic)
+                bus.subscribe(topic, source(topic, i), i if observer is None else observer, Call(self.clock, take))
+        if observer is None:
+            self._next, bus.tap = bus.tap, self._tap
+
+    async def run(self) -> None:
+        """Write what has come, a few times a second, until the recording ends."""
+        async for _ in self.clock.ticks(BATCHES):
+            batch, self._waiting, self._bytes = self._waiting, [], 0
+            await asyncio.shield(self.clock.compute(self.file.write, batch))  # who stops us loses no batch
+            if self.file.error:
+                log.warning("recording %s: %s: it ends here, the flight goes on", self.file.path, self.file.error)
+                return
+
+    async def on_stop(self) -> None:
+        """Write the rest and the index."""
+        await self.clock.compute(self._finish, self._waiting)
+
+    def _finish(self, batch: list[Entry]) -> None:
+        self.file.write(batch)
+        self.file.close()
+
+    def result(self) -> dict[str, Any]:
+        """What came of it."""
+        file = self.file
+        return asdict(Recorded(str(file.path), file.written, self.lost, file.error))
+
+    def _open(self, drone: int, topic: Topic, kind: Any) -> tuple[Series, Pack]:
+        """The messages of one type under one topic: each type has a series of its own."""
+        name = topic.name if kind in (usual(topic), Exchanged) else f"{topic.name}/{kind.__name__.lower()}"
+        message = MESSAGES.get(kind, MESSAGES[dict])
+        opened = self._series[drone, topic.name, kind] = Series(drone, name, message), packer(message, drone)
+        return opened
+
+    def _take(self, drone: int, topic: Topic, value: Any, age: float) -> None:
+        """A value has come. Who publishes it must not suffer from what is wrong here."""
+        if self.file.error:
+            return
+        came_ns, kind = self.clock.now_ns() + self.clock.epoch_ns, type(value)
+        try:
+            series, pack = self._series.get((drone, topic.name, kind)) or self._open(drone, topic, kind)
+            born_ns = max(0, came_ns - round(age * SECOND)) if age else came_ns
+            data = pack(value, born_ns)
+        except Exception as error:  # noqa: BLE001 - see above
+            self._lose(f"{topic.name} of drone {drone}: {type(error).__name__}: {error}")
+            return
+        self._bytes += len(data)
+        if self._bytes > MOST_WAITING:
+            self._lose("the disk is too slow")
+            return
+        self._waiting.append(Entry(series, came_ns, born_ns, data))
+
+    def _lose(self, why: str) -> None:
+        self.lost += 1
+        if not self._said:
+            self._said = True
+            log.warning("recording %s: a message is lost: %s; further ones are counted", self.file.path, why)
+
+    def _tap(
+        self, to: int, topic: int, source: int, number: int, payload: bytes, channel: str, flags: int, age: float
+    ) -> None:
+        """A message has arrived: one of a round is recorded under its sender."""
+        if self._next is not None:
+            self._next(to, topic, source, number, payload, channel, flags, age)
+        if topic == ROUND.number:
+            self._take(source, ROUND, Exchanged(to, number, flags, channel, payload), age)

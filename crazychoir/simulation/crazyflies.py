@@ -1,0 +1,151 @@
+"""Whole Crazyflies: the motor-level world with the firmware on board of each drone, one compiled pass a step."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from crazychoir.math3d import Mat, Vec, kernel, matrix, memory, table, vector, yaw_of
+from crazychoir.platforms import CRAZYFLIE_21, Platform
+from crazychoir.simulation.battery import drain
+from crazychoir.simulation.body import fly, obey
+from crazychoir.simulation.draws import Keys
+from crazychoir.simulation.floor import stand
+from crazychoir.simulation.imu import measure
+from crazychoir.simulation.motor_control import CONTROLS, CrazyflieLink
+from crazychoir.simulation.motors import H, MotorWorld, keys, whole
+from crazychoir.simulation.onboard.loop import stabilize
+from crazychoir.simulation.onboard.onboard import Onboard
+from crazychoir.simulation.onboard.record import OUT_OF_TREE, Fleet, fleet, rows
+from crazychoir.simulation.world import not_flown
+from crazychoir.types import Pose
+
+# isort: off
+from crazychoir.simulation.lanes import (
+    ACCX, ACCY, ACCZ, GYROX, GYROY, GYROZ, LANES, U1, U2, U3, U4, VOLTAGE, give, take,
+)  # fmt: skip
+# isort: on
+
+ON_BOARD = ("vel", "xyz", "fullstate")
+"""Kinds of commands for which position or velocity are controlled on board."""
+SELDOM = 7
+"""Poses of which the estimator is told one where they are not: 14 Hz of 100."""
+
+
+@kernel()
+def _think(m: Vec, first: int, firmware: Fleet) -> None:
+    """One ms of the firmware of a block's drones: what the sensors say goes in, motor commands come out."""
+    for k in range(min(LANES, firmware.shape[0] - first)):
+        fw = firmware[first + k]
+        stabilize(fw, m[GYROX + k], m[GYROY + k], m[GYROZ + k], m[ACCX + k], m[ACCY + k], m[ACCZ + k])
+        u = fw.motors
+        m[U1 + k], m[U2 + k], m[U3 + k], m[U4 + k] = u[0], u[1], u[2], u[3]
+
+
+@kernel(table, table, matrix, matrix, matrix, vector, memory, memory, memory, memory, keys, whole, whole, vector, rows)
+def _advance(
+    x: Mat,
+    blocks: Mat,
+    commands: Mat,
+    force: Mat,
+    torque: Mat,
+    below: Vec,
+    limited: Vec,
+    resting: Vec,
+    impact: Vec,
+    lift: Vec,
+    seeds: Keys,
+    time: int,
+    steps: int,
+    options: Vec,
+    firmware: Fleet,
+) -> None:
+    """As `motors._advance`, with the firmware between the sensors and the motors in each step."""
+    normal = (options[0], options[1], options[2])
+    for b in range(blocks.shape[0]):
+        m, first = blocks[b], b * LANES
+        take(m, first, x, commands, force, torque, below, limited)
+        for step in range(steps):
+            measure(m, seeds[b], time + step, options[3], options[4])
+            _think(m, first, firmware)
+            obey(m)
+            fly(m, H)
+            stand(m, normal, H)
+        drain(m, steps * H)
+        give(m, first, x, resting, impact, lift)
+        for k in range(min(LANES, x.shape[0] - first)):
+            firmware[first + k].vbat = m[VOLTAGE + k]
+
+
+class CrazyflieWorld(MotorWorld):
+    """MotorWorld whose drones carry their firmware.
+
+    onboard: by id, what a radio reaches of a drone: set-points, planner, parameters, logs, and the pose from outside.
+    options: MotorWorld's. Motors stand still until the firmware turns them, in the air too.
+    """
+
+    flies: tuple[str, ...] = tuple(CONTROLS)
+    command_timeout: float | None = None
+
+    def __init__(
+        self,
+        ids: Sequence[int],
+        p0: Mat,
+        yaw0: Vec | None = None,
+        platform: Platform | Sequence[Platform] = CRAZYFLIE_21,
+        **options: Any,
+    ) -> None:
+        platforms = [platform] * len(ids) if isinstance(platform, Platform) else platform
+        self._firmware = np.concatenate([fleet(1, row) for row in platforms])
+        self.onboard: dict[int, Onboard] = {}
+        self._told, self._told_every = dict.fromkeys(ids, 0), dict.fromkeys(ids, 1)
+        super().__init__(ids, p0, yaw0, platform, **options)
+        for row, i in enumerate(self.ids):
+            self.onboard[i] = Onboard(self.platforms[row], self._firmware, row)
+            self.onboard[i].place(self.states[row, :3], yaw_of(self.states[row, 6:10]))
+            self._firmware["vbat_low"][row] = self.vbat(i)
+
+    def link(self, i: int, kind: str = "fpqr") -> CrazyflieLink:
+        """The way to drone i for commands of this kind; raises ConfigError for one that the firmware does not know."""
+        if kind not in self.flies:
+            raise not_flown(i, kind, self.flies)
+        self._told_every[i] = 1 if kind in ON_BOARD else SELDOM
+        return CrazyflieLink(self.onboard[i], kind)
+
+    def see(self, i: int, pose: Pose) -> None:
+        """Tell the estimator on board; seldom where only rates are controlled there, as a radio's time is short."""
+        told = self._told[i] = self._told[i] + 1
+        if told % self._told_every[i] == 0:
+            self.onboard[i].external_pose(pose.p, pose.q)
+
+    def command(self, i: int, u: Vec | Sequence[float]) -> None:
+        """A set-point for drone i: u (4,) = thrust N, body rates rad/s; its firmware must be in rate mode."""
+        self.onboard[i].fpqr(*u)
+
+    def _run(self, time: int, steps: int) -> None:
+        if not np.any(self._firmware["controller"] == OUT_OF_TREE):
+            self._advance(time, steps)
+            return
+        for k in range(steps):
+            self._advance(time + k, 1)
+            for i in np.flatnonzero(self._firmware["law_due"]).tolist():
+                self.onboard[self.ids[i]].obey_law()
+
+    def _advance(self, time: int, steps: int) -> None:
+        _advance(
+            self.states,
+            self._blocks,
+            self.commands,
+            self.force,
+            self.torque,
+            self._below,
+            self.limited,
+            self._resting,
+            self.impact,
+            self._lift,
+            self._sensors,
+            time,
+            steps,
+            self._options,
+            self._firmware,
+        )

@@ -1,0 +1,96 @@
+"""What the geometric controllers share: a set-point's errors by its modes, wanted attitude and rates."""
+
+import math
+
+from crazychoir.math3d import Triple, clip, columns, dot, flat_attitude, kernel
+from crazychoir.simulation.onboard.record import ABSOLUTE, DISABLE, VELOCITY, Record
+
+Axes = tuple[Triple, Triple, Triple]
+LEAST_COSINE = 0.2  # of the tilt by which the vertical force is divided
+DT = 0.002  # s, at 500 Hz
+
+
+@kernel()
+def clamp(value: float, limit: float) -> float:
+    """value, between -limit and limit."""
+    return clip(value, -limit, limit)
+
+
+@kernel()
+def shortened(x: float, y: float, z: float, limit: float) -> Triple:
+    """The vector, not longer than the limit."""
+    n = math.sqrt(x * x + y * y + z * z)
+    f = 1.0 if n <= limit else limit / n
+    return x * f, y * f, z * f
+
+
+@kernel()
+def errors(fw: Record, sp: Record) -> tuple[Triple, Triple]:
+    """Position and velocity errors, world; 0 on an axis whose mode does not ask for them."""
+    c, s = math.cos(math.radians(fw.yaw)), math.sin(math.radians(fw.yaw))
+    vx = sp.vx * c - sp.vy * s if sp.body_velocity else sp.vx
+    vy = sp.vx * s + sp.vy * c if sp.body_velocity else sp.vy
+    p = (
+        sp.x - fw.x if sp.mode_x == ABSOLUTE else 0.0,
+        sp.y - fw.y if sp.mode_y == ABSOLUTE else 0.0,
+        sp.z - fw.z if sp.mode_z == ABSOLUTE else 0.0,
+    )
+    v = (
+        vx - fw.vx if sp.mode_x != DISABLE else 0.0,
+        vy - fw.vy if sp.mode_y != DISABLE else 0.0,
+        sp.vz - fw.vz if sp.mode_z != DISABLE else 0.0,
+    )
+    return p, v
+
+
+@kernel()
+def heading(fw: Record, sp: Record) -> float:
+    """The wanted yaw, rad; in rate mode the present one."""
+    if sp.mode_yaw == ABSOLUTE or sp.mode_quat == ABSOLUTE:
+        return math.radians(sp.yaw)
+    return math.radians(fw.yaw)
+
+
+@kernel()
+def by_angles(fw: Record, sp: Record) -> Axes:
+    """Body axes of the wanted roll and pitch; an axis in rate mode keeps its present angle."""
+    roll = fw.roll if sp.mode_roll == VELOCITY else sp.roll
+    pitch = fw.pitch if sp.mode_pitch == VELOCITY else sp.pitch
+    phi, theta, psi = 0.5 * math.radians(roll), -0.5 * math.radians(pitch), 0.5 * heading(fw, sp)
+    cf, sf, ct, st = math.cos(phi), math.sin(phi), math.cos(theta), math.sin(theta)
+    cp, sn = math.cos(psi), math.sin(psi)
+    return columns(
+        (
+            sf * ct * cp - cf * st * sn,
+            cf * st * cp + sf * ct * sn,
+            cf * ct * sn - sf * st * cp,
+            cf * ct * cp + sf * st * sn,
+        )
+    )
+
+
+@kernel()
+def wanted(fw: Record, sp: Record, f: Triple) -> tuple[Axes, float]:
+    """Wanted body axes, and the force along the present thrust axis, for a wanted force f in N, world.
+
+    Without horizontal modes the angles lead, and the force is as long as its vertical part needs.
+    """
+    z = columns((fw.qx, fw.qy, fw.qz, fw.qw))[2]
+    if sp.mode_x == DISABLE and sp.mode_y == DISABLE:
+        axes = by_angles(fw, sp)
+        return axes, f[2] / max(axes[2][2], LEAST_COSINE) * dot(axes[2], z)
+    return flat_attitude(f, heading(fw, sp)), dot(f, z)
+
+
+@kernel()
+def rates(sp: Record) -> Triple:
+    """Wanted body rates, rad/s: of a full state or the planner, or commanded ones, whose pitch is nose up."""
+    q = -sp.pitch_rate if sp.mode_pitch == VELOCITY else sp.pitch_rate
+    return math.radians(sp.roll_rate), math.radians(q), math.radians(sp.yaw_rate)
+
+
+@kernel()
+def error(d: Axes, fw: Record) -> Triple:
+    """e = (Rd^T R - R^T Rd)^v, not halved; d: columns of Rd."""
+    x, y, z = columns((fw.qx, fw.qy, fw.qz, fw.qw))
+    return dot(d[2], y) - dot(z, d[1]), dot(d[0], z) - dot(x, d[2]), dot(d[1], x) - dot(y, d[0])

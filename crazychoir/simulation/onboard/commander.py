@@ -1,0 +1,189 @@
+"""Set-points: who may give them, how old they are, and what each kind means.
+
+Angles in deg, rates in deg/s, thrust 0..65535, as packets carry them; pitch positive nose up, except full states.
+"""
+
+import math
+
+from crazychoir.math3d import Vec, kernel, real, vector
+from crazychoir.simulation.onboard.record import ABSOLUTE, DISABLE, VELOCITY, Fleet, Record, rows, whole
+
+NOBODY, HIGH_LEVEL, CRTP, EXTERNAL = 0, 1, 2, 3
+"""Priorities of who gives set-points: nobody, the planner, the radio, an external receiver."""
+LEAST_THRUST, MOST_THRUST = 1000.0, 60000.0
+PLANNER_DISABLED = 3
+
+
+@kernel()
+def clear(sp: Record) -> None:
+    """The null set-point: all modes disabled, no thrust."""
+    sp.mode_x = sp.mode_y = sp.mode_z = sp.mode_roll = sp.mode_pitch = sp.mode_yaw = sp.mode_quat = DISABLE
+    sp.body_velocity = 0
+    sp.x = sp.y = sp.z = sp.vx = sp.vy = sp.vz = sp.ax = sp.ay = sp.az = sp.jx = sp.jy = sp.jz = 0.0
+    sp.roll = sp.pitch = sp.yaw = sp.roll_rate = sp.pitch_rate = sp.yaw_rate = sp.thrust = 0.0
+    sp.qx = sp.qy = sp.qz = 0.0
+    sp.qw = 1.0
+
+
+@kernel()
+def accept(fw: Record, priority: int) -> bool:
+    """May somebody of this priority give a set-point? Then he has control, and above the planner he disables it.
+
+    Chosen: a disabled planner is silent until its next command, so that the last set-point grows old as any other.
+    """
+    if priority < fw.priority:
+        return False
+    fw.priority, fw.stamp = priority, fw.tick
+    if priority > HIGH_LEVEL:
+        fw.planner.state = PLANNER_DISABLED
+    clear(fw.wanted)
+    return True
+
+
+@kernel(rows, whole)
+def relax(fleet: Fleet, i: int) -> None:
+    """notify_setpoint_stop: the planner may take over again."""
+    fw = fleet[i]
+    fw.priority = HIGH_LEVEL
+
+
+@kernel()
+def _turn_axes(fw: Record, roll: float, pitch: float) -> None:
+    """Roll and pitch as angles or as rates, by flightmode.stabModeRoll and .stabModePitch."""
+    sp = fw.wanted
+    if fw.rate_roll_mode:
+        sp.mode_roll, sp.roll = ABSOLUTE, roll
+    else:
+        sp.mode_roll, sp.roll_rate = VELOCITY, roll
+    if fw.rate_pitch_mode:
+        sp.mode_pitch, sp.pitch = ABSOLUTE, pitch
+    else:
+        sp.mode_pitch, sp.pitch_rate = VELOCITY, pitch
+
+
+@kernel(rows, whole, real, real, real, real, real)
+def rpyt(fleet: Fleet, i: int, roll: float, pitch: float, yaw: float, thrust: float, priority: float) -> bool:
+    """Roll, pitch, yaw (angles or rates) and thrust, as an RPYT packet.
+
+    Thrust is locked until a packet without thrust comes, again after nobody was in control.  Below 1000 it is none,
+    above 60000 it is 60000.  A yaw rate has the other sign here, and here only.
+    """
+    fw = fleet[i]
+    if fw.priority == NOBODY:
+        fw.locked_thrust = 1
+    if thrust == 0.0:
+        fw.locked_thrust = 0
+    if not accept(fw, int(priority)):
+        return False
+    sp = fw.wanted
+    if not fw.locked_thrust and thrust >= LEAST_THRUST:
+        sp.thrust = min(thrust, MOST_THRUST)
+    _turn_axes(fw, roll, pitch)
+    if fw.rate_yaw_mode:
+        sp.mode_yaw, sp.yaw = ABSOLUTE, yaw
+    else:
+        sp.mode_yaw, sp.yaw_rate = VELOCITY, -yaw
+    return True
+
+
+@kernel(rows, whole, real)
+def nothing(fleet: Fleet, i: int, priority: float) -> bool:
+    """Generic 0, stop: the null set-point."""
+    fw = fleet[i]
+    return accept(fw, int(priority))
+
+
+@kernel(rows, whole, real, real, real, real, real)
+def velocity(fleet: Fleet, i: int, vx: float, vy: float, vz: float, yaw_rate: float, priority: float) -> bool:
+    """Generic 8: velocity in the world, yaw rate."""
+    fw = fleet[i]
+    if not accept(fw, int(priority)):
+        return False
+    sp = fw.wanted
+    sp.mode_x = sp.mode_y = sp.mode_z = sp.mode_yaw = VELOCITY
+    sp.vx, sp.vy, sp.vz, sp.yaw_rate = vx, vy, vz, yaw_rate
+    return True
+
+
+@kernel(rows, whole, real, real, real, real, real)
+def z_distance(fleet: Fleet, i: int, roll: float, pitch: float, yaw_rate: float, z: float, priority: float) -> bool:
+    """Generic 9: roll, pitch, yaw rate and height."""
+    fw = fleet[i]
+    if not accept(fw, int(priority)):
+        return False
+    sp = fw.wanted
+    sp.mode_z = sp.mode_roll = sp.mode_pitch = ABSOLUTE
+    sp.mode_yaw = VELOCITY
+    sp.z, sp.roll, sp.pitch, sp.yaw_rate = z, roll, pitch, yaw_rate
+    return True
+
+
+@kernel(rows, whole, real, real, real, real, real)
+def hover(fleet: Fleet, i: int, ahead: float, left: float, yaw_rate: float, z: float, priority: float) -> bool:
+    """Generic 10: velocity ahead and to the left, yaw rate and height."""
+    fw = fleet[i]
+    if not accept(fw, int(priority)):
+        return False
+    sp = fw.wanted
+    sp.mode_x = sp.mode_y = sp.mode_yaw = VELOCITY
+    sp.mode_z = ABSOLUTE
+    sp.body_velocity = 1
+    sp.vx, sp.vy, sp.yaw_rate, sp.z = ahead, left, yaw_rate, z
+    return True
+
+
+@kernel(rows, whole, real, real, real, real, real)
+def position(fleet: Fleet, i: int, x: float, y: float, z: float, yaw: float, priority: float) -> bool:
+    """Generic 7: position and heading."""
+    fw = fleet[i]
+    if not accept(fw, int(priority)):
+        return False
+    sp = fw.wanted
+    sp.mode_x = sp.mode_y = sp.mode_z = sp.mode_yaw = ABSOLUTE
+    sp.x, sp.y, sp.z, sp.yaw = x, y, z, yaw
+    return True
+
+
+@kernel(rows, whole, real, real, real, real, real, real)
+def manual(
+    fleet: Fleet, i: int, roll: float, pitch: float, yaw_rate: float, thrust: float, rate: float, priority: float
+) -> bool:
+    """Generic 11: roll, pitch (rates, if `rate`), yaw rate, thrust; chosen: no thrust lock, the yaw rate as it is."""
+    fw = fleet[i]
+    if not accept(fw, int(priority)):
+        return False
+    sp = fw.wanted
+    if rate > 0.0:
+        sp.mode_roll = sp.mode_pitch = VELOCITY
+        sp.roll_rate, sp.pitch_rate = roll, pitch
+    else:
+        sp.mode_roll = sp.mode_pitch = ABSOLUTE
+        sp.roll, sp.pitch = roll, pitch
+    sp.mode_yaw, sp.yaw_rate, sp.thrust = VELOCITY, yaw_rate, thrust
+    return True
+
+
+@kernel(rows, whole, vector, real)
+def full_state(fleet: Fleet, i: int, s: Vec, priority: float) -> bool:
+    """Generic 6: s (16,) = p m, v m/s, a m/s2 world, q body to world, w rad/s body; rates not nose-up here."""
+    fw = fleet[i]
+    if not accept(fw, int(priority)):
+        return False
+    sp = fw.wanted
+    sp.mode_x = sp.mode_y = sp.mode_z = sp.mode_quat = ABSOLUTE
+    sp.x, sp.y, sp.z, sp.vx, sp.vy, sp.vz = s[0], s[1], s[2], s[3], s[4], s[5]
+    sp.ax, sp.ay, sp.az, sp.qx, sp.qy, sp.qz, sp.qw = s[6], s[7], s[8], s[9], s[10], s[11], s[12]
+    sp.roll_rate, sp.pitch_rate, sp.yaw_rate = math.degrees(s[13]), math.degrees(s[14]), math.degrees(s[15])
+    x, y, z, w = s[9], s[10], s[11], s[12]
+    sp.yaw = math.degrees(math.atan2(2.0 * (x * y + z * w), 1.0 - 2.0 * (y * y + z * z)))
+    return True
+
+
+@kernel()
+def leveled(fw: Record) -> None:
+    """What is flown when set-points have ended: level, no yaw rate, height and thrust as before."""
+    sp, old = fw.level, fw.wanted
+    clear(sp)
+    sp.mode_roll = sp.mode_pitch = ABSOLUTE
+    sp.mode_yaw = VELOCITY
+    sp.mode_z, sp.z, sp.vz, sp.thrust = old.mode_z, old.z, old.vz, old.thrust

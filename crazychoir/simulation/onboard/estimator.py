@@ -1,0 +1,173 @@
+"""The state on board: gyroscope and accelerometer integrated, corrected by poses from outside.
+
+Chosen in place of the firmware's Kalman filter with 9 states: two scalar-update filters that do not know of each other,
+one of position and velocity an axis, one of the attitude, with the firmware's noise figures.
+"""
+
+import math
+
+from crazychoir.math3d import (
+    GRAVITY,
+    Vec,
+    columns,
+    conjugate,
+    exponential,
+    finite,
+    kernel,
+    logarithm,
+    product,
+    unit,
+    vector,
+)
+from crazychoir.simulation.onboard.record import Fleet, Record, rows, whole
+
+INITIAL_XY, INITIAL_Z, INITIAL_V, INITIAL_ATTITUDE = 100.0, 1.0, 0.01, 0.01  # standard deviations: m, m, m/s, rad
+MS = 1e-3
+
+
+@kernel()
+def _clear(fw: Record) -> None:
+    fw.p_sum = fw.q_sum = fw.r_sum = fw.fx_sum = fw.fy_sum = fw.fz_sum = 0.0
+    fw.samples = 0
+
+
+@kernel()
+def _angles(fw: Record) -> None:
+    """Roll, pitch, yaw in deg of the quaternion; pitch positive nose up, as the firmware logs it."""
+    x, y, z, w = fw.qx, fw.qy, fw.qz, fw.qw
+    fw.roll = math.degrees(math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)))
+    fw.pitch = -math.degrees(math.asin(min(max(2.0 * (w * y - x * z), -1.0), 1.0)))
+    fw.yaw = math.degrees(math.atan2(2.0 * (x * y + z * w), 1.0 - 2.0 * (y * y + z * z)))
+
+
+@kernel()
+def begin(fw: Record) -> None:
+    """Begin at the initial position and heading, at rest and level, with the initial uncertainty."""
+    fw.x, fw.y, fw.z = fw.initial_x, fw.initial_y, fw.initial_z
+    fw.vx = fw.vy = fw.vz = 0.0
+    fw.qx = fw.qy = 0.0
+    fw.qz, fw.qw = math.sin(0.5 * fw.initial_yaw), math.cos(0.5 * fw.initial_yaw)
+    fw.xy_pp, fw.xy_pv, fw.xy_vv = INITIAL_XY**2, 0.0, INITIAL_V**2
+    fw.z_pp, fw.z_pv, fw.z_vv = INITIAL_Z**2, 0.0, INITIAL_V**2
+    fw.att_var = INITIAL_ATTITUDE**2
+    _clear(fw)
+    _angles(fw)
+
+
+@kernel()
+def collect(fw: Record) -> None:
+    """Add the filtered sensors of this ms to the sums that the next prediction takes."""
+    fw.p_sum += fw.gx
+    fw.q_sum += fw.gy
+    fw.r_sum += fw.gz
+    fw.fx_sum += fw.ax
+    fw.fy_sum += fw.ay
+    fw.fz_sum += fw.az
+    fw.samples += 1
+
+
+@kernel()
+def _grown(pp: float, pv: float, vv: float, noise: float, dt: float) -> tuple[float, float, float]:
+    q = (noise * dt) ** 2
+    return (
+        pp + dt * (2.0 * pv + dt * vv) + 0.25 * q * dt * dt,
+        pv + dt * vv + 0.5 * q * dt,
+        vv + q,
+    )
+
+
+@kernel()
+def _lost(fw: Record) -> bool:
+    """Is the estimate out of bounds, or not a number?"""
+    p = max(abs(fw.x), max(abs(fw.y), abs(fw.z)))
+    v = max(abs(fw.vx), max(abs(fw.vy), abs(fw.vz)))
+    known = math.isfinite(fw.x + fw.y + fw.z + fw.vx + fw.vy + fw.vz + fw.qw)
+    return not (known and p <= fw.max_pos and v <= fw.max_vel)
+
+
+@kernel()
+def predict(fw: Record) -> None:
+    """Forward by the sums, from the last prediction or correction to now.
+
+        q <- q exp(w dt),  a = R f - g e3,  p <- p + v dt + a dt^2 / 2,  v <- v + a dt
+        P <- A P A^T + Q,  A = [1 dt; 0 1],  Q = n^2 [dt^4/4 dt^3/2; dt^3/2 dt^2],  P_att <- P_att + (n_gyro dt)^2
+
+    f: specific force, m/s2 body, turned by the attitude at the middle;  n: noise of the acceleration, m/s2.
+    """
+    if fw.samples == 0:
+        return
+    dt, to_rate, to_force = fw.samples * MS, math.radians(1.0) * MS, GRAVITY / fw.samples
+    half = exponential(0.5 * fw.p_sum * to_rate, 0.5 * fw.q_sum * to_rate, 0.5 * fw.r_sum * to_rate)
+    middle = product((fw.qx, fw.qy, fw.qz, fw.qw), half)
+    x, y, z = columns(middle)
+    fx, fy, fz = fw.fx_sum * to_force, fw.fy_sum * to_force, fw.fz_sum * to_force
+    fw.qx, fw.qy, fw.qz, fw.qw = unit(product(middle, half))
+    fw.acx = x[0] * fx + y[0] * fy + z[0] * fz
+    fw.acy = x[1] * fx + y[1] * fy + z[1] * fz
+    fw.acz = x[2] * fx + y[2] * fy + z[2] * fz - GRAVITY
+    fw.x += dt * (fw.vx + 0.5 * dt * fw.acx)
+    fw.y += dt * (fw.vy + 0.5 * dt * fw.acy)
+    fw.z += dt * (fw.vz + 0.5 * dt * fw.acz)
+    fw.vx += dt * fw.acx
+    fw.vy += dt * fw.acy
+    fw.vz += dt * fw.acz
+    fw.xy_pp, fw.xy_pv, fw.xy_vv = _grown(fw.xy_pp, fw.xy_pv, fw.xy_vv, fw.noise_xy, dt)
+    fw.z_pp, fw.z_pv, fw.z_vv = _grown(fw.z_pp, fw.z_pv, fw.z_vv, fw.noise_z, dt)
+    fw.att_var += (fw.noise_gyro * dt) ** 2
+    _clear(fw)
+    _angles(fw)
+    if _lost(fw):
+        begin(fw)
+        fw.resets += 1
+
+
+@kernel()
+def _locate(fw: Record, x: float, y: float, z: float) -> None:
+    r = fw.ext_pos_std**2
+    k, kv = fw.xy_pp / (fw.xy_pp + r), fw.xy_pv / (fw.xy_pp + r)
+    dx, dy = x - fw.x, y - fw.y
+    fw.x, fw.y, fw.vx, fw.vy = fw.x + k * dx, fw.y + k * dy, fw.vx + kv * dx, fw.vy + kv * dy
+    fw.xy_pp, fw.xy_pv, fw.xy_vv = (1.0 - k) * fw.xy_pp, (1.0 - k) * fw.xy_pv, fw.xy_vv - kv * fw.xy_pv
+    k, kv = fw.z_pp / (fw.z_pp + r), fw.z_pv / (fw.z_pp + r)
+    dz = z - fw.z
+    fw.z, fw.vz = fw.z + k * dz, fw.vz + kv * dz
+    fw.z_pp, fw.z_pv, fw.z_vv = (1.0 - k) * fw.z_pp, (1.0 - k) * fw.z_pv, fw.z_vv - kv * fw.z_pv
+
+
+@kernel(rows, whole)
+def reset(fleet: Fleet, i: int) -> None:
+    """Begin again."""
+    begin(fleet[i])
+
+
+@kernel(rows, whole, vector)
+def see_position(fleet: Fleet, i: int, p: Vec) -> None:
+    """Correct by a position (3,) m. What is not a number is passed over."""
+    fw = fleet[i]
+    if finite(p):
+        predict(fw)
+        _locate(fw, p[0], p[1], p[2])
+
+
+@kernel(rows, whole, vector, vector)
+def see_pose(fleet: Fleet, i: int, p: Vec, q: Vec) -> None:
+    """Correct by a pose: p (3,) m, q (4,).
+
+        K = P_pp / (P_pp + R),  p <- p + K (p_ext - p),  v <- v + P_pv / (P_pp + R) (p_ext - p)
+        q <- q exp(K_att log(q^-1 q_ext)),  K_att = P_att / (P_att + R_att)
+
+    R, R_att: squares of locSrv.extPosStdDev and locSrv.extQuatStdDev.  The sensors' sums are taken in first, so that
+    the pose meets an estimate of its time.  What is not a number, or has no direction, is passed over.
+    """
+    fw = fleet[i]
+    n = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]
+    if not (finite(p) and n > 0.25 and n < 4.0):
+        return
+    predict(fw)
+    _locate(fw, p[0], p[1], p[2])
+    k = fw.att_var / (fw.att_var + fw.ext_quat_std**2)
+    own = (fw.qx, fw.qy, fw.qz, fw.qw)
+    e = logarithm(product(conjugate(own), unit((q[0], q[1], q[2], q[3]))))
+    fw.qx, fw.qy, fw.qz, fw.qw = unit(product(own, exponential(k * e[0], k * e[1], k * e[2])))
+    fw.att_var *= 1.0 - k
+    _angles(fw)

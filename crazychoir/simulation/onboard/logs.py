@@ -1,0 +1,70 @@
+"""The firmware's log variables by name, in its units; pitch positive nose up."""
+
+import difflib
+from collections.abc import Callable
+
+from crazychoir.errors import ConfigError
+from crazychoir.math3d import GRAVITY
+from crazychoir.simulation.onboard import supervisor
+from crazychoir.simulation.onboard.record import Fleet, entries
+
+Read = Callable[[Fleet, int], float]
+
+
+def _target(name: str) -> Read:
+    return lambda rows, i: float(rows["wanted"][name][i])
+
+
+def _field(name: str, factor: float = 1.0) -> Read:
+    return lambda rows, i: float(rows[name][i]) * factor
+
+
+def _whole(name: str, factor: float = 1.0) -> Read:
+    """As a 16-bit integer of thousandths."""
+    return lambda rows, i: float(int(max(min(float(rows[name][i]) * factor, 32767.0), -32768.0)))
+
+
+def _motor(k: int) -> Read:
+    return lambda rows, i: float(int(rows["request"][i, k]))
+
+
+AXES = ("x", "y", "z")
+STATE = ("x", "y", "z", "vx", "vy", "vz", "roll", "pitch", "yaw", "qx", "qy", "qz", "qw")
+TARGET = ("x", "y", "z", "vx", "vy", "vz", "ax", "ay", "az", "roll", "pitch", "yaw", "thrust")
+MODES = ("x", "y", "z", "roll", "pitch", "yaw", "quat")
+_supervisor = entries(supervisor)
+TABLE: dict[str, Read] = {
+    **{f"stateEstimate.{name}": _field(name) for name in STATE},
+    **{f"stateEstimate.a{axis}": _field(f"ac{axis}", 1.0 / GRAVITY) for axis in AXES},
+    **{f"stateEstimateZ.{name}": _whole(name, 1000.0) for name in STATE[:6]},
+    **{f"stateEstimateZ.a{axis}": _whole(f"ac{axis}", 1000.0) for axis in AXES},
+    **{f"kalman.state{axis.upper()}": _field(axis) for axis in AXES},
+    "kalman.varPX": _field("xy_pp"),
+    "kalman.varPY": _field("xy_pp"),
+    "kalman.varPZ": _field("z_pp"),
+    **{f"stabilizer.{name}": _field(name) for name in ("roll", "pitch", "yaw", "thrust")},
+    **{f"gyro.{axis}": _field(f"g{axis}") for axis in AXES},
+    **{f"acc.{axis}": _field(f"a{axis}") for axis in AXES},
+    **{f"controller.{name}": _field(f"target_{name}") for name in ("roll", "pitch", "yaw")},
+    **{f"controller.{name}Rate": _field(f"target_{name}_rate") for name in ("roll", "pitch", "yaw")},
+    **{f"controller.cmd_{name}": _field(f"{name}_out") for name in ("roll", "pitch", "yaw")},
+    "controller.cmd_thrust": _field("thrust"),
+    **{f"ctrltarget.{n}": _target(n) for n in TARGET},
+    **{f"ctrltarget.mode_{n}": _target(f"mode_{n}") for n in MODES},
+    **{f"motor.m{k + 1}": _motor(k) for k in range(4)},
+    **{f"motor.m{k + 1}req": _motor(k) for k in range(4)},
+    "pm.vbat": _field("vbat"),
+    "pm.vbatMV": _whole("vbat", 1000.0),
+    "supervisor.info": lambda rows, i: float(_supervisor.information(rows, i)),
+    "sys.canfly": lambda rows, i: float(_supervisor.can_fly(rows, i)),
+    "sys.isFlying": _field("flying"),
+    "sys.isTumbled": _field("tumbled"),
+}
+
+
+def read(rows: Fleet, row: int, name: str) -> float:
+    """The variable now; ConfigError names the nearest."""
+    if name in TABLE:
+        return TABLE[name](rows, row)
+    near = difflib.get_close_matches(name, TABLE, n=3) or sorted(TABLE)[:3]
+    raise ConfigError("firmware log variable", name, f"the {len(TABLE)} that are simulated, such as {', '.join(near)}")

@@ -1,0 +1,111 @@
+"""One ms on board of one drone: sensors, estimator, commander, supervisor, controller, motors."""
+
+import math
+
+from crazychoir.math3d import GRAVITY, kernel, real
+from crazychoir.simulation.onboard import cascade, estimator, lee, mellinger, mixing, planner, supervisor
+from crazychoir.simulation.onboard.commander import leveled
+from crazychoir.simulation.onboard.record import LEE, MELLINGER, PID, Fleet, Record, rows, whole
+
+# Ticks of 1 ms: attitude and rate at 500 Hz, estimator, position and planner at 100 Hz, supervisor at 25 Hz.
+ATTITUDE, POSITION, SUPERVISOR = 2, 10, 40
+
+
+def _butterworth(hertz: float) -> tuple[float, float, float]:
+    """b0, a1, a2 of a low-pass of order 2 at 1 kHz (b1 = 2 b0, b2 = b0)."""
+    c = math.tan(math.pi * hertz / 1000.0)
+    n = 1.0 / (1.0 + math.sqrt(2.0) * c + c * c)
+    return c * c * n, 2.0 * (c * c - 1.0) * n, (1.0 - math.sqrt(2.0) * c + c * c) * n
+
+
+GYRO_B, GYRO_A1, GYRO_A2 = _butterworth(80.0)
+ACC_B, ACC_A1, ACC_A2 = _butterworth(30.0)
+DEGREES, PER_G = 180.0 / math.pi, 1.0 / GRAVITY
+
+
+@kernel()
+def _gyro(fw: Record, k: int, raw: float) -> float:
+    """The low-pass of 80 Hz, of the gyroscope's axis k."""
+    d, value = fw.delays, raw * DEGREES
+    y: float = GYRO_B * value + d[2 * k]
+    d[2 * k] = 2.0 * GYRO_B * value - GYRO_A1 * y + d[2 * k + 1]
+    d[2 * k + 1] = GYRO_B * value - GYRO_A2 * y
+    return y
+
+
+@kernel()
+def _acc(fw: Record, k: int, raw: float) -> float:
+    """The low-pass of 30 Hz, of the accelerometer's axis k."""
+    d, value, i = fw.delays, raw * PER_G, 6 + 2 * k
+    y: float = ACC_B * value + d[i]
+    d[i] = 2.0 * ACC_B * value - ACC_A1 * y + d[i + 1]
+    d[i + 1] = ACC_B * value - ACC_A2 * y
+    return y
+
+
+@kernel(rows, whole)
+def settle(fleet: Fleet, i: int) -> None:
+    """Power-on: filters as if the drone had stood level for long, estimate at its initial place."""
+    fw = fleet[i]
+    fw.delays[10] = 1.0 - ACC_B
+    fw.delays[11] = ACC_B - ACC_A2
+    estimator.begin(fw)
+    planner.take_state(fw)
+
+
+@kernel()
+def _control(fw: Record) -> None:
+    """The chosen controller, at 500 Hz; one that is not ours has written what it wants since the last pass."""
+    sp = fw.level if fw.state == supervisor.LEVEL_OUT else fw.wanted
+    if fw.state == supervisor.LEVEL_OUT:
+        leveled(fw)
+    if fw.controller == PID:
+        cascade.control(fw, sp)
+    elif fw.controller == MELLINGER:
+        mellinger.control(fw, sp)
+    elif fw.controller == LEE:
+        lee.control(fw, sp)
+    else:
+        fw.law_due = 1
+    mixing.distribute(fw, supervisor.may_fly(fw))
+
+
+@kernel()
+def stabilize(fw: Record, gx: float, gy: float, gz: float, ax: float, ay: float, az: float) -> None:
+    """Advance the drone's firmware by 1 ms; then fw.motors are the shares of the full thrust of its four motors.
+
+    gx, gy, gz: rad/s, body;  ax, ay, az: specific force, m/s2, body;  before: fw.vbat, V.
+    Where fw.law_due is 1 afterwards, `Onboard.obey_law` runs the user's controller before the next ms.
+    """
+    fw.gx, fw.gy, fw.gz = _gyro(fw, 0, gx), _gyro(fw, 1, gy), _gyro(fw, 2, gz)
+    fw.ax, fw.ay, fw.az = _acc(fw, 0, ax), _acc(fw, 1, ay), _acc(fw, 2, az)
+    estimator.collect(fw)
+    fw.vbat_low += mixing.LOW_PASS * (fw.vbat - fw.vbat_low)
+    tick = fw.tick
+    if tick % ATTITUDE == 0:
+        if tick % POSITION == 0:
+            estimator.predict(fw)
+            planner.update(fw)
+            if tick % SUPERVISOR == 0:
+                supervisor.update(fw)
+        _control(fw)
+        mixing.compensate(fw)
+    fw.tick = tick + 1
+
+
+@kernel(rows, whole)
+def forget(fleet: Fleet, i: int) -> None:
+    """All controllers begin anew, without thrust until their next pass."""
+    fw = fleet[i]
+    cascade.reset(fw)
+    mellinger.reset(fw)
+    lee.reset(fw)
+    fw.output, fw.thrust, fw.roll_out, fw.pitch_out, fw.yaw_out = 0, 0.0, 0.0, 0.0, 0.0
+
+
+@kernel(rows, real, real, real, real, real, real, real)
+def run(fleet: Fleet, ms: float, gx: float, gy: float, gz: float, ax: float, ay: float, az: float) -> None:
+    """Every drone for some ms with the same held sensors: on a bench, without a plant."""
+    for i in range(fleet.shape[0]):
+        for _ in range(int(ms)):
+            stabilize(fleet[i], gx, gy, gz, ax, ay, az)

@@ -1,0 +1,75 @@
+"""Controller 2 of the firmware: Mellinger's, with integrals; outputs in the firmware's thrust units."""
+
+import math
+
+from crazychoir.math3d import GRAVITY, kernel
+from crazychoir.simulation.onboard.attitude import DT, clamp, error, errors, rates, wanted
+from crazychoir.simulation.onboard.record import DISABLE, LEGACY, Record
+
+MOST_MOMENT = 32000.0
+
+
+@kernel()
+def reset(fw: Record) -> None:
+    """Forget the integrals and the last rates."""
+    m = fw.mellinger
+    m.ix = m.iy = m.iz = m.imx = m.imy = m.imz = 0.0
+    m.fresh = 0.0
+
+
+@kernel()
+def _force(fw: Record, sp: Record) -> tuple[float, float, float]:
+    """F = m (a + g e3) + kp e_p + kd e_v + ki int e_p, N, world."""
+    m = fw.mellinger
+    p, v = errors(fw, sp)
+    m.ix = clamp(m.ix + p[0] * DT, m.i_range_xy)
+    m.iy = clamp(m.iy + p[1] * DT, m.i_range_xy)
+    m.iz = clamp(m.iz + p[2] * DT, m.i_range_z)
+    return (
+        m.mass * sp.ax + m.kp_xy * p[0] + m.kd_xy * v[0] + m.ki_xy * m.ix,
+        m.mass * sp.ay + m.kp_xy * p[1] + m.kd_xy * v[1] + m.ki_xy * m.iy,
+        m.mass * (sp.az + GRAVITY) + m.kp_z * p[2] + m.kd_z * v[2] + m.ki_z * m.iz,
+    )
+
+
+@kernel()
+def _damping(m: Record, w: tuple[float, float, float], wd: tuple[float, float, float]) -> tuple[float, float]:
+    """d(w_d - w)/dt of roll and pitch, rad/s2; 0 at the first pass."""
+    x = m.fresh * ((wd[0] - m.wx_set) - (w[0] - m.wx)) / DT
+    y = m.fresh * ((wd[1] - m.wy_set) - (w[1] - m.wy)) / DT
+    m.wx, m.wy, m.wx_set, m.wy_set, m.fresh = w[0], w[1], wd[0], wd[1], 1.0
+    return x, y
+
+
+@kernel()
+def control(fw: Record, sp: Record) -> None:
+    """One pass at 500 Hz: writes thrust 0..65535 and roll, pitch, yaw commands -32000..32000.
+
+        T = massThrust F . z_b,  M = -kR e_R + kw (w_d - w) - ki_m int e_R + kd_omega d(w_d - w)/dt
+
+    e_R = (Rd^T R - R^T Rd)^v, not halved.  No thrust resets the integrals.
+    Chosen: modes other than position and full state act as their names say; w_d is the set-point's, not rotated.
+    Source: Mellinger & Kumar 2011, ICRA; gains and integrals: controller_mellinger of the firmware.
+    """
+    m = fw.mellinger
+    axes, force = wanted(fw, sp, _force(fw, sp))
+    fw.output = LEGACY
+    fw.thrust = sp.thrust if sp.mode_z == DISABLE else m.massThrust * force
+    if fw.thrust <= 0.0:
+        fw.thrust = fw.roll_out = fw.pitch_out = fw.yaw_out = 0.0
+        reset(fw)
+        return
+    fw.thrust = min(fw.thrust, 65535.0)
+    e = error(axes, fw)
+    w = (math.radians(fw.gx), math.radians(fw.gy), math.radians(fw.gz))
+    wd = rates(sp)
+    dx, dy = _damping(m, w, wd)
+    m.imx = clamp(m.imx - e[0] * DT, m.i_range_m_xy)
+    m.imy = clamp(m.imy - e[1] * DT, m.i_range_m_xy)
+    m.imz = clamp(m.imz - e[2] * DT, m.i_range_m_z)
+    mx = -m.kR_xy * e[0] + m.kw_xy * (wd[0] - w[0]) + m.ki_m_xy * m.imx + m.kd_omega_rp * dx
+    my = -m.kR_xy * e[1] + m.kw_xy * (wd[1] - w[1]) + m.ki_m_xy * m.imy + m.kd_omega_rp * dy
+    mz = -m.kR_z * e[2] + m.kw_z * (wd[2] - w[2]) + m.ki_m_z * m.imz
+    fw.roll_out = float(math.trunc(clamp(mx, MOST_MOMENT)))
+    fw.pitch_out = float(math.trunc(clamp(-my, MOST_MOMENT)))
+    fw.yaw_out = float(math.trunc(clamp(-mz, MOST_MOMENT)))

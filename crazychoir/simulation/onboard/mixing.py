@@ -1,0 +1,108 @@
+"""Power distribution: what a controller wants, as four motors, at the battery's present voltage.
+
+Motors in a cross: 0 front right, 1 back right, 2 back left, 3 front left; 0 and 2 push the body to a negative yaw.
+"""
+
+import math
+
+from crazychoir.math3d import kernel
+from crazychoir.simulation.onboard.record import FORCE_TORQUE, LEGACY, Record
+
+FULL = 65535.0
+LOW_PASS = 0.01  # of the battery's voltage, a ms
+STEADY = 1e-9  # relative, of the battery against its low-pass
+
+
+@kernel()
+def _legacy(fw: Record) -> None:
+    """m = T -/+ roll/2 +/- pitch/2 +/- yaw, with halves cut to integers; pitch positive nose up."""
+    r, p = float(math.trunc(0.5 * fw.roll_out)), float(math.trunc(0.5 * fw.pitch_out))
+    t, y = fw.thrust, fw.yaw_out
+    fw.request[0] = t - r + p + y
+    fw.request[1] = t - r - p - y
+    fw.request[2] = t + r - p + y
+    fw.request[3] = t + r + p - y
+
+
+@kernel()
+def _force_torque(fw: Record) -> None:
+    """f = T/4 -/+ tx/(4 a) -/+ ty/(4 a) -/+ tz/(4 k), not below 0; a: arm along x, m; k: torque of 1 N, m."""
+    per_newton = FULL / fw.thrust_max
+    t, r, p = 0.25 * fw.force, 0.25 * fw.torque_x / fw.arm, 0.25 * fw.torque_y / fw.arm
+    y = 0.25 * fw.torque_z / fw.torque_ratio
+    fw.request[0] = max(t - r - p - y, 0.0) * per_newton
+    fw.request[1] = max(t - r + p + y, 0.0) * per_newton
+    fw.request[2] = max(t + r + p - y, 0.0) * per_newton
+    fw.request[3] = max(t + r - p + y, 0.0) * per_newton
+
+
+@kernel()
+def _cap(fw: Record) -> None:
+    """Take the excess of the highest over 65535 from all, so that the torques stay; then none below idle."""
+    m = fw.request
+    excess = max(max(max(m[0], m[1]), max(m[2], m[3])) - FULL, 0.0)
+    for i in range(4):
+        m[i] = max(m[i] - excess, fw.idle)
+
+
+@kernel()
+def distribute(fw: Record, allowed: bool) -> None:
+    """The request of each motor, 0..65535; all 0 where the supervisor does not allow motors."""
+    if not allowed:
+        for i in range(4):
+            fw.request[i] = 0.0
+        return
+    if fw.output == LEGACY:
+        _legacy(fw)
+    elif fw.output == FORCE_TORQUE:
+        _force_torque(fw)
+    else:
+        for i in range(4):
+            fw.request[i] = fw.law_motors[i]
+    _cap(fw)
+
+
+@kernel()
+def _thrust(fw: Record, v: float) -> float:
+    """N of one motor at v V: c0 + c1 v + c2 v^2 + c3 v^3."""
+    f: float = fw.c0 + v * (fw.c1 + v * (fw.c2 + v * fw.c3))
+    return f
+
+
+@kernel()
+def _voltages(fw: Record) -> None:
+    """V that make each motor's requested N, thrust_min at least: a pass of Newton's method from the last answer.
+
+    Its error counts by the battery's distance from its low-pass only. The curve rises everywhere.
+    """
+    newtons = fw.thrust_max / FULL
+    for i in range(4):
+        f, v = max(fw.request[i] * newtons, fw.thrust_min), fw.volts[i]
+        fw.volts[i] = v - (_thrust(fw, v) - f) / (fw.c1 + v * (2.0 * fw.c2 + 3.0 * v * fw.c3))
+
+
+@kernel()
+def compensate(fw: Record) -> None:
+    """Share of the full thrust that each motor gives.
+
+        f = request / 65535 thrust_max, 0 below thrust_min;  duty = V(f) / v_low <= 1;  share = F(duty v) / thrust_max
+
+    V inverts F, the curve of the motor;  v: the battery's voltage, v_low: low-passed.
+    """
+    ratio, full = fw.vbat / fw.vbat_low, _thrust(fw, fw.vbat_low)
+    steady = abs(ratio - 1.0) < STEADY
+    if not steady:
+        _voltages(fw)
+    newtons, share = fw.thrust_max / FULL, 1.0 / fw.thrust_max
+    most = max(_thrust(fw, fw.vbat), 0.0) * share
+    for i in range(4):
+        f = fw.request[i] * newtons
+        if f < fw.thrust_min:
+            fw.motors[i] = 0.0
+        elif f >= full:
+            fw.motors[i] = most
+        elif steady:
+            fw.motors[i] = f * share
+        else:
+            v = fw.volts[i]
+            fw.motors[i] = max(f + _thrust(fw, v * ratio) - _thrust(fw, v), 0.0) * share

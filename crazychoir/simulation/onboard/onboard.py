@@ -1,0 +1,355 @@
+"""One drone's firmware: the commands that it takes, in SI, its parameters and its logs."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from crazychoir.errors import ConfigError
+from crazychoir.math3d import Vec
+from crazychoir.platforms import Platform
+from crazychoir.simulation.onboard import commander, estimator, laws, logs, loop, parameters, planner, supervisor
+from crazychoir.simulation.onboard.commander import CRTP
+from crazychoir.simulation.onboard.record import (
+    LEE,
+    MELLINGER,
+    MEMORY,
+    OUT_OF_TREE,
+    PID,
+    PIECE,
+    TRAJECTORIES,
+    Fleet,
+    entries,
+    fleet,
+)
+from crazychoir.simulation.onboard.units import FULL, roll_pitch_yaw_rate_raw, thrust_raw
+from crazychoir.types import State
+
+CONTROLLERS = {"pid": PID, "mellinger": MELLINGER, "lee": LEE}
+MOST_PIECES = MEMORY // PIECE
+_commander, _planner, _supervisor = entries(commander), entries(planner), entries(supervisor)
+_estimator, _loop = entries(estimator), entries(loop)
+
+
+class Onboard:
+    """The firmware of one drone: a view of its row in the array of all drones, which the plant steps.
+
+    platform: what the firmware is compiled for;  rows, row: where its memory lies (none: an array of its own).
+
+    Arguments are SI, in the world (z up) or in the body (forward, left, up). A set-point method returns whether the
+    commander has taken it: False for a lower priority and for what is not a number. A planner method returns the
+    firmware's answer: 0 done, 1 refused in this state, 8 no such trajectory, 16 the supervisor does not let it fly.
+    """
+
+    def __init__(self, platform: Platform, rows: Fleet | None = None, row: int = 0) -> None:
+        self.platform, self.firmware = platform, platform.firmware
+        self.rows = fleet(1, platform) if rows is None else rows
+        self.row = row
+        self.record = self.rows[row]
+        self.laws: dict[str, laws.Law] = {}
+        self.law_name = ""
+        _loop.settle(self.rows, self.row)
+
+    def place(self, p: Vec | Sequence[float], yaw: float) -> None:
+        """Where it is switched on: p (3,) m world, heading rad. The estimate begins there."""
+        fw = self.record
+        fw["initial_x"], fw["initial_y"], fw["initial_z"] = p
+        fw["initial_yaw"] = yaw
+        _estimator.reset(self.rows, self.row)
+        _planner.tell_state(self.rows, self.row)
+
+    # What is measured outside and sent to it
+
+    def external_pose(self, p: Vec, q: Vec) -> None:
+        """A pose from motion capture: p (3,) m world, q (4,) body to world."""
+        _estimator.see_pose(self.rows, self.row, p, q)
+
+    def external_position(self, p: Vec) -> None:
+        """A position alone: p (3,) m world. Nothing corrects the attitude then."""
+        _estimator.see_position(self.rows, self.row, p)
+
+    @property
+    def estimate(self) -> State:
+        """What it believes, a copy; rates are the filtered gyroscope's."""
+        fw = self.record
+        names = ["x", "y", "z", "vx", "vy", "vz", "qx", "qy", "qz", "qw"]
+        return State(np.array([*(fw[name] for name in names), *self.gyro]))
+
+    @property
+    def gyro(self) -> Vec:
+        """(3,) rad/s, body, filtered."""
+        fw = self.record
+        return np.radians([fw["gx"], fw["gy"], fw["gz"]])
+
+    # Set-points
+
+    def rpyt_raw(self, roll: float, pitch: float, yaw: float, thrust: float, priority: int = CRTP) -> bool:
+        """As an RPYT packet carries it: deg (or deg/s), pitch nose up, yaw rate inverted, thrust 0..65535."""
+        ok = math.isfinite(roll + pitch + yaw + thrust)
+        return ok and bool(_commander.rpyt(self.rows, self.row, roll, pitch, yaw, thrust, priority))
+
+    def fpqr(self, thrust: float, p: float, q: float, r: float) -> bool:
+        """Thrust N and body rates rad/s: needs flightmode.stabModeRoll = .stabModePitch = .stabModeYaw = 0."""
+        roll, pitch, yaw = roll_pitch_yaw_rate_raw(p, q, r)
+        return self.rpyt_raw(roll, pitch, yaw, self._thrust(thrust))
+
+    def frpy(self, thrust: float, roll: float, pitch: float, yaw_rate: float) -> bool:
+        """Thrust N, roll and pitch rad (positive pitch: nose down), yaw rate rad/s: needs flightmode's 1, 1, 0."""
+        return self.rpyt_raw(*roll_pitch_yaw_rate_raw(roll, pitch, yaw_rate), self._thrust(thrust))
+
+    def _thrust(self, newtons: float) -> float:
+        raw = thrust_raw(newtons, self.firmware)
+        return min(max(raw, 0.0), FULL) if math.isfinite(raw) else math.nan
+
+    def stop_setpoint(self, priority: int = CRTP) -> bool:
+        """No thrust, no modes."""
+        return bool(_commander.nothing(self.rows, self.row, priority))
+
+    def velocity(self, v: Vec | Sequence[float], yaw_rate: float, priority: int = CRTP) -> bool:
+        """v (3,) m/s world, yaw rate rad/s."""
+        x, y, z = v
+        ok = math.isfinite(x + y + z + yaw_rate)
+        return ok and bool(_commander.velocity(self.rows, self.row, x, y, z, math.degrees(yaw_rate), priority))
+
+    def hover(self, ahead: float, left: float, yaw_rate: float, z: float, priority: int = CRTP) -> bool:
+        """Velocities m/s along the heading and to its left, yaw rate rad/s, height m world."""
+        ok = math.isfinite(ahead + left + yaw_rate + z)
+        return ok and bool(_commander.hover(self.rows, self.row, ahead, left, math.degrees(yaw_rate), z, priority))
+
+    def z_distance(self, roll: float, pitch: float, yaw_rate: float, z: float, priority: int = CRTP) -> bool:
+        """Roll, pitch rad (positive pitch: nose down), yaw rate rad/s, height m world."""
+        ok = math.isfinite(roll + pitch + yaw_rate + z)
+        r, p, w = math.degrees(roll), -math.degrees(pitch), math.degrees(yaw_rate)
+        return ok and bool(_commander.z_distance(self.rows, self.row, r, p, w, z, priority))
+
+    def manual(
+        self, thrust: float, roll: float, pitch: float, yaw_rate: float, rates: bool = False, priority: int = CRTP
+    ) -> bool:
+        """Thrust N, roll and pitch rad (or their rates), yaw rate rad/s, without the thrust lock."""
+        ok = math.isfinite(thrust + roll + pitch + yaw_rate)
+        r, p, w = math.degrees(roll), -math.degrees(pitch), math.degrees(yaw_rate)
+        raw = self._thrust(thrust)
+        return ok and bool(_commander.manual(self.rows, self.row, r, p, w, raw, float(rates), priority))
+
+    def position(self, p: Vec | Sequence[float], yaw: float, priority: int = CRTP) -> bool:
+        """p (3,) m world, heading rad."""
+        x, y, z = p
+        ok = math.isfinite(x + y + z + yaw)
+        return ok and bool(_commander.position(self.rows, self.row, x, y, z, math.degrees(yaw), priority))
+
+    def full_state(self, s: Vec, priority: int = CRTP) -> bool:
+        """s (16,) = p m, v m/s, a m/s2 world, q body to world, w rad/s body."""
+        ok = math.isfinite(float(np.sum(s)))
+        return ok and bool(_commander.full_state(self.rows, self.row, s, priority))
+
+    def notify_setpoint_stop(self) -> None:
+        """Set-points have ended: the planner may take over, from the present estimate."""
+        _commander.relax(self.rows, self.row)
+        _planner.tell_state(self.rows, self.row)
+
+    # The planner on board
+
+    def _flight(self, *numbers: float) -> int:
+        """Why a plan cannot begin, 0 if it can."""
+        if not math.isfinite(sum(numbers)):
+            return planner.REFUSED
+        return planner.OK if _supervisor.can_fly(self.rows, self.row) else planner.BUSY
+
+    def take_off(self, height: float, duration: float | None = None, yaw: float | None = None) -> int:
+        """Rise to the height m world in duration s (none: by hlCommander.vtoff), to a heading rad (none: keep it)."""
+        t, psi = -1.0 if duration is None else duration, 0.0 if yaw is None else yaw
+        refused, keep = self._flight(height, t, psi), float(yaw is None)
+        return refused or int(_planner.take_off(self.rows, self.row, height, t, psi, keep))
+
+    def land(self, height: float = 0.0, duration: float | None = None, yaw: float | None = None) -> int:
+        """Sink to the height m world in duration s (none: by hlCommander.vland); then the motors stop."""
+        t, psi = -1.0 if duration is None else duration, 0.0 if yaw is None else yaw
+        refused, keep = self._flight(height, t, psi), float(yaw is None)
+        return refused or int(_planner.land(self.rows, self.row, height, t, psi, keep))
+
+    def go_to(
+        self,
+        p: Vec | Sequence[float],
+        yaw: float,
+        duration: float,
+        relative: bool = False,
+        linear: bool = False,
+    ) -> int:
+        """To p (3,) m world and heading rad in duration s; relative: p and yaw are added to the present set-point."""
+        x, y, z = p
+        flags = float(relative), float(linear)
+        refused = self._flight(x, y, z, yaw, duration)
+        return refused or int(_planner.go_to(self.rows, self.row, x, y, z, yaw, duration, *flags))
+
+    def spiral(
+        self,
+        angle: float,
+        r0: float,
+        r1: float,
+        climb: float,
+        duration: float,
+        sideways: bool = False,
+        clockwise: bool = False,
+    ) -> int:
+        """Through an angle rad about a point at r0 m, to r1 m, climbing by climb m, in duration s."""
+        refused = self._flight(angle, r0, r1, climb, duration)
+        flags = float(sideways), float(clockwise)
+        return refused or int(_planner.spiral(self.rows, self.row, angle, r0, r1, climb, duration, *flags))
+
+    def start_trajectory(
+        self,
+        slot: int,
+        timescale: float = 1.0,
+        relative: bool = False,
+        relative_yaw: bool = False,
+        reverse: bool = False,
+    ) -> int:
+        """Fly an uploaded trajectory; timescale 2 takes twice the time."""
+        refused = self._flight(timescale)
+        flags = float(relative), float(relative_yaw), float(reverse)
+        return refused or int(_planner.start_trajectory(self.rows, self.row, slot, timescale, *flags))
+
+    def stop(self) -> None:
+        """The planner's stop: motors off while it is in control."""
+        _planner.stop(self.rows, self.row)
+
+    @property
+    def memory(self) -> npt.NDArray[np.uint8]:
+        """The 4096 bytes of uploaded trajectories, not copied."""
+        words: npt.NDArray[np.float32] = self.rows["memory"][self.row]
+        return words.view(np.uint8)
+
+    def define_trajectory(self, slot: int, offset: int, pieces: int) -> int:
+        """Name what lies in the memory: offset in bytes, a multiple of 4; 8 if it does not fit."""
+        words = offset // 4
+        placed = offset >= 0 and offset % 4 == 0 and words + pieces * PIECE <= MEMORY
+        if not (0 <= slot < TRAJECTORIES and pieces > 0 and placed):
+            return planner.UNKNOWN
+        plan = self.record["planner"]
+        plan["offset"][slot], plan["pieces"][slot] = words, pieces
+        return planner.OK
+
+    def upload(self, slot: int, pieces: npt.ArrayLike) -> None:
+        """Write a trajectory behind those of the other slots and name it.
+
+        pieces: (n, 33) = coefficients c0 to c7 of x, y, z m and yaw rad, in s, and the piece's duration s.
+        """
+        rows = np.asarray(pieces, dtype=np.float32)
+        where = f"trajectory {slot}"
+        if not 0 <= slot < TRAJECTORIES:
+            raise ConfigError("trajectory: slot", slot, f"0 to {TRAJECTORIES - 1}")
+        if rows.ndim != 2 or rows.shape[1] != PIECE or not len(rows):
+            raise ConfigError(f"{where}: shape", rows.shape, "(n, 33): 4 times c0 to c7, and the duration")
+        if not np.all(np.isfinite(rows)) or np.any(rows[:, -1] <= 0.0):
+            raise ConfigError(f"{where}: pieces", rows[:, -1].tolist(), "finite numbers, durations above 0 s")
+        plan = self.record["planner"]
+        others = [plan["offset"][k] + plan["pieces"][k] * PIECE for k in range(TRAJECTORIES) if k != slot]
+        start = int(max(others))
+        if start + rows.size > MEMORY:
+            free = (MEMORY - start) // PIECE
+            raise ConfigError(where, f"{len(rows)} pieces", f"at most {MOST_PIECES} in all slots, {free} are free")
+        self.rows["memory"][self.row][start : start + rows.size] = rows.ravel()
+        plan["offset"][slot], plan["pieces"][slot] = start, len(rows)
+
+    # The supervisor
+
+    def arm(self, armed: bool = True) -> bool:
+        """Ask for armed motors, which the checks before flight must have allowed; or disarm, in the air too."""
+        fw = self.record
+        if armed and not fw["armed"] and not _supervisor.can_arm(self.rows, self.row):
+            return False
+        fw["arm_requested"] = armed
+        if not armed:
+            fw["armed"] = 0
+        return True
+
+    def emergency_stop(self) -> None:
+        """Motors off at once and for good."""
+        self.record["estop"] = 1
+
+    def emergency_stop_watchdog(self) -> None:
+        """From the first call on: an emergency stop when it is not repeated within 1 s."""
+        _supervisor.feed_watchdog(self.rows, self.row)
+
+    def recover(self) -> bool:
+        """After a crash, standing upright again: begin anew."""
+        return bool(_supervisor.recover(self.rows, self.row))
+
+    @property
+    def state(self) -> str:
+        """The supervisor's state, in words."""
+        return supervisor.STATES[int(self.record["state"])]
+
+    @property
+    def info(self) -> int:
+        """The supervisor's bits, as supervisor.info logs them."""
+        return int(_supervisor.information(self.rows, self.row))
+
+    # Controllers, parameters, logs
+
+    def register(self, name: str, law: laws.Law) -> None:
+        """Offer a controller of the user's own, to be chosen by `set("stabilizer.controller", name)`.
+
+        law(setpoint, estimate, gyro, dt) -> ForceTorque, MotorForces or Legacy, called every 2 ms.
+        """
+        if name in CONTROLLERS or not callable(law):
+            taken = ", ".join(CONTROLLERS)
+            raise ConfigError("register: controller", name, f"a callable under another name than {taken}")
+        self.laws[name] = law
+
+    def obey_law(self) -> None:
+        """Run the user's controller; the plant calls it where record["law_due"] is 1, between two ms."""
+        fw = self.record
+        fw["law_due"] = 0
+        leveling = fw["state"] == supervisor.LEVEL_OUT
+        target = laws.setpoint_of(fw["level"] if leveling else fw["wanted"], self.firmware.thrust_max)
+        answer = self.laws[self.law_name](target, self.estimate, self.gyro, laws.PERIOD)
+        laws.write_answer(fw, self.law_name, answer)
+
+    def _choose(self, controller: str | float) -> None:
+        codes = {0: PID, PID: PID, MELLINGER: MELLINGER, LEE: LEE}
+        if isinstance(controller, str) and controller in self.laws:
+            self.law_name, code = controller, OUT_OF_TREE
+        elif controller == OUT_OF_TREE and self.laws:
+            self.law_name, code = list(self.laws)[-1], OUT_OF_TREE
+        elif isinstance(controller, str) and controller in CONTROLLERS:
+            code = CONTROLLERS[controller]
+        elif controller in codes:
+            code = codes[int(controller)]
+        else:
+            names = ", ".join([*CONTROLLERS, *self.laws])
+            raise ConfigError(
+                "stabilizer.controller",
+                controller,
+                f"{names}, or 0, 1 (pid), 2 (mellinger), 5 (lee), 6 (registered)",
+                "Offer your own with register(name, law) first.",
+            )
+        _loop.forget(self.rows, self.row)
+        self.record["controller"] = code
+
+    def set(self, name: str, value: str | float) -> None:
+        """Write a parameter by the firmware's name; the controller by number or by name."""
+        if name == "stabilizer.controller":
+            self._choose(value)
+            return
+        if isinstance(value, str) or not math.isfinite(value):
+            raise ConfigError(f"firmware parameter {name}", value, "a finite number")
+        if name == parameters.RESET_ESTIMATION:
+            if value:
+                _estimator.reset(self.rows, self.row)
+            return
+        *parts, field = parameters.path(name)
+        place = self.record[parts[0]] if parts else self.record
+        place[field] = value
+
+    def get(self, name: str) -> float:
+        """Read a parameter by the firmware's name."""
+        if name == parameters.RESET_ESTIMATION:
+            return 0.0
+        *parts, field = parameters.path(name)
+        return float((self.record[parts[0]] if parts else self.record)[field])
+
+    def log(self, name: str) -> float:
+        """Read a log variable by the firmware's name, in the firmware's units."""
+        return logs.read(self.rows, self.row, name)

@@ -1,0 +1,75 @@
+"""The firmware's PID: proportional to the error, derivative of the measurement, a clamped integral."""
+
+import math
+
+from crazychoir.math3d import clip, kernel
+from crazychoir.simulation.onboard.record import Record
+
+# Butterworth low-pass of order 2, 20 Hz at 100 Hz: b0, b1 = 2 b0, b2 = b0; a1, a2.
+_C = math.tan(math.pi * 20.0 / 100.0)
+_N = 1.0 / (1.0 + math.sqrt(2.0) * _C + _C * _C)
+B0, A1, A2 = _C * _C * _N, 2.0 * (_C * _C - 1.0) * _N, (1.0 - math.sqrt(2.0) * _C + _C * _C) * _N
+TURN = 1.0 / 360.0
+
+
+@kernel()
+def wrap_degrees(angle: float) -> float:
+    """The same angle in [-180, 180)."""
+    if -180.0 <= angle < 180.0:  # nearly always, and faster
+        return angle
+    return angle - 360.0 * math.floor((angle + 180.0) * TURN)
+
+
+@kernel()
+def reset(pid: Record) -> None:
+    """Forget: no integral, and the next measurement has no predecessor."""
+    pid.integral = 0.0
+    pid.previous = math.nan
+    pid.d1 = 0.0
+    pid.d2 = 0.0
+
+
+@kernel()
+def _sum(pid: Record, desired: float, error: float, slope: float, rate: float) -> float:
+    """P, D, then the integral with this error, then what the set-point feeds forward."""
+    pid.integral += error * (1.0 / rate)
+    if pid.i_limit > 0.0:
+        pid.integral = clip(pid.integral, -pid.i_limit, pid.i_limit)
+    out = pid.kp * error - pid.kd * slope + pid.ki * pid.integral + pid.kff * desired
+    return clip(out, -pid.limit, pid.limit) if pid.limit > 0.0 else out
+
+
+@kernel()
+def _change(pid: Record, measured: float) -> float:
+    """How much the measurement has changed; nothing after a reset."""
+    change = 0.0 if math.isnan(pid.previous) else measured - pid.previous
+    pid.previous = measured
+    return change
+
+
+@kernel()
+def follow(pid: Record, desired: float, measured: float, rate: float) -> float:
+    """One step.
+
+        e = desired - measured,  I += e dt, |I| <= i_limit,  u = kp e - kd d(measured)/dt + ki I + kff desired
+
+    The integral is clamped before it is multiplied by ki, and u by `limit`; a limit of 0 is none.  rate: 1/dt, Hz.
+    """
+    return _sum(pid, desired, desired - measured, _change(pid, measured) * rate, rate)
+
+
+@kernel()
+def follow_angle(pid: Record, desired: float, measured: float, rate: float) -> float:
+    """One step of `follow` for an angle in deg, the short way."""
+    error = wrap_degrees(desired - measured)
+    return _sum(pid, desired, error, wrap_degrees(_change(pid, measured)) * rate, rate)
+
+
+@kernel()
+def follow_smooth(pid: Record, desired: float, measured: float, rate: float) -> float:
+    """One step of `follow` at 100 Hz with the derivative low-passed at 20 Hz (Butterworth, order 2)."""
+    raw = _change(pid, measured) * rate
+    slope = B0 * raw + pid.d1
+    pid.d1 = 2.0 * B0 * raw - A1 * slope + pid.d2
+    pid.d2 = B0 * raw - A2 * slope
+    return _sum(pid, desired, desired - measured, slope, rate)

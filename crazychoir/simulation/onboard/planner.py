@@ -1,0 +1,361 @@
+"""The high-level commander: take-off, landing, go_to, spiral and uploaded trajectories, in 32-bit floats."""
+
+import math
+
+import numpy as np
+
+from crazychoir.math3d import GRAVITY, Triple, dot, flat_attitude, kernel, real
+from crazychoir.simulation.onboard.commander import HIGH_LEVEL, clear
+from crazychoir.simulation.onboard.polynomial import (
+    AXES,
+    ONE,
+    ZERO,
+    A,
+    F,
+    J,
+    P,
+    Single,
+    V,
+    connect,
+    duration,
+    evaluate,
+    short_way,
+)
+from crazychoir.simulation.onboard.record import ABSOLUTE, PIECE, TRAJECTORIES, Fleet, Record, rows, whole
+
+IDLE, FLYING, LANDING, DISABLED = 0, 1, 2, 3
+OK, REFUSED, UNKNOWN, BUSY = 0, 1, 8, 16
+"""Answers: done; not in this state; no such trajectory; the supervisor does not let it fly."""
+SECONDS = F(1e-3)
+
+
+@kernel()
+def _now(fw: Record) -> Single:
+    """s since power-on: as a 32-bit float, so that its steps grow with the uptime."""
+    return F(fw.tick) * SECONDS
+
+
+@kernel()
+def _memory_piece(fw: Record, k: int) -> Single:
+    """Piece k of the trajectory that is flown."""
+    start = fw.planner.offset[fw.planner.slot] + k * PIECE
+    return fw.memory[start : start + PIECE]
+
+
+@kernel()
+def _count(fw: Record) -> int:
+    return fw.planner.pieces[fw.planner.slot] if fw.planner.slot >= 0 else 1
+
+
+@kernel()
+def _piece(fw: Record, k: int) -> Single:
+    return _memory_piece(fw, k) if fw.planner.slot >= 0 else fw.planner.piece[0:PIECE]
+
+
+@kernel()
+def _total(fw: Record) -> Single:
+    """s, of all pieces, stretched."""
+    total = ZERO
+    for k in range(_count(fw)):
+        total += duration(_piece(fw, k)) * fw.planner.timescale
+    return total
+
+
+@kernel()
+def _find(fw: Record, t: Single) -> Single:
+    """Evaluate the coefficients at t s from their beginning, stretched; after the end, its last point at rest."""
+    plan = fw.planner
+    last = _count(fw) - 1
+    for k in range(last + 1):
+        c = _piece(fw, k)
+        length = duration(c) * plan.timescale
+        if t <= length or k == last:
+            inside = min(t, length)
+            evaluate(c, inside / plan.timescale, plan.out)
+            return t <= length
+        t -= length
+    return False
+
+
+@kernel()
+def _stretch(fw: Record, moving: bool) -> None:
+    """Derivatives by the time scale, and backwards; none after the end."""
+    out, s = fw.planner.out, fw.planner.timescale
+    sign = -ONE if fw.planner.reversed else ONE
+    for axis in range(AXES):
+        out[V + axis] = out[V + axis] * sign / s if moving else ZERO
+        out[A + axis] = out[A + axis] / (s * s) if moving else ZERO
+        out[J + axis] = out[J + axis] * sign / (s * s * s) if moving else ZERO
+
+
+@kernel()
+def _move(fw: Record) -> None:
+    """From the trajectory's own start to where it was started: turned about z, then shifted."""
+    plan = fw.planner
+    out, turn = plan.out, plan.shift[3] - plan.origin[3]
+    c, s = F(math.cos(turn)), F(math.sin(turn))
+    for order in range(0, 16, 4):
+        x, y = out[order], out[order + 1]
+        if order == P:
+            x, y = x - plan.origin[0], y - plan.origin[1]
+        out[order], out[order + 1] = c * x - s * y, s * x + c * y
+    out[0] += plan.shift[0]
+    out[1] += plan.shift[1]
+    out[2] += plan.shift[2] - plan.origin[2]
+    out[3] += turn
+
+
+@kernel()
+def sample(fw: Record) -> bool:
+    """The flat output now, into planner.out; returns whether the plan has not ended.
+
+        x(t) = S + Rz(Y) (c((t - t0) / k) - c(0)),  v = x'/k, a = x''/k^2;  reversed: c at the end minus t
+
+    k: time scale;  S, Y: shift of a relative trajectory (position, heading), else that of c itself.
+    """
+    plan = fw.planner
+    t, total = _now(fw) - plan.begin, _total(fw)
+    moving: bool = t <= total
+    _find(fw, max(total - t, ZERO) if plan.reversed else t)
+    _stretch(fw, moving)
+    if plan.slot >= 0:
+        _move(fw)
+    return moving
+
+
+@kernel()
+def finished(fw: Record) -> bool:
+    """Is nothing being flown?"""
+    idle: bool = fw.planner.state == IDLE or fw.planner.state == DISABLED
+    ended: bool = _now(fw) - fw.planner.begin > _total(fw)
+    return idle or ended
+
+
+@kernel()
+def body_rates(a: Triple, j: Triple, yaw: float, yaw_rate: float) -> Triple:
+    """Body rates of a flat output, rad/s: h = (j - (j . z_b) z_b) / |a + g e3|, w = (-h . y_b, h . x_b, z_b_z yaw').
+
+    a: m/s2, j: m/s3, world.  Source: Mellinger & Kumar 2011, ICRA.
+    """
+    f = (a[0], a[1], a[2] + GRAVITY)
+    x, y, z = flat_attitude(f, yaw)
+    n = math.sqrt(dot(f, f))
+    if n < 1e-6:
+        return 0.0, 0.0, yaw_rate
+    along = dot(j, z)
+    h = ((j[0] - along * z[0]) / n, (j[1] - along * z[1]) / n, (j[2] - along * z[2]) / n)
+    return -dot(h, y), dot(h, x), z[2] * yaw_rate
+
+
+@kernel()
+def _emit(fw: Record) -> None:
+    """The evaluation as a set-point: positions and heading, with rates."""
+    sp, out = fw.wanted, fw.planner.out
+    clear(sp)
+    sp.mode_x = sp.mode_y = sp.mode_z = sp.mode_yaw = ABSOLUTE
+    sp.x, sp.y, sp.z = out[P], out[P + 1], out[P + 2]
+    sp.vx, sp.vy, sp.vz = out[V], out[V + 1], out[V + 2]
+    sp.ax, sp.ay, sp.az = out[A], out[A + 1], out[A + 2]
+    sp.jx, sp.jy, sp.jz = out[J], out[J + 1], out[J + 2]
+    sp.yaw = math.degrees(out[P + 3])
+    w = body_rates((sp.ax, sp.ay, sp.az), (sp.jx, sp.jy, sp.jz), float(out[P + 3]), float(out[V + 3]))
+    sp.roll_rate, sp.pitch_rate, sp.yaw_rate = math.degrees(w[0]), math.degrees(w[1]), math.degrees(w[2])
+
+
+@kernel()
+def take_state(fw: Record) -> None:
+    """Go on from the estimate: what the next plan starts from."""
+    plan = fw.planner
+    plan.last[0], plan.last[1], plan.last[2] = F(fw.x), F(fw.y), F(fw.z)
+    plan.last[3] = F(math.radians(fw.yaw))
+    plan.last_v[0], plan.last_v[1], plan.last_v[2], plan.last_v[3] = F(fw.vx), F(fw.vy), F(fw.vz), ZERO
+
+
+@kernel()
+def update(fw: Record) -> None:
+    """At 100 Hz: the plan's set-point, or none at all while it is idle on the ground; silent while disabled."""
+    plan = fw.planner
+    if plan.state == DISABLED:
+        return
+    own = fw.priority <= HIGH_LEVEL
+    if plan.state == IDLE:
+        take_state(fw)
+        if own:
+            clear(fw.wanted)
+    else:
+        moving = sample(fw)
+        for axis in range(AXES):
+            plan.last[axis], plan.last_v[axis] = plan.out[P + axis], plan.out[V + axis]
+        if own:
+            _emit(fw)
+        if plan.state == LANDING and not moving:
+            plan.state = IDLE
+    if own:
+        fw.priority, fw.stamp = HIGH_LEVEL, fw.tick
+
+
+@kernel(rows, whole)
+def tell_state(fleet: Fleet, i: int) -> None:
+    """Go on from the estimate."""
+    take_state(fleet[i])
+
+
+@kernel(rows, whole)
+def stop(fleet: Fleet, i: int) -> None:
+    """Forget the plan: motors off while the planner is in control."""
+    fw = fleet[i]
+    fw.planner.state = IDLE
+
+
+@kernel()
+def _start(fw: Record, state: int) -> None:
+    plan = fw.planner
+    plan.state, plan.begin, plan.slot, plan.timescale, plan.reversed = state, _now(fw), -1, ONE, 0
+
+
+@kernel()
+def _here(fw: Record) -> None:
+    """Evaluate where the plan is now; from the last set-point or state where there is no plan."""
+    plan = fw.planner
+    if plan.state == FLYING or plan.state == LANDING:
+        sample(fw)
+        return
+    for axis in range(AXES):
+        plan.out[P + axis], plan.out[V + axis] = plan.last[axis], plan.last_v[axis]
+        plan.out[A + axis] = ZERO
+
+
+@kernel()
+def _to(fw: Record, axis: int, t: Single, goal: Single, end_v: Single, start_v: Single, start_a: Single) -> None:
+    start, end = np.zeros(3, np.float32), np.zeros(3, np.float32)
+    start[0], start[1], start[2] = fw.planner.out[P + axis], start_v, start_a
+    end[0], end[1] = goal, end_v
+    connect(fw.planner.piece, axis, t, start, end)
+
+
+@kernel()
+def _vertical(fw: Record, state: int, height: float, t: float, yaw: float, keep_yaw: float) -> None:
+    """From the last set-point, at rest, to the height above the same place."""
+    plan = fw.planner
+    for axis in range(AXES):
+        plan.out[P + axis] = plan.last[axis]
+    for axis in range(3):
+        _to(fw, axis, F(t), F(height) if axis == 2 else plan.last[axis], ZERO, ZERO, ZERO)
+    heading = plan.last[3] if keep_yaw > 0.0 else short_way(plan.last[3], F(yaw))
+    _to(fw, 3, F(t), heading, ZERO, ZERO, ZERO)
+    plan.piece[PIECE - 1] = F(max(t, 0.0))
+    _start(fw, state)
+
+
+@kernel(rows, whole, real, real, real, real)
+def take_off(fleet: Fleet, i: int, height: float, t: float, yaw: float, keep_yaw: float) -> int:
+    """Rise to the height, m world, in t s; only from idle, 1 otherwise. t < 0: by hlCommander.vtoff."""
+    fw = fleet[i]
+    if fw.planner.state != IDLE:
+        return REFUSED
+    speed = max(fw.planner.take_off_speed, 1e-3)
+    _vertical(fw, FLYING, height, t if t >= 0.0 else abs(height - fw.planner.last[2]) / speed, yaw, keep_yaw)
+    return OK
+
+
+@kernel(rows, whole, real, real, real, real)
+def land(fleet: Fleet, i: int, height: float, t: float, yaw: float, keep_yaw: float) -> int:
+    """Sink to the height in t s, then idle; chosen: 1 where it is idle or landing. t < 0: by hlCommander.vland."""
+    fw = fleet[i]
+    if fw.planner.state == IDLE or fw.planner.state == LANDING:
+        return REFUSED
+    speed = max(fw.planner.landing_speed, 1e-3)
+    _vertical(fw, LANDING, height, t if t >= 0.0 else abs(height - fw.planner.last[2]) / speed, yaw, keep_yaw)
+    return OK
+
+
+@kernel(rows, whole, real, real, real, real, real, real, real)
+def go_to(
+    fleet: Fleet, i: int, x: float, y: float, z: float, yaw: float, t: float, relative: float, linear: float
+) -> int:
+    """From the present set-point, with its velocity and acceleration, to a place and heading, at rest.
+
+    linear: with the constant velocity of the straight line at both ends.
+    """
+    fw = fleet[i]
+    _here(fw)
+    out = fw.planner.out
+    for axis in range(AXES):
+        goal = F((x, y, z, yaw)[axis])
+        if relative > 0.0:
+            goal += out[P + axis]
+        if axis == 3:
+            goal = short_way(out[P + 3], goal)
+        if linear > 0.0 and t > 0.0:
+            v = (goal - out[P + axis]) / F(t)
+            _to(fw, axis, F(t), goal, v, v, ZERO)
+        else:
+            _to(fw, axis, F(t), goal, ZERO, out[V + axis], out[A + axis])
+    fw.planner.piece[PIECE - 1] = F(max(t, 0.0))
+    _start(fw, FLYING)
+    return OK
+
+
+@kernel(rows, whole, real, real, real, real, real, real, real)
+def spiral(
+    fleet: Fleet, i: int, angle: float, r0: float, r1: float, climb: float, t: float, sideways: float, clockwise: float
+) -> int:
+    """One piece of degree 7 from the radius r0 to r1 through an angle, rad, about a point beside or before the nose.
+
+    Chosen, as the ends of the spiral of constant speed: at both ends the place, velocity and acceleration of
+    r(s) = r0 + (r1 - r0) s, phi(s) = +-angle s, s = t/T; the heading turns with it.  In between the piece is not a
+    circle: it is meant for angles up to half a turn.  sideways: the point lies ahead, else to the side.
+    """
+    fw = fleet[i]
+    _here(fw)
+    out = fw.planner.out
+    turn = -abs(angle) if clockwise > 0.0 else abs(angle)
+    yaw = float(out[P + 3])
+    towards = yaw if sideways > 0.0 else yaw + math.copysign(0.5 * math.pi, turn)
+    cx, cy = float(out[P]) + r0 * math.cos(towards), float(out[P + 1]) + r0 * math.sin(towards)
+    begin = towards + math.pi
+    span = max(t, 1e-3)
+    dr, w = (r1 - r0) / span, turn / span
+    start, end = np.zeros(3, np.float32), np.zeros(3, np.float32)
+    for axis in range(2):
+        centre = cy if axis else cx
+        for stage in range(2):
+            r, phi = (r1, begin + turn) if stage else (r0, begin)
+            u = math.sin(phi) if axis else math.cos(phi)
+            n = math.cos(phi) if axis else -math.sin(phi)
+            row = end if stage else start
+            row[0], row[1], row[2] = F(centre + r * u), F(dr * u + r * w * n), F(2.0 * dr * w * n - r * w * w * u)
+        connect(fw.planner.piece, axis, F(span), start, end)
+    for axis in range(2, 4):
+        gap = F(climb) if axis == 2 else F(turn)
+        speed = gap / F(span)
+        _to(fw, axis, F(span), out[P + axis] + gap, speed, speed, ZERO)
+    fw.planner.piece[PIECE - 1] = F(span)
+    _start(fw, FLYING)
+    return OK
+
+
+@kernel(rows, whole, real, real, real, real, real)
+def start_trajectory(
+    fleet: Fleet, i: int, slot: float, timescale: float, relative: float, relative_yaw: float, backwards: float
+) -> int:
+    """Fly an uploaded trajectory; 8 where there is none.
+
+    relative: shifted to the present set-point;  relative_yaw: turned to its heading about its start (chosen).
+    """
+    fw = fleet[i]
+    plan, k = fw.planner, int(slot)
+    if k < 0 or k >= TRAJECTORIES or plan.pieces[k] == 0 or not timescale > 0.0:
+        return UNKNOWN
+    _here(fw)
+    here = plan.out[0:4].copy()
+    _start(fw, FLYING)
+    plan.slot, plan.timescale, plan.reversed = k, F(timescale), 1 if backwards > 0.0 else 0
+    _find(fw, _total(fw) if plan.reversed else ZERO)
+    for axis in range(AXES):
+        moved = relative_yaw if axis == 3 else relative
+        plan.origin[axis] = plan.out[P + axis]
+        plan.shift[axis] = here[axis] if moved > 0.0 else plan.origin[axis]
+    if relative_yaw > 0.0:
+        plan.shift[3] = short_way(plan.origin[3], here[3])
+    return OK

@@ -1,0 +1,229 @@
+"""The memory of the firmware: one record a drone, all drones of a process in one array."""
+
+import math
+from types import ModuleType, SimpleNamespace
+from typing import Any
+
+import numba
+import numpy as np
+import numpy.typing as npt
+
+from crazychoir.platforms import Platform
+
+Record = Any
+"""One drone's row: numpy's record in Python, a numba record in a kernel."""
+Fleet = npt.NDArray[np.void]
+
+# Modes of one axis of a set-point.
+DISABLE, ABSOLUTE, VELOCITY = 0, 1, 2
+
+# stabilizer.controller
+PID, MELLINGER, LEE, OUT_OF_TREE = 1, 2, 5, 6
+
+# Which numbers a controller has written.
+LEGACY, FORCE_TORQUE, MOTORS = 0, 1, 2
+
+TRAJECTORIES, MEMORY = 31, 1024  # slots; float32 of 4096 bytes
+PIECE = 33  # float32 of one piece: 4 axes of 8 coefficients and a duration
+
+
+def _reals(names: str) -> list[tuple[str, type]]:
+    return [(name, np.float64) for name in names.split()]
+
+
+def _wholes(names: str) -> list[tuple[str, type]]:
+    return [(name, np.int64) for name in names.split()]
+
+
+pid_fields = np.dtype(_reals("kp ki kd kff i_limit limit integral previous d1 d2"))
+"""A PID: gains; limits of the integral and of the output (0: none); memory."""
+
+setpoint_fields = np.dtype(
+    [
+        *_wholes("mode_x mode_y mode_z mode_roll mode_pitch mode_yaw mode_quat body_velocity"),
+        *_reals("x y z vx vy vz ax ay az jx jy jz roll pitch yaw roll_rate pitch_rate yaw_rate thrust qx qy qz qw"),
+    ]
+)
+"""What a controller follows, in the firmware's units: m, m/s, m/s2, m/s3, deg, deg/s, thrust 0..65535.
+
+pitch is positive nose up; rates of a full state and of the planner are those of the body, forward-left-up.
+"""
+
+planner_fields = np.dtype(
+    [
+        ("state", np.int64),
+        ("slot", np.int64),  # of the trajectory flown, -1: the one piece of a take-off, landing or go_to
+        ("reversed", np.int64),
+        ("begin", np.float32),  # s
+        ("timescale", np.float32),
+        ("origin", np.float32, (4,)),  # of a relative trajectory: where it starts by its coefficients, m, rad
+        ("shift", np.float32, (4,)),  # where it starts now
+        ("piece", np.float32, (PIECE,)),
+        ("out", np.float32, (16,)),  # p, yaw, v, yaw', a, yaw'', j, yaw''' of the last evaluation
+        ("last", np.float32, (4,)),  # p, yaw of the last set-point, or of the state while idle
+        ("last_v", np.float32, (4,)),
+        ("offset", np.int64, (TRAJECTORIES,)),  # float32 from the start of the memory
+        ("pieces", np.int64, (TRAJECTORIES,)),  # 0: not defined
+        ("take_off_speed", np.float64),
+        ("landing_speed", np.float64),
+    ],
+    align=True,
+)
+
+mellinger_fields = np.dtype(
+    _reals(
+        "mass massThrust kp_xy kd_xy ki_xy i_range_xy kp_z kd_z ki_z i_range_z kR_xy kw_xy ki_m_xy i_range_m_xy "
+        "kR_z kw_z ki_m_z i_range_m_z kd_omega_rp ix iy iz imx imy imz wx wy wx_set wy_set fresh"
+    )
+)
+lee_fields = np.dtype(
+    _reals(
+        "mass J_x J_y J_z Kpos_Px Kpos_Py Kpos_Pz Kpos_P_limit Kpos_Dx Kpos_Dy Kpos_Dz Kpos_D_limit Kpos_Ix Kpos_Iy "
+        "Kpos_Iz Kpos_I_limit KR_x KR_y KR_z Kw_x Kw_y Kw_z KI_x KI_y KI_z ix iy iz irx iry irz"
+    )
+)
+
+PIDS = "x y z vx vy vz roll pitch yaw roll_rate pitch_rate yaw_rate"
+
+drone_fields = np.dtype(
+    [
+        ("tick", np.int64),  # ms
+        # what the plant reads and writes
+        ("motors", np.float64, (4,)),  # share of firmware.thrust_max
+        ("vbat", np.float64),  # V
+        # sensors
+        ("delays", np.float64, (12,)),  # of the low-pass filters
+        *_reals("gx gy gz ax ay az"),  # filtered: deg/s, g
+        # estimator
+        *_reals("p_sum q_sum r_sum fx_sum fy_sum fz_sum"),
+        ("samples", np.int64),
+        *_reals("x y z vx vy vz qx qy qz qw acx acy acz roll pitch yaw"),
+        *_reals("xy_pp xy_pv xy_vv z_pp z_pv z_vv att_var"),
+        *_reals("ext_pos_std ext_quat_std noise_xy noise_z noise_gyro max_pos max_vel"),
+        *_reals("initial_x initial_y initial_z initial_yaw"),
+        ("resets", np.int64),
+        # commander
+        ("priority", np.int64),
+        ("stamp", np.int64),  # ms
+        ("locked_thrust", np.int64),
+        ("rate_roll_mode", np.int64),  # flightmode.stabMode*: 0 rate, 1 angle
+        ("rate_pitch_mode", np.int64),
+        ("rate_yaw_mode", np.int64),
+        ("wanted", setpoint_fields),
+        ("level", setpoint_fields),
+        # planner
+        ("planner", planner_fields),
+        # supervisor
+        *_wholes("state since armed auto_arm arm_requested flying tumbled estop"),
+        *_wholes("spun upright_at not_upside_at watchdog watchdog_at stopping_at"),
+        *_wholes("preflight_timeout landed_timeout spinup_timeout tumble_check"),
+        # controllers
+        ("controller", np.int64),
+        ("law_due", np.int64),
+        ("modes", np.int64),  # of the set-point that the controller followed last
+        *[(f"{name}_pid", pid_fields) for name in PIDS.split()],
+        *_reals("x_vel_max y_vel_max z_vel_max roll_limit pitch_limit"),
+        *_reals("thrust_base thrust_minimum yaw_max_delta"),
+        *_reals("target_vx target_vy target_vz position_thrust"),
+        *_reals("target_roll target_pitch target_yaw"),
+        *_reals("target_roll_rate target_pitch_rate target_yaw_rate"),
+        ("mellinger", mellinger_fields),
+        ("lee", lee_fields),
+        # what the controller wants
+        ("output", np.int64),
+        *_reals("thrust roll_out pitch_out yaw_out"),  # legacy
+        *_reals("force torque_x torque_y torque_z"),  # N, N m
+        ("law_motors", np.float64, (4,)),  # 0..65535, of a user's law
+        # power distribution
+        ("request", np.float64, (4,)),  # 0..65535
+        ("volts", np.float64, (4,)),
+        *_reals("vbat_low idle thrust_max thrust_min arm torque_ratio c0 c1 c2 c3"),
+        ("memory", np.float32, (MEMORY,)),
+    ],
+    align=True,
+)
+drone: Any = numba.from_dtype(drone_fields)
+"""One drone, as the type of a kernel's argument."""
+rows: Any = drone[::1]
+"""Those of many drones."""
+whole: Any = numba.int64
+
+
+def entries(module: ModuleType) -> Any:
+    """The laws of a module that are compiled for a drone, for Python: called without a look at their arguments' types.
+
+    They take the array and the row: to hand over one record of so many fields takes 60 us, this 0.3 us.
+    """
+    laws = {name: law for name, law in vars(module).items() if getattr(law, "signatures", ())}
+    return SimpleNamespace(**{name: law.overloads[law.signatures[0]].entry_point for name, law in laws.items()})
+
+
+# pid_rate, pid_attitude, velCtlPid, posCtlPid: kp, ki, kd, limit of the integral (chosen for velocity and position)
+CRAZYFLIE = {
+    "roll_rate": (250.0, 500.0, 2.5, 33.3),
+    "pitch_rate": (250.0, 500.0, 2.5, 33.3),
+    "yaw_rate": (120.0, 16.7, 0.0, 166.7),
+    "roll": (6.0, 3.0, 0.0, 20.0),
+    "pitch": (6.0, 3.0, 0.0, 20.0),
+    "yaw": (6.0, 1.0, 0.35, 360.0),
+    "vx": (25.0, 1.0, 0.0, 5000.0),
+    "vy": (25.0, 1.0, 0.0, 5000.0),
+    "vz": (25.0, 15.0, 0.0, 5000.0),
+    "x": (2.0, 0.0, 0.0, 5000.0),
+    "y": (2.0, 0.0, 0.0, 5000.0),
+    "z": (2.0, 0.5, 0.0, 5000.0),
+}
+BRUSHLESS = {
+    **CRAZYFLIE,
+    "roll_rate": (200.0, 400.0, 2.5, 33.3),
+    "pitch_rate": (200.0, 400.0, 2.5, 33.3),
+}
+MELLINGER_DEFAULTS = {
+    "massThrust": 132000.0, "kp_xy": 0.4, "kd_xy": 0.2, "ki_xy": 0.05, "i_range_xy": 2.0, "kp_z": 1.25, "kd_z": 0.4,
+    "ki_z": 0.05, "i_range_z": 0.4, "kR_xy": 70000.0, "kw_xy": 20000.0, "ki_m_xy": 0.0, "i_range_m_xy": 1.0,
+    "kR_z": 60000.0, "kw_z": 12000.0, "ki_m_z": 500.0, "i_range_m_z": 1500.0, "kd_omega_rp": 200.0,
+}  # fmt: skip
+LEE_DEFAULTS = {
+    "J_x": 16.571710e-6, "J_y": 16.655602e-6, "J_z": 29.261652e-6, "Kpos_Px": 7.0, "Kpos_Py": 7.0, "Kpos_Pz": 7.0,
+    "Kpos_P_limit": 100.0, "Kpos_Dx": 4.0, "Kpos_Dy": 4.0, "Kpos_Dz": 4.0, "Kpos_D_limit": 100.0, "Kpos_I_limit": 2.0,
+    "KR_x": 0.007, "KR_y": 0.007, "KR_z": 0.008, "Kw_x": 0.00115, "Kw_y": 0.00115, "Kw_z": 0.002, "KI_x": 0.03,
+    "KI_y": 0.03, "KI_z": 0.03,
+}  # fmt: skip
+SCALARS: dict[str, float] = {
+    "vbat": 4.2, "vbat_low": 4.2, "ext_pos_std": 0.01, "ext_quat_std": 4.5e-3, "noise_xy": 0.5, "noise_z": 1.0,
+    "noise_gyro": 0.1, "max_pos": 100.0, "max_vel": 10.0, "locked_thrust": 1, "rate_roll_mode": 1,
+    "rate_pitch_mode": 1, "rate_yaw_mode": 0, "preflight_timeout": 30000, "landed_timeout": 3000,
+    "spinup_timeout": 2000, "tumble_check": 1, "controller": PID, "modes": -1, "x_vel_max": 1.0, "y_vel_max": 1.0,
+    "z_vel_max": 1.0, "roll_limit": 20.0, "pitch_limit": 20.0, "thrust_base": 36000.0, "thrust_minimum": 20000.0,
+    "stopping_at": -10000, "az": 1.0, "qw": 1.0, "acz": 0.0,
+}  # fmt: skip
+
+
+def fleet(n: int, platform: Platform) -> Fleet:
+    """The records of n drones of this platform, as they are after power-on."""
+    rows = np.zeros(n, drone_fields)
+    firmware = platform.firmware
+    gains = BRUSHLESS if firmware.needs_arming else CRAZYFLIE
+    for name, row in gains.items():
+        pid = rows[f"{name}_pid"]
+        pid["kp"], pid["ki"], pid["kd"], pid["i_limit"] = row
+        pid["previous"] = math.nan
+    rows["vz_pid"]["limit"] = 32.767  # half of 65535, by the scale of 1000
+    for defaults, part in ((MELLINGER_DEFAULTS, "mellinger"), (LEE_DEFAULTS, "lee")):
+        for name, value in defaults.items():
+            rows[part][name] = value
+        rows[part]["mass"] = firmware.mass
+    for name, value in SCALARS.items():
+        rows[name] = value
+    if firmware.needs_arming:
+        rows["thrust_base"] = 30000.0
+    rows["auto_arm"] = not firmware.needs_arming
+    rows["thrust_max"], rows["thrust_min"] = firmware.thrust_max, firmware.thrust_min
+    rows["arm"], rows["torque_ratio"] = math.sqrt(0.5) * firmware.arm, firmware.thrust_to_torque
+    rows["c0"], rows["c1"], rows["c2"], rows["c3"] = platform.rotor.voltage
+    rows["planner"]["slot"], rows["planner"]["timescale"] = -1, 1.0
+    rows["planner"]["take_off_speed"] = rows["planner"]["landing_speed"] = 0.5
+    rows["volts"] = 2.5
+    rows["wanted"]["qw"] = rows["level"]["qw"] = 1.0
+    return rows
+

@@ -1,0 +1,166 @@
+"""Whole flights, recorded: the same flight, all of it, and readable whatever ends it."""
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from ros2_decoders import by_mcap_ros2, by_rosbags
+from system.agents import BRISK
+from system.commands import call, fly, run
+
+from crazychoir.bus.topics import OBSERVABLE
+from crazychoir.recording.figures import flight_of
+from crazychoir.recording.reading import read
+from crazychoir.swarm.config import SwarmConfig
+
+pytestmark = pytest.mark.system
+MISSION = "bearing_formation"
+STAY = """
+import numpy as np
+
+from crazychoir import Acceleration, CFDistributedFeedback
+
+
+class Stay(CFDistributedFeedback):
+    duration = 2.0
+
+    def step(self, me, heard):
+        return Acceleration(np.zeros(3))
+
+
+def guidance(i, config):
+    return Stay()
+"""
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    """A flight in virtual time with lost messages: its file, and what the run says."""
+    path = tmp_path_factory.mktemp("recorded") / "flight.mcap"
+    return path, run(MISSION, "--fast", "--loss", 0.2, "--seed", 3, "--record", path)
+
+
+def test_a_recorded_flight_is_the_same_flight(recorded):
+    _, result = recorded
+    plain = run(MISSION, "--fast", "--loss", 0.2, "--seed", 3)
+    assert result["digest"] == plain["digest"]
+    assert (result["messages"], result["flown_m"]) == (plain["messages"], plain["flown_m"])
+    assert plain["recording"] is None
+
+
+def test_others_read_every_message(recorded):
+    path, result = recorded
+    found = by_mcap_ros2(path)
+    assert result["recording"] == {"file": str(path), "messages": len(found), "lost": 0, "error": ""}
+    assert str(found) == str(by_rosbags(path))
+    times = {name: [t for topic, _, t, _ in found if topic == name] for name in {topic for topic, *_ in found}}
+    said = {name for name in OBSERVABLE if name != "log"} | {"round"}
+    assert set(times) >= {f"/drone{i}/{name}" for i in range(4) for name in said}
+    for i in range(4):
+        assert len(times[f"/drone{i}/pose"]) == pytest.approx(100 * result["simulated_s"], rel=0.01)
+        assert len(times[f"/drone{i}/truth"]) == pytest.approx(20 * result["simulated_s"], rel=0.01)
+    (told,) = [fields for name, *_, fields in found if name == "/drone2/result"]
+    assert json.loads(told["json"]) == result["results"]["2"]
+
+
+def test_the_figures_are_those_of_the_run(recorded):
+    path, result = recorded
+    recording = read(path, ("truth", "state", "reference"))
+    assert (recording.about["mission"], recording.about["seed"], recording.about["time"]) == (MISSION, "3", "virtual")
+    config = SwarmConfig.loads(recording.swarm)
+    assert (config.seed, config.network.loss) == (3, 0.2)
+    figures = flight_of(recording).figures()
+    assert figures["min_separation_m"] == pytest.approx(result["min_separation_m"], abs=0.005)
+    for i, length in result["flown_m"].items():
+        assert figures["drones"][int(i)]["flown_m"] == pytest.approx(length, abs=1e-3)
+
+
+def test_plot_says_and_draws(recorded, tmp_path):
+    path, _ = recorded
+    said = call("crazychoir", "plot", path, "--out", tmp_path / "made", "--json")
+    assert said.code == 0, said.err
+    assert said.json["complete"]
+    assert said.json["about"]["mission"] == MISSION
+    assert all(Path(file).stat().st_size for file in said.json["files"])
+    assert len(list((tmp_path / "made").iterdir())) == len(said.json["files"]) == 14
+    table = call("crazychoir", "plot", path, "--out", tmp_path / "made", COLUMNS="80")
+    assert table.code == 0
+    assert table.out == ""
+    for word in ("RMSE", "truth against the reference", f"{said.json['min_separation_m']:.3f} m", "made"):
+        assert word in table.err
+
+
+def test_what_cannot_be_recorded_is_said_before_anybody_flies(tmp_path):
+    taken = tmp_path / "taken.mcap"
+    taken.write_text("old")
+    wrong = ((taken, "one already"), (tmp_path / "a.bag", "ends in .mcap"), ("/proc/a.mcap", "that can be made"))
+    for world, (path, words) in zip(((), ("--fast",), ()), wrong, strict=True):
+        call("crazychoir", "run", MISSION, "--record", path, *world, seconds=20).refuses("--record", words)
+    assert taken.read_text() == "old"
+
+
+def test_what_cannot_be_plotted_is_said(tmp_path, recorded):
+    other = tmp_path / "other.mcap"
+    other.write_text("not MCAP")
+    call("crazychoir", "plot", other).refuses("other.mcap", "an MCAP file")
+    call("crazychoir", "plot", tmp_path / "none.mcap").refuses("none.mcap", "No such file")
+    call("crazychoir", "plot", recorded[0], "--out", other).refuses("--out", "File exists")
+
+
+@pytest.mark.real_time
+def test_killed_all_but_the_last_second_can_be_read(tmp_path):
+    path = tmp_path / "a.mcap"
+    command = [sys.executable, str(Path(__file__).with_name("recording_process.py")), str(path)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        while int(process.stdout.readline()) < 250:
+            pass
+        process.send_signal(signal.SIGKILL)
+        rest = process.stdout.read().split()
+    published = int(rest[-1]) if rest else 250
+    recording = read(path, ("state",))
+    numbers = recording.of(0, "state").numbers[:, 0]
+    assert not recording.complete
+    assert numbers.tolist() == list(range(len(numbers)))
+    assert len(numbers) > published - 100, "100 states a second"
+
+
+@pytest.mark.real_time
+def test_a_cut_off_recording_is_plotted_with_a_warning(recorded, tmp_path):
+    content = recorded[0].read_bytes()
+    path = tmp_path / "cut.mcap"
+    path.write_bytes(content[: len(content) // 2])
+    said = call("crazychoir", "plot", path, "--json")
+    assert said.code == 0, said.err
+    assert not said.json["complete"]
+    assert "was cut off" in said.err
+    assert 5.0 < said.json["seconds"] < 25.0
+    assert (tmp_path / "cut" / "top.png").exists()
+
+
+@pytest.mark.real_time
+def test_a_flight_in_real_time(tmp_path, compiled):
+    """Two processes over Zenoh: every topic at its full rate, by the wall clock."""
+    (tmp_path / "stay.py").write_text(STAY)
+    config = SwarmConfig.of({
+        "name": "recorded", "mission": str(tmp_path / "stay.py"), "graph": "ring", "flight": BRISK,
+        "drones": [{"id": i, "home": [i % 2, i // 2, 0.0]} for i in range(4)], "processes": [[0, 1], [2, 3]],
+    })  # fmt: skip
+    path, before = tmp_path / "a.mcap", time.time()
+    result = fly(config, tmp_path, "--record", path)
+    assert result["success"], result
+    assert result["recording"]["messages"] > 0, result
+    recording = read(path, ("pose", "state", "command", "truth", "result"))
+    assert recording.complete
+    first, last = recording.seconds
+    assert before - 5.0 < first < last < time.time() + 5.0
+    for i in range(4):
+        for topic, rate in (("pose", 100.0), ("state", 100.0), ("command", 100.0), ("truth", 20.0)):
+            came = recording.of(i, topic).came
+            assert len(came) / (came[-1] - came[0]) > 0.8 * rate, (i, topic)
+            assert np.all(np.diff(came) >= 0.0)
+        assert len(recording.of(i, "result")) == 1

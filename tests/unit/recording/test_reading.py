@@ -1,0 +1,133 @@
+"""Files that are no recording, are cut off or spoilt."""
+
+import pytest
+from mcap.writer import Writer
+
+from crazychoir.errors import ConfigError
+from crazychoir.recording.file import Entry, RecordingFile, Series
+from crazychoir.recording.messages import MESSAGES, packer
+from crazychoir.recording.reading import read
+from crazychoir.types import State
+
+CHUNKS, EACH = 5, 20
+
+
+@pytest.fixture(scope="module")
+def content(tmp_path_factory):
+    """The bytes of a recording of CHUNKS chunks, with EACH states of drone 4, numbered in x."""
+    path = tmp_path_factory.mktemp("recording") / "a.mcap"
+    file, series = RecordingFile(path, {"version": "1"}, "{}", False), Series(4, "state", MESSAGES[State])
+    pack = packer(series.message, 4)
+    for chunk in range(CHUNKS):
+        numbers = range(chunk * EACH, (chunk + 1) * EACH)
+        file.write([Entry(series, k, k, pack(State.at((k, 0, 0)), k)) for k in numbers])
+    file.close()
+    return path.read_bytes()
+
+
+def found(path, content):
+    path.write_bytes(content)
+    recording = read(path, ("state",))
+    return recording.of(4, "state").numbers[:, 0].tolist(), recording.complete
+
+
+def test_whole(tmp_path, content):
+    assert found(tmp_path / "a.mcap", content) == (list(range(CHUNKS * EACH)), True)
+
+
+def test_cut_off_anywhere_every_whole_chunk_is_there(tmp_path, content):
+    seen = []
+    for end in range(len(content) - 1, 0, -97):
+        try:
+            numbers, complete = found(tmp_path / "a.mcap", content[:end])
+        except ConfigError:
+            numbers, complete = [], False
+        assert numbers == list(range(len(numbers)))
+        assert len(numbers) % EACH == 0
+        assert not complete or end > len(content) - 9
+        seen.append(len(numbers))
+    assert seen == sorted(seen, reverse=True)
+    assert set(seen) == {EACH * k for k in range(CHUNKS + 1)}
+
+
+def chunk(content, k):
+    """Where the data of a chunk begins: at the magic number of zstd."""
+    return [at for at in range(len(content)) if content[at : at + 4] == b"\x28\xb5\x2f\xfd"][k]
+
+
+def test_what_a_power_cut_leaves(tmp_path, content):
+    """Blocks that were never written are zeros; what lies before them counts."""
+    half = found(tmp_path / "a.mcap", content[: len(content) // 2] + bytes(1000))
+    assert half in [(list(range(EACH * k)), False) for k in range(1, CHUNKS)]
+    hole = chunk(content, 2) - 49 - len("zstd")  # the record's opcode
+    assert content[hole] == 6
+    beyond = content[:hole] + bytes(9 * 11) + content[hole:]
+    assert found(tmp_path / "a.mcap", beyond) == (list(range(2 * EACH)), False)
+
+
+def test_a_spoilt_chunk_ends_it(tmp_path, content):
+    third = chunk(content, 2)
+    for at in range(third, third + 200, 3):
+        spoilt = bytearray(content)
+        spoilt[at] ^= 0x10
+        assert found(tmp_path / "a.mcap", bytes(spoilt)) == (list(range(2 * EACH)), False)
+
+
+def test_spoilt_anywhere_it_is_read_or_refused(tmp_path, content):
+    for at in range(8, len(content), 37):
+        spoilt = bytearray(content)
+        spoilt[at] ^= 0xFF
+        try:
+            numbers, _ = found(tmp_path / "a.mcap", bytes(spoilt))
+        except ConfigError:
+            continue
+        assert numbers == list(range(len(numbers)))
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (b"", "an empty file"),
+        (b"\x89PNG\r\n\x1a\n picture", "begins with"),
+        (b"\x89MCAP0\r\n", "another program"),
+        (b"\x89MCAP0\r\n" + bytes(99), "another program"),
+    ],
+)
+def test_no_recording(tmp_path, content, words):
+    path = tmp_path / "a.mcap"
+    path.write_bytes(content)
+    with pytest.raises(ConfigError, match=rf"a\.mcap.*{words}.*--record"):
+        read(path, ("state",))
+
+
+def test_the_recording_of_another_program(tmp_path):
+    path = tmp_path / "a.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        channel = writer.register_channel("/chatter", "json", writer.register_schema("any", "jsonschema", b"{}"))
+        writer.add_message(channel, 1, b"{}", 1)
+        writer.finish()
+    with pytest.raises(ConfigError, match="of another program; allowed: one of crazychoir"):
+        read(path, ("state",))
+
+
+def test_nothing_of_these_topics(tmp_path, content):
+    path = tmp_path / "a.mcap"
+    path.write_bytes(content)
+    with pytest.raises(ConfigError, match="no truth and no pose"):
+        read(path, ("truth", "pose"))
+
+
+def test_a_recording_of_another_version_is_not_misread(tmp_path, monkeypatch, content):
+    path = tmp_path / "a.mcap"
+    path.write_bytes(content)
+    monkeypatch.setitem(MESSAGES, State, MESSAGES[dict])
+    with pytest.raises(ConfigError, match=r"another nav_msgs/msg/Odometry for state.*version"):
+        read(path, ("state",))
+
+
+def test_no_file_and_a_folder(tmp_path):
+    for path, words in ((tmp_path / "none.mcap", "No such file"), (tmp_path, "Is a directory")):
+        with pytest.raises(ConfigError, match=words):
+            read(path, ("state",))

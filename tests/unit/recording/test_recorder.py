@@ -1,0 +1,192 @@
+"""The recorder: all that drones say, exactly; nothing that goes wrong in it reaches them."""
+
+import asyncio
+import logging
+import time
+
+import numpy as np
+import pytest
+from ros2_decoders import by_mcap_ros2, by_rosbags
+from virtual_time import virtual
+
+from crazychoir.bus.codec import encode
+from crazychoir.bus.local import OBSERVER, Bus
+from crazychoir.bus.topics import BODY, COMMAND, LOG, OBSERVABLE, POSE, REFERENCE, RESULT, ROUND, STATE, STATUS, TRUTH
+from crazychoir.recording import recorder as module
+from crazychoir.recording.file import RecordingFile
+from crazychoir.recording.recorder import Recorder
+from crazychoir.runtime.clock import run_virtual, run_wall
+from crazychoir.runtime.supervisor import Supervisor
+from crazychoir.types import FPQR, Body, FullState, Pose, State, Status, Vel
+
+ABOUT = {"version": "1.2"}
+
+
+def recorded(path, work, observer=None, run=run_virtual):
+    """What the recorder says after `work(clock, bus)` with drones 0 and 1."""
+
+    async def main(clock):
+        bus = Bus(clock)
+        for address in (0, 1, *([] if observer is None else [observer])):
+            bus.port(address)
+        bus.tap = lambda *message: None
+        recorder = Recorder(bus, (0, 1), RecordingFile(path, ABOUT, "{}", False), observer)
+        supervisor = Supervisor(clock, "test")
+        running = asyncio.create_task(supervisor.run([recorder]))
+        await clock.sleep(0.1)
+        await work(clock, bus)
+        supervisor.stop()
+        await running
+        return recorder.result()
+
+    return run(main)
+
+
+VALUES = {
+    POSE: Pose(np.arange(7.0), 0.25), STATE: State.at((1, 2, 3), (4, 5, 6)), REFERENCE: FullState(np.arange(14.0)),
+    COMMAND: FPQR(np.arange(4.0)), TRUTH: State.at((7, 8, 9)), STATUS: Status("hovering", suspect=[1], cost=0.5),
+    RESULT: {"success": True, "place": np.ones(3)}, LOG: "drone 1: a line",
+    BODY: Body(["fpqr"]),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("observer", [None, OBSERVER + 5])
+def test_every_observable_topic_arrives_as_it_was_sent(tmp_path, observer):
+    async def work(clock, bus):
+        for topic, value in VALUES.items():
+            bus.ports[1].publish(topic, value, 0.25)
+        await clock.sleep(0.5)
+
+    assert [topic.name for topic in VALUES] == list(OBSERVABLE)
+    path = tmp_path / "a.mcap"
+    assert recorded(path, work, observer) == {"file": str(path), "messages": 9, "lost": 0, "error": ""}
+    found = by_mcap_ros2(path)
+    assert found == by_rosbags(path)
+    assert [name for name, *_ in found] == [f"/drone1/{topic.name}" for topic in VALUES]
+    assert all(came == 100_000_000 for _, _, came, _ in found)
+    by_topic = {name.split("/")[-1]: fields for name, _, _, fields in found}
+    assert by_topic["pose"]["header"]["stamp"] == {"sec": 0, "nanosec": 0}, "older than the clock"
+    assert by_topic["pose"]["pose"]["orientation"] == {"x": 3.0, "y": 4.0, "z": 5.0, "w": 6.0}
+    assert by_topic["state"]["twist"]["twist"]["linear"] == {"x": 4.0, "y": 5.0, "z": 6.0}
+    assert by_topic["command"]["rates"] == {"x": 1.0, "y": 2.0, "z": 3.0}
+    assert by_topic["status"]["suspect"] == [1]
+    assert by_topic["result"]["json"] == '{"success": true, "place": [1.0, 1.0, 1.0]}'
+    assert by_topic["log"] == {"data": "drone 1: a line"}
+    assert by_topic["body"]["harm"] == "crashed"
+
+
+def test_ages_make_times_of_birth(tmp_path):
+    async def work(clock, bus):
+        await clock.sleep(1.0)
+        bus.ports[0].publish(POSE, VALUES[POSE], 0.25)
+
+    path = tmp_path / "a.mcap"
+    recorded(path, work)
+    ((name, kind, came, fields),) = by_rosbags(path)
+    assert (name, kind, came) == ("/drone0/pose", "geometry_msgs/msg/PoseStamped", 1_100_000_000)
+    assert fields["header"]["stamp"] == {"sec": 0, "nanosec": 850_000_000}
+
+
+def test_each_type_of_a_topic_has_messages_of_its_own(tmp_path):
+    async def work(clock, bus):
+        for value in (VALUES[COMMAND], Vel(np.arange(4.0)), VALUES[COMMAND], FullState(np.arange(14.0)), 7):
+            bus.ports[0].publish(COMMAND, value)
+
+    path = tmp_path / "a.mcap"
+    assert recorded(path, work)["lost"] == 0
+    found = by_mcap_ros2(path)
+    assert found == by_rosbags(path)
+    names = ["command", "command/vel", "command", "command/fullstate", "command/int"]
+    assert [name for name, *_ in found] == [f"/drone0/{name}" for name in names]
+    assert [kind.split("/")[-1] for _, kind, *_ in found] == ["FPQR", "Vel", "FPQR", "FullState", "Value"]
+    assert found[4][3]["json"] == "7", "whatever it is, as JSON"
+
+
+def test_rounds_are_recorded_under_their_sender(tmp_path):
+    async def work(clock, bus):
+        bus.ports[0].send(ROUND, (1,), encode([1, 2]), 5, "sum", 8)
+
+    path = tmp_path / "a.mcap"
+    recorded(path, work)
+    ((name, _, _, fields),) = by_mcap_ros2(path)
+    assert name == "/drone0/round"
+    del fields["header"]
+    assert fields == {"to": 1, "round": 5, "epoch": 1, "kind": "data", "channel": "sum", "json": "[1, 2]"}
+
+
+@virtual
+async def test_no_message_between_drones_is_numbered_otherwise(clock):
+    """Numbers decide what the simulated network loses: a reader elsewhere must not count."""
+    bus = Bus(clock)
+    one, other = bus.port(0), bus.port(1)
+    seen = []
+    bus.tap = lambda *message: seen.append(message)
+
+    class File:
+        error = ""
+
+    Recorder(bus, (0, 1), File())
+    one.publish(STATE, State.at((0, 0, 0)))
+    assert seen == []
+    bus.subscribe(STATE, 0, 1, module.Call(clock, lambda value, age: None))
+    one.publish(STATE, State.at((0, 0, 0)))
+    assert [message[3] for message in seen] == [1]
+    assert (one.counters.sent, other.counters.received) == (1, 1)
+
+
+def test_what_cannot_be_written_hurts_nobody(tmp_path, caplog):
+    async def work(clock, bus):
+        port = bus.ports[0]
+        port.publish(STATUS, Status("x", round=1 << 70))
+        port.publish(STATE, State(np.zeros(2)))
+        port.deliver(ROUND.number, 1, b"\xff\xff", 0, "sum", 0, 0.0)
+        port.publish(STATE, State.at((0, 0, 0)), float("inf"))
+        port.publish(LOG, "fine")
+
+    result = recorded(tmp_path / "a.mcap", work)
+    assert (result["messages"], result["lost"]) == (1, 4)
+    assert len(caplog.records) == 1
+    assert "status of drone 0" in caplog.text
+
+
+def test_a_full_disk_ends_the_recording_not_the_flight(tmp_path, monkeypatch, caplog):
+    async def work(clock, bus):
+        bus.ports[0].publish(LOG, "one")
+        await clock.sleep(1.0)
+        monkeypatch.setattr(RecordingFile, "_put", lambda self, sync: setattr(self, "error", "No space left"))
+        for _ in range(3):
+            bus.ports[0].publish(LOG, "two")
+            await clock.sleep(1.0)
+
+    result = recorded(tmp_path / "a.mcap", work)
+    assert (result["messages"], result["error"]) == (1, "No space left")
+    assert [record.levelno for record in caplog.records] == [logging.WARNING]
+    assert "the flight goes on" in caplog.text
+
+
+@pytest.mark.real_time
+def test_a_disk_that_hangs_holds_nobody_up(tmp_path, monkeypatch):
+    """Real time: what comes while the disk hangs waits for it, up to a limit."""
+    monkeypatch.setattr(module, "MOST_WAITING", 1000)
+    write, hung = RecordingFile.write, []
+
+    def slow(self, entries):
+        if not hung:
+            hung.append(True)
+            time.sleep(0.7)
+        write(self, entries)
+
+    monkeypatch.setattr(RecordingFile, "write", slow)
+    late = []
+
+    async def work(clock, bus):
+        async for due_ns in clock.ticks(100.0):
+            late.append((clock.now_ns() - due_ns) / 1e9)
+            bus.ports[0].publish(POSE, VALUES[POSE])
+            if len(late) == 90:
+                break
+
+    result = recorded(tmp_path / "a.mcap", work, run=run_wall)
+    assert max(late) < 0.3
+    assert result["messages"] + result["lost"] == 90
+    assert 0 < result["lost"] < 90

@@ -1,0 +1,271 @@
+"""The planner on board against 32-bit and 64-bit evaluations of the same polynomials written here."""
+
+import math
+
+import numpy as np
+import pytest
+
+from crazychoir.errors import ConfigError
+from crazychoir.platforms import CRAZYFLIE_21
+from crazychoir.simulation.onboard import loop
+from crazychoir.simulation.onboard.onboard import Onboard
+
+F = np.float32
+PLACE = (0.4, -0.3, 0.0)
+
+
+@pytest.fixture
+def onboard():
+    drone = Onboard(CRAZYFLIE_21)
+    drone.place(PLACE, 0.5)
+    run(drone, 200)
+    return drone
+
+
+def run(onboard, ms):
+    """The drone stands held at its place; only the planner moves."""
+    p, q = np.array(PLACE), np.array([0, 0, math.sin(0.25), math.cos(0.25)])
+    for _ in range(ms // 10):
+        onboard.external_pose(p, q)
+        loop.run(onboard.rows, 10.0, 0.0, 0.0, 0.0, 0.0, 0.0, 9.80665)
+
+
+def target(onboard, *names):
+    names = names or ("x", "y", "z")
+    return np.array([float(onboard.record["wanted"][name]) for name in names])
+
+
+def samples(onboard, ms):
+    """[(t of the planner, p, v, a, yaw)] of each 10 ms."""
+    out, begin = [], float(onboard.record["planner"]["begin"])
+    for _ in range(ms // 10):
+        run(onboard, 10)
+        t = float(F(onboard.record["tick"] // 10 * 10 - 10 + (10 if onboard.record["tick"] % 10 else 0)) * F(1e-3))
+        row = target(onboard, "x", "y", "z", "vx", "vy", "vz", "ax", "ay", "az", "yaw")
+        out.append((t - begin, row[0:3], row[3:6], row[6:9], math.radians(row[9])))
+    return out
+
+
+def rest_to_rest(d, t, duration, kind):
+    """35 s^4 - 84 s^5 + 70 s^6 - 20 s^7 as the coefficients of the firmware, evaluated in `kind`."""
+    c = [0, 0, 0, 0, 35 * d / duration**4, -84 * d / duration**5, 70 * d / duration**6, -20 * d / duration**7]
+    value = kind(0)
+    for a in c[::-1]:
+        value = value * kind(t) + kind(a)
+    return float(value)
+
+
+def test_a_take_off_is_the_polynomial_in_32_and_64_bits(onboard):
+    assert onboard.take_off(1.2, 2.5) == 0
+    for t, p, _, _, yaw in samples(onboard, 2490):
+        assert p[:2] == pytest.approx(PLACE[:2], abs=1e-6)
+        assert p[2] == pytest.approx(rest_to_rest(1.2, t, 2.5, F), abs=1e-6)
+        assert p[2] == pytest.approx(rest_to_rest(1.2, t, 2.5, float), abs=2e-4)
+        assert yaw == pytest.approx(0.5, abs=1e-6)
+    run(onboard, 100)
+    assert target(onboard)[2] == pytest.approx(1.2, abs=1e-5)
+    assert target(onboard, "vz", "az") == pytest.approx([0, 0])
+
+
+def test_after_ten_minutes_the_clock_of_32_bits_shows(onboard):
+    onboard.record["tick"] += 600_000
+    onboard.record["since"] += 600_000
+    onboard.take_off(1.2, 2.5)
+    begin = onboard.record["tick"]
+    worst = 0.0
+    for k in range(240):
+        run(onboard, 10)
+        t = (onboard.record["tick"] - 10 - begin) * 1e-3
+        worst = max(worst, abs(target(onboard)[2] - rest_to_rest(1.2, t, 2.5, float)))
+        assert k < 240
+    assert 1e-7 < worst < 2e-4
+
+
+def test_velocity_and_acceleration_are_the_derivatives(onboard):
+    onboard.take_off(1.0, 2.0)
+    rows = samples(onboard, 1500)
+    z, v, a = (np.array([row[k][2] for row in rows]) for k in (1, 2, 3))
+    assert np.gradient(z, 0.01)[1:-1] == pytest.approx(v[1:-1], abs=2e-3)
+    assert np.gradient(v, 0.01)[1:-1] == pytest.approx(a[1:-1], abs=2e-2)
+
+
+def test_refusals_of_take_off_and_landing(onboard):
+    assert onboard.land(0.0, 2.0) == 1
+    assert onboard.take_off(1.0, 2.0) == 0
+    assert onboard.take_off(1.0, 2.0) == 1
+    run(onboard, 2100)
+    assert onboard.take_off(1.0, 2.0) == 1
+    assert onboard.land(0.0, 2.0) == 0
+    assert onboard.land(0.0, 2.0) == 1
+    run(onboard, 2100)
+    assert onboard.record["planner"]["state"] == 0
+    assert target(onboard, "mode_z", "thrust") == pytest.approx([0, 0])
+    assert onboard.take_off(1.0, 2.0) == 0
+
+
+def test_speeds_of_take_off_and_landing_are_parameters(onboard):
+    onboard.set("hlCommander.vtoff", 0.25)
+    onboard.take_off(1.0)
+    assert onboard.record["planner"]["piece"][32] == pytest.approx(4.0, abs=1e-4)
+
+
+def risen(onboard):
+    onboard.take_off(1.0, 1.0)
+    run(onboard, 1100)
+    return onboard
+
+
+def test_go_to_goes_on_smoothly_from_a_moving_set_point(onboard):
+    risen(onboard).go_to((1.4, -0.3, 1.0), 0.5, 2.0)
+    run(onboard, 1000)
+    before = target(onboard, "x", "vx", "ax")
+    onboard.go_to((0.4, 0.7, 1.5), 0.5, 2.0)
+    run(onboard, 10)
+    after = target(onboard, "x", "vx", "ax")
+    assert after == pytest.approx(before + np.array([0.01 * before[1], 0.01 * before[2], 0]), abs=0.08)
+    run(onboard, 2100)
+    assert target(onboard) == pytest.approx([0.4, 0.7, 1.5], abs=1e-4)
+
+
+def test_a_relative_go_to_adds_place_and_heading(onboard):
+    risen(onboard).go_to((0.1, 0.2, 0.3), 0.4, 1.0, relative=True)
+    run(onboard, 1100)
+    assert target(onboard) == pytest.approx([0.5, -0.1, 1.3], abs=1e-4)
+    assert math.radians(target(onboard, "yaw")[0]) == pytest.approx(0.9, abs=1e-4)
+
+
+def test_a_linear_go_to_has_one_velocity(onboard):
+    risen(onboard).go_to((1.4, -0.3, 1.0), 0.5, 2.0, linear=True)
+    for t, p, v, _, _ in samples(onboard, 1900):
+        assert v[0] == pytest.approx(0.5, abs=1e-4)
+        assert p[0] == pytest.approx(0.4 + 0.5 * t, abs=1e-4)
+
+
+def test_no_duration_is_a_jump(onboard):
+    risen(onboard).go_to((1.4, -0.3, 1.0), 0.5, 0.0)
+    run(onboard, 10)
+    assert target(onboard) == pytest.approx([1.4, -0.3, 1.0], abs=1e-5)
+
+
+@pytest.mark.parametrize(("goal", "reached"), [(-2.9, 2 * math.pi - 2.9), (-1.0, -1.0), (4.5, 4.5 - 2 * math.pi)])
+def test_yaw_turns_the_short_way(onboard, goal, reached):
+    risen(onboard).go_to((0.4, -0.3, 1.0), goal, 1.0)
+    run(onboard, 500)
+    assert math.radians(target(onboard, "yaw")[0]) == pytest.approx((0.5 + reached) / 2, abs=0.1)
+
+
+def test_stop_cuts_the_motors(onboard):
+    risen(onboard).stop()
+    run(onboard, 20)
+    assert np.all(onboard.record["motors"] == 0.0)
+
+
+def pieces(*rows):
+    """Piece rows of {axis: coefficients} and durations."""
+    out = np.zeros((len(rows), 33))
+    for row, (axes, duration) in zip(out, rows, strict=True):
+        for axis, c in axes.items():
+            row[8 * axis : 8 * axis + len(c)] = c
+        row[32] = duration
+    return out
+
+
+RAMP = pieces(({0: [1.0, 0.5], 2: [1.0], 3: [0.1]}, 1.0), ({0: [1.5, 0.5, 0.2], 2: [1.0], 3: [0.1, 0.3]}, 2.0))
+
+
+def test_a_trajectory_runs_through_its_pieces_and_holds_its_end(onboard):
+    onboard.upload(3, RAMP)
+    assert risen(onboard).start_trajectory(3) == 0
+    for t, p, v, a, yaw in samples(onboard, 2900):
+        u = t - 1.0
+        assert p[0] == pytest.approx(1 + 0.5 * t + (0.2 * u * u if u > 0 else 0), abs=1e-5)
+        assert v[0] == pytest.approx(0.5 + (0.4 * u if u > 0 else 0), abs=1e-4)
+        if abs(u) > 1e-3:  # between the pieces
+            assert a[0] == pytest.approx(0.4 if u > 0 else 0, abs=1e-4)
+        assert yaw == pytest.approx(0.1 + (0.3 * u if u > 0 else 0), abs=1e-5)
+    run(onboard, 500)
+    assert target(onboard, "x", "vx", "ax") == pytest.approx([3.3, 0, 0], abs=1e-5)
+
+
+def test_a_time_scale_slows_and_a_reversed_one_returns(onboard):
+    onboard.upload(0, RAMP)
+    risen(onboard).start_trajectory(0, timescale=2.0)
+    for t, p, v, a, _ in samples(onboard, 5900):
+        s = t / 2
+        u = max(s - 1.0, 0.0)
+        assert p[0] == pytest.approx(1 + 0.5 * s + 0.2 * u * u, abs=1e-5)
+        assert v[0] == pytest.approx((0.5 + 0.4 * u) / 2, abs=1e-4)
+        if abs(s - 1.0) > 1e-3:  # between the pieces
+            assert a[0] == pytest.approx(0.4 / 4 if u > 0 else 0, abs=1e-4)
+    onboard.start_trajectory(0, reverse=True)
+    for t, p, v, _, _ in samples(onboard, 2900):
+        s = 3.0 - t
+        u = max(s - 1.0, 0.0)
+        assert p[0] == pytest.approx(1 + 0.5 * s + 0.2 * u * u, abs=1e-5)
+        assert v[0] == pytest.approx(-(0.5 + 0.4 * u), abs=1e-4)
+
+
+def test_a_relative_trajectory_starts_here_and_turns_with_the_heading(onboard):
+    onboard.upload(0, RAMP)
+    risen(onboard).start_trajectory(0, relative=True)
+    run(onboard, 1010)
+    assert target(onboard) == pytest.approx([0.9, -0.3, 1.0], abs=1e-4)
+    assert math.radians(target(onboard, "yaw")[0]) == pytest.approx(0.1, abs=1e-5)
+    onboard.go_to((0.4, -0.3, 1.0), 0.5, 0.0)
+    run(onboard, 10)
+    onboard.start_trajectory(0, relative=True, relative_yaw=True)
+    run(onboard, 1010)
+    step = 0.5 * np.array([math.cos(0.4), math.sin(0.4)])
+    assert target(onboard)[:2] == pytest.approx(np.array([0.4, -0.3]) + step, abs=1e-4)
+    assert math.radians(target(onboard, "yaw")[0]) == pytest.approx(0.5, abs=1e-5)
+
+
+def test_slots_memory_and_their_codes(onboard):
+    assert onboard.start_trajectory(5) == 8
+    onboard.upload(0, RAMP)
+    onboard.upload(1, RAMP)
+    assert onboard.record["planner"]["offset"][1] == 66
+    assert onboard.start_trajectory(1, timescale=0.0) == 8
+    onboard.memory[0:132] = np.frombuffer(RAMP[1].astype(np.float32).tobytes(), np.uint8)
+    assert onboard.define_trajectory(30, 0, 1) == 0
+    assert onboard.start_trajectory(30) == 0
+    run(onboard, 20)
+    assert target(onboard)[0] == pytest.approx(1.505, abs=0.01)
+    wrong = ((31, 0, 1), (0, 2, 1), (0, 0, 32), (0, 4000, 1), (0, 0, 0))
+    assert [onboard.define_trajectory(*bad) for bad in wrong] == [8] * 5
+
+
+@pytest.mark.parametrize(
+    ("slot", "rows", "words"),
+    [
+        (31, RAMP, "trajectory: slot: found 31; allowed: 0 to 30"),
+        (0, np.zeros((2, 32)), r"trajectory 0: shape: found \(2, 32\)"),
+        (0, np.zeros((0, 33)), "shape"),
+        (0, np.zeros((1, 33)), "durations above 0 s"),
+        (0, np.tile(RAMP, (16, 1)), "32 pieces; allowed: at most 31 in all slots, 31 are free"),
+    ],
+)
+def test_a_wrong_upload_says_what_is_allowed(onboard, slot, rows, words):
+    with pytest.raises(ConfigError, match=words):
+        onboard.upload(slot, rows)
+
+
+def test_31_pieces_fit(onboard):
+    onboard.upload(0, np.tile(RAMP[0], (31, 1)))
+    assert risen(onboard).start_trajectory(0) == 0
+
+
+@pytest.mark.parametrize(("clockwise", "side"), [(False, 1.0), (True, -1.0)])
+def test_a_spiral_ends_on_its_radius_at_its_angle(onboard, clockwise, side):
+    risen(onboard)
+    assert onboard.spiral(math.pi / 2, 0.5, 0.7, 0.2, 3.0, clockwise=clockwise) == 0
+    run(onboard, 20)
+    start = target(onboard, "vx", "vy")
+    run(onboard, 3100)
+    x, y, z = target(onboard)
+    centre = np.array(PLACE[:2]) + 0.5 * side * np.array([-math.sin(0.5), math.cos(0.5)])
+    assert math.hypot(x - centre[0], y - centre[1]) == pytest.approx(0.7, abs=1e-3)
+    assert z == pytest.approx(1.2, abs=1e-4)
+    assert math.radians(target(onboard, "yaw")[0]) == pytest.approx(0.5 + side * math.pi / 2, abs=1e-4)
+    nose = np.array([math.cos(0.5), math.sin(0.5)])
+    assert start @ nose == pytest.approx(0.5 * math.pi / 2 / 3, rel=0.1)  # forward, along the circle
