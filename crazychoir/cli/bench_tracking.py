@@ -65,7 +65,8 @@ class Corner:
     @property
     def name(self) -> str:
         """In words."""
-        return f"thrust {self.thrust:+.0%}, mass {self.mass:+.0%}, trim {self.tilt[0]:+g}, {self.tilt[1]:+g} deg"
+        axis, angle = ("roll", self.tilt[0]) if self.tilt[0] else ("pitch", self.tilt[1])
+        return f"thrust {self.thrust:+.0%}, mass {self.mass:+.0%}, {axis} {angle:+g} deg"
 
 
 CORNERS = [Corner(*c) for c in product((-0.05, 0.05), (-0.03, 0.03), ((1, 0), (-1, 0), (0, 1), (0, -1)))]
