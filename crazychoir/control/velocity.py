@@ -13,7 +13,8 @@ from crazychoir.types import Command, Reference, State
 
 VELOCITY_ON_BOARD = math.radians(25.0) * GRAVITY  # 1/s, kp of the firmware's control of a velocity by a tilt
 POSITION_ON_BOARD = 2.0  # 1/s, kp of the firmware's control of a place by a velocity
-YAW_ON_BOARD, YAW_LEARNT = 6.0, 1.0  # 1/s, 1/s2, kp and ki of the firmware's control of the yaw by a rate
+YAW_ON_BOARD = 6.0  # 1/s, kp of the firmware's control of the yaw by a rate
+LEARNING = np.array([0.5, 1.0]) / (POSITION_ON_BOARD, YAW_ON_BOARD)  # 1/s, ki / kp of the height's and of the yaw's
 
 
 @kernel(vector, vector, vector, real, memory)
@@ -74,17 +75,17 @@ class VelocityController(CrazyflieController):
 class WaypointController(CrazyflieController):
     """Flies references by the planner on board: every `every` s a straight line to where the reference will be.
 
-        p_c = p_d(T) + (v_d(T) + S a_d / k_v) / k_p,   yaw_c = yaw_d(T) + (yaw_d' - w) / k_yaw
+        p_c = p_d(T) + (v_d(T) - u e3 + S a_d / k_v) / k_p,   yaw_c = yaw_d(T) + (yaw_d' - w) / k_yaw
         p_d(T) = p_d + v_d T + a_d T^2 / 2,   v_d(T) = v_d + a_d T,   yaw_d(T) = yaw_d + yaw_d' T,   T = ahead + late
-        w' = (yaw_d' - w) k_i / k_yaw
+        u' = (v_d(T)_z - u) k_i / k_p,   w' = (yaw_d' - w) k_i / k_yaw
 
     The planner is at p_c `ahead` s after the line has arrived and the next line begins before that, so its set-point
     moves along p_c, but for the corners between lines.  The firmware turns what is missing into a velocity by k_p, and
     knows no other: a drone that flies at v is v / k_p behind its set-point, which is therefore that far before the
-    reference; likewise its yaw, but that the firmware's integral learns a turn that stays: w is the rate that it has
-    learnt.  S a_d: as for VelocityCtrlStrategy.
+    reference; likewise its yaw.  The firmware's integrals of the height and of the yaw learn a climb and a turn that
+    stay: u, w is what they have learnt.  S a_d: as for VelocityCtrlStrategy.
     every, ahead: s;  late: s, of the way of the command, the planner's tick, and the drone behind its set-points;
-    k_v, k_p, k_yaw: 1/s, k_i: 1/s2, of the control on board.
+    k_v, k_p, k_yaw: 1/s, k_i: 1/s2, of the height and of the yaw: of the control on board.
     """
 
     def __init__(
@@ -94,7 +95,7 @@ class WaypointController(CrazyflieController):
         super().__init__(command_sender, traj_handler)
         self.every, self.ahead, self.late = every, ahead, late
         self._next, self._line = -math.inf, np.zeros(5)
-        self._learnt, self._asked = 0.0, math.inf
+        self._learnt, self._asked = np.zeros(2), math.inf
 
     def command(self, state: State, reference: Reference | None, now: float) -> Command | None:
         """The next line if it is time for it."""
@@ -105,22 +106,23 @@ class WaypointController(CrazyflieController):
 
     def law(self, state: State, reference: Vec, now: float) -> Vec | None:
         """Place, yaw, duration (5,)."""
-        t, a = self.ahead + self.late, reference[6:9]
-        line = np.empty(5)
-        line[0:3] = reference[0:3] + t * reference[3:6] + 0.5 * t * t * a + (reference[3:6] + t * a) / POSITION_ON_BOARD
-        line[0:2] += a[0:2] / (VELOCITY_ON_BOARD * POSITION_ON_BOARD)
-        line[3], line[4] = reference[12] + t * reference[13], self.ahead
+        t, a, rate = self.ahead + self.late, reference[6:9], float(reference[13])
+        v, line = reference[3:6] + t * a, np.empty(5)
+        line[0:3] = reference[0:3] + t * v - 0.5 * t * t * a
+        line[0:2] += (v[0:2] + a[0:2] / VELOCITY_ON_BOARD) / POSITION_ON_BOARD
+        line[3], line[4] = reference[12] + t * rate, self.ahead
         if not math.isfinite(sum(line.tolist())):
             return None
-        line[3] += self._unlearnt(float(reference[13]), now) / YAW_ON_BOARD
+        self._learn(float(v[2]), rate, now)
+        line[2] += (v[2] - self._learnt[0]) / POSITION_ON_BOARD
+        line[3] += (rate - self._learnt[1]) / YAW_ON_BOARD
         self._line = line
         return line
 
-    def _unlearnt(self, rate: float, now: float) -> float:
-        """rad/s: what the integral on board does not know yet of a rate of the yaw."""
+    def _learn(self, climb: float, turn: float, now: float) -> None:
+        """What the integrals on board know by now of a climb m/s and a rate of the yaw rad/s."""
         h, self._asked = max(now - self._asked, 0.0), now
-        self._learnt += (rate - self._learnt) * -math.expm1(-h * YAW_LEARNT / YAW_ON_BOARD)
-        return rate - self._learnt
+        self._learnt += (np.array([climb, turn]) - self._learnt) * -np.expm1(-h * LEARNING)
 
     def blind(self) -> Vec:
         """The last line again: the planner on board needs no state from here."""
