@@ -9,6 +9,7 @@ import msgspec
 import numpy as np
 
 from crazychoir.errors import ConfigError, CrazyChoirError
+from crazychoir.math3d import exponential, product, rotation
 from crazychoir.platforms import platform
 from crazychoir.simulation.air import Wind
 from crazychoir.simulation.crazyflies import CrazyflieWorld
@@ -42,11 +43,14 @@ def motors(setup: WorldSetup) -> World:
     gusts, gust_time, noise = options["gusts"], options["gust_time"], options["imu_noise"]
     wind = Wind(setup.wind, gusts, gust_time) if gusts > 0.0 or any(setup.wind) else None
     sheet = asdict(Imu())
+    roll, pitch = options["floor_tilt"]
+    normal = rotation(np.array(product(exponential(0.0, pitch, 0.0), exponential(roll, 0.0, 0.0))))[:, 2]
     bodies = [built(row, setup.mass_error, setup.thrust_error) for row in setup.platforms]
     return CrazyflieWorld(
         setup.ids, np.array(setup.homes, dtype=float), np.array(setup.yaws), setup.platforms, dt=setup.dt,
         seed=setup.seed, wind=wind, imu=Imu(**{name: noise * value for name, value in sheet.items()}),
         ground_effect=options["ground_effect"], downwash=options["downwash"], charge=options["battery"], bodies=bodies,
+        floor_normal=tuple(normal.tolist()),
     )  # fmt: skip
 
 

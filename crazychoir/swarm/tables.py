@@ -57,7 +57,7 @@ Wind = Annotated[
 ]
 Gust = Annotated[float, Meta(ge=0, le=20, description="a speed in m/s, 0 to 20", examples=[0.3])]
 Mismatch = Annotated[float, Meta(ge=-0.5, le=0.5, description="a share, -0.5 to 0.5", examples=[0.05])]
-Mounting = Annotated[
+Tilt = Annotated[
     tuple[Annotated[float, Meta(ge=-0.5, le=0.5)], Annotated[float, Meta(ge=-0.5, le=0.5)]],
     Meta(description="angles [roll, pitch] in rad, -0.5 to 0.5", examples=[[0.0175, 0.0]]),
 ]
@@ -168,7 +168,7 @@ class Mocap(Table, frozen=True, kw_only=True):
     noise_angle: Turn = 0.001
     dropout: Probability = 0.0
     latency: Seconds = 0.0
-    tilt: Mounting = (0.0, 0.0)
+    tilt: Tilt = (0.0, 0.0)
 
 
 class Plant(Table, frozen=True, kw_only=True):
@@ -188,7 +188,8 @@ class Motors(Table, frozen=True, kw_only=True):
     """[motors]: the motor-level world.
 
     wind: m/s, world;  gusts: m/s, standard deviation an axis, each lasting gust_time s;  ground_effect, downwash:
-    whether they act;  battery: charge at the start, 1 is full;  imu_noise: of the sensors, 1 is the data sheet's.
+    whether they act;  battery: charge at the start, 1 is full;  imu_noise: of the sensors, 1 is the data sheet's;
+    floor_tilt: (roll, pitch) rad, about the world's axes, of what is under each drone.
     """
 
     wind: Wind = (0.0, 0.0, 0.0)
@@ -198,6 +199,7 @@ class Motors(Table, frozen=True, kw_only=True):
     downwash: Flag = True
     battery: Share = 1.0
     imu_noise: Factor = 1.0
+    floor_tilt: Tilt = (0.0, 0.0)
 
 
 class World(Table, frozen=True, kw_only=True):
