@@ -10,7 +10,6 @@ from crazychoir.control.senders import CommunicationHandler
 from crazychoir.math3d import GRAVITY, Vec, finite, kernel, memory, real, vector, wrap
 from crazychoir.types import Command, Reference, State
 
-
 VELOCITY_ON_BOARD = math.radians(25.0) * GRAVITY  # 1/s, kp of the firmware's control of a velocity by a tilt
 POSITION_ON_BOARD = 2.0  # 1/s, kp of the firmware's control of a place by a velocity
 YAW_ON_BOARD = 6.0  # 1/s, kp of the firmware's control of the yaw by a rate

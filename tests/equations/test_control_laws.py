@@ -12,9 +12,9 @@ from crazychoir.control.attitude import ATTITUDE_ON_BOARD, AngleAttitudeCtrl
 from crazychoir.control.controller import HierarchicalController
 from crazychoir.control.gains import STANDARD
 from crazychoir.control.handlers import FullStateTraj
-from crazychoir.control.position import FlatnessPositionCtrl
+from crazychoir.control.position import FlatnessAccelerationCtrl, FlatnessPositionCtrl
 from crazychoir.control.senders import FPQRSender
-from crazychoir.control.trim import MOST_THRUST, MOST_TRIM, Trim
+from crazychoir.control.trim import DOUBT, MOST_THRUST, MOST_TRIM, Trim
 from crazychoir.control.velocity import VelocityCtrlStrategy
 from crazychoir.math3d import GRAVITY, exponential, quaternion, quaternion_of_yaw, rotation, rotation_from_flat
 from crazychoir.planning.figure import eight
@@ -31,7 +31,7 @@ H = 0.01
 def on_path(t):
     """The state that the reference at t describes, without drag."""
     ref = FIGURE.sample(t)
-    f = ref.a + [0.0, 0.0, GRAVITY]
+    f = np.array([*ref.a[:2], ref.a[2] + GRAVITY])
     q = quaternion(rotation_from_flat(f, ref.yaw))
     return State(np.array([*ref.p, *ref.v, *q, 0.0, 0.0, 0.0])), ref
 
@@ -101,6 +101,22 @@ def test_trim_is_bounded_and_learns_nothing_frozen_or_from_large_or_fast_errors(
     np.testing.assert_array_equal(trim.flat, 0.0)
     trim.learn(x, near.flat, rates, H)
     np.testing.assert_array_equal(trim.flat, [MOST_THRUST, MOST_TRIM, -MOST_TRIM])
+    np.testing.assert_array_equal(trim.sure, trim.flat)
+
+
+def test_what_may_be_noise_is_not_sure_and_an_acceleration_law_flies_what_is():
+    trim, here = Trim(), State.at((0.0, 0.0, 1.0))
+    trim.frozen = False
+    law = FlatnessAccelerationCtrl(platform=DRAGLESS, trim=trim)
+    still = np.zeros(14)
+    trim.learn(here.flat, FullState.at((0.01, 0, 1.001)).flat, np.array([4.0, 4.0]), H)
+    assert 0.0 < trim.flat[1] < DOUBT
+    np.testing.assert_array_equal(law.desired(here, still, 0.0)[7:10], [0.0, 0.0, 1.0])
+    for _ in range(30):
+        trim.learn(here.flat, FullState.at((0.01, 0, 1.001)).flat, np.array([4.0, 4.0]), H)
+    out = law.desired(here, still, H)
+    assert out[7] / out[9] == pytest.approx(trim.flat[1] / GRAVITY)
+    assert out[0] == pytest.approx((1.0 + trim.sure[0]) * PAPER.mass * GRAVITY)
 
 
 @given(headings)
