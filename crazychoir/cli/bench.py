@@ -46,11 +46,20 @@ def filters(as_json: JsonOption = False, quick: QuickOption = False) -> None:
     _show(lambda say: bench_filters.run(seeds=seeds, say=say), bench_filters.table, as_json)
 
 
+@app.command()
+def tracking(as_json: JsonOption = False, quick: QuickOption = False) -> None:
+    """How exactly a drone flies a circle and an eight: controllers alone, and the whole stack with its errors."""
+    from crazychoir.cli import bench_tracking
+
+    _show(lambda say: bench_tracking.run(quick, say), bench_tracking.table, as_json)
+
+
 @app.command(name="all")
 def everything(quick: QuickOption = False) -> None:
     """All of them, one after the other."""
     exchange(quick=quick)
     flight(quick=quick)
+    tracking(quick=quick)
     filters(quick=quick)
     latency()
 
