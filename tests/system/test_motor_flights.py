@@ -139,6 +139,30 @@ def test_the_motors_are_off_within_a_second_of_the_touch_down_and_stay_off(tilte
     assert flight.modes[-1] is Mode.GROUND
 
 
+AGAIN = [("cf21", "fpqr"), ("cf21", "xyz"), ("cf21bl", "vel"), ("cf21bl", "xyz")]
+
+
+async def again_and_again(guidance):
+    """At once, and after its firmware has gone from "landed" to "ready to fly", disarming and arming."""
+    heights = []
+    for pause in (0.1, 6.0, 0.0):
+        await guidance.take_off(0.5)
+        await guidance.sleep(0.5)
+        heights.append(guidance.state.p[2])
+        await guidance.land()
+        await guidance.sleep(pause)
+    return {"heights": heights}
+
+
+def test_drones_fly_again_after_a_landing_whatever_their_firmware_has_done_meanwhile():
+    for flight in fly(swarm_of(AGAIN, 2.0), mission_of(again_and_again)).values():
+        assert flight.result["success"], flight.result
+        assert flight.result["heights"] == pytest.approx([0.5, 0.5, 0.5], abs=0.1)
+        assert flight.onboard.count("reset") > 0
+        assert flight.harm == ""
+        assert flight.motors[-1] == 0.0
+
+
 # An agent that stops commanding ---------------------------------------------------------------------------------------
 
 
@@ -157,6 +181,11 @@ HEARD_AGAIN = 4.0
 """s of silence, after which commands arrive again: who still flies can land."""
 
 
+SILENT_AT: dict[int, float] = {}
+DELAY = 0.02
+"""s, of the last command on its way."""
+
+
 async def falls_silent(guidance):
     """On its way at 0.4 m/s its commands end."""
     await guidance.take_off(0.8)
@@ -169,9 +198,6 @@ async def falls_silent(guidance):
     pilot.link = link
 
 
-SILENT_AT: dict[int, float] = {}
-
-
 @pytest.fixture(scope="module")
 def silent():
     """By row: the flight, and from when on nothing is sent."""
@@ -182,9 +208,6 @@ def silent():
 def since(flight, at, seconds):
     """The tick `seconds` after the last command has arrived."""
     return round((at + DELAY + seconds - flight.t[0]) / TICK)
-
-
-DELAY = 0.02
 
 
 @pytest.mark.parametrize("row", [row for row in SILENT if row[1] != "xyz"], **names)
