@@ -13,6 +13,7 @@ from crazychoir.types import Command, Reference, State
 VELOCITY_ON_BOARD = math.radians(25.0) * GRAVITY  # 1/s, kp of the firmware's control of a velocity by a tilt
 POSITION_ON_BOARD = 2.0  # 1/s, kp of the firmware's control of a place by a velocity
 YAW_ON_BOARD = 6.0  # 1/s, kp of the firmware's control of the yaw by a rate
+GROUNDED = 1.0  # s without a line, after which the next one begins another flight
 LEARNING = np.array([0.5, 1.0]) / (POSITION_ON_BOARD, YAW_ON_BOARD)  # 1/s, ki / kp of the height's and of the yaw's
 
 
@@ -119,9 +120,12 @@ class WaypointController(CrazyflieController):
         return line
 
     def _learn(self, climb: float, turn: float, now: float) -> None:
-        """What the integrals on board know by now of a climb m/s and a rate of the yaw rad/s."""
-        h, self._asked = max(now - self._asked, 0.0), now
-        self._learnt += (np.array([climb, turn]) - self._learnt) * -np.expm1(-h * LEARNING)
+        """What the integrals on board know of a climb m/s and a rate of the yaw rad/s; on the ground they forget it."""
+        h, self._asked = now - self._asked, now
+        if 0.0 <= h < GROUNDED:
+            self._learnt += (np.array([climb, turn]) - self._learnt) * -np.expm1(-h * LEARNING)
+        else:
+            self._learnt[:] = 0.0
 
     def blind(self) -> Vec:
         """The last line again: the planner on board needs no state from here."""

@@ -122,6 +122,22 @@ def test_a_controller_on_board_turns_with_its_set_points_across_pi(firmware, row
     assert np.max(np.abs(errors[FULL, 2])) <= up
 
 
+def test_a_step_of_the_yaw_is_turned_by_every_controller_without_a_fall():
+    """By 0.9 rad at once, also behind the slow rotors of the cf21, with the firmware's gains and masses."""
+    flown = Flown([PLATFORMS[platform] for platform, _ in ROWS])
+    for board, (_, law) in zip(flown.boards, ROWS, strict=True):
+        board.set("stabilizer.controller", law)
+    flown.take_off()
+    for _ in range(400):
+        for board, place in zip(flown.boards, flown.home, strict=True):
+            board.position((*place[:2], HEIGHT), YAW + 0.9)
+        flown.step()
+    for x, place in zip(flown.world.states, flown.home, strict=True):
+        assert abs(math.degrees(wrap(yaw_of(x[6:10]) - YAW - 0.9))) <= 3.0
+        assert np.linalg.norm(x[:3] - [*place[:2], HEIGHT]) < 0.2
+    assert flown.world.crashed == []
+
+
 # A user's own ---------------------------------------------------------------------------------------------------------
 
 
