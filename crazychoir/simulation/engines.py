@@ -11,9 +11,6 @@ import numpy as np
 from crazychoir.errors import ConfigError, CrazyChoirError
 from crazychoir.math3d import exponential, product, rotation
 from crazychoir.platforms import platform
-from crazychoir.simulation.air import Wind
-from crazychoir.simulation.crazyflies import CrazyflieWorld
-from crazychoir.simulation.imu import Imu
 from crazychoir.simulation.integrator import CFIntegrator
 from crazychoir.simulation.mismatch import built, scaled
 from crazychoir.simulation.world import World, WorldSetup
@@ -39,6 +36,10 @@ def lightweight(setup: WorldSetup) -> World:
 
 def motors(setup: WorldSetup) -> World:
     """Rotors, batteries, sensors, air, and the firmware on board."""
+    from crazychoir.simulation.air import Wind  # kernels that a lightweight world does not need
+    from crazychoir.simulation.crazyflies import CrazyflieWorld
+    from crazychoir.simulation.imu import Imu
+
     options = dict(setup.options)
     gusts, gust_time, noise = options["gusts"], options["gust_time"], options["imu_noise"]
     wind = Wind(setup.wind, gusts, gust_time) if gusts > 0.0 or any(setup.wind) else None

@@ -3,9 +3,6 @@
 A block is one flat array. Number c of the drone in lane l lies at m[c + l]; the names below are the c. A loop over the
 lanes of such a block has constant distances between everything that it reads and writes, which is what lets the
 compiler use vector instructions; each lane computes the same bits as it would alone.
-
-The names are constants in compiled code, and numba's cache looks only at the file that a kernel is written in: who
-changes the layout deletes the caches (`make clean`, or `*.nbi` and `*.nbc` in __pycache__).
 """
 
 import math

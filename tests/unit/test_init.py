@@ -53,3 +53,10 @@ def test_a_light_name_imports_no_kernels():
     found = python("from crazychoir import State; import sys; print(sorted(sys.modules))")
     assert "'numpy'" in found
     assert "'numba'" not in found
+
+
+def test_simulated_worlds_import_the_engines_that_they_have():
+    found = python("import crazychoir.worlds, sys; print(sorted(sys.modules))")
+    assert "'crazychoir.simulation.integrator'" in found
+    assert "'crazychoir.simulation.air'" not in found
+    assert "'crazychoir.simulation.onboard'" not in found
