@@ -13,6 +13,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from crazychoir import CFGuidance, SwarmConfig
+from crazychoir.control.gains import STANDARD
 from crazychoir.errors import ConfigError
 from crazychoir.planning.drawing import Drawing, Pen, drawing
 from crazychoir.planning.feasibility import Limits
@@ -41,7 +42,7 @@ class Writer(CFGuidance):
 
 
 def drawn(config: SwarmConfig, i: int) -> Drawing:
-    """What drone i flies: the drawing, its middle over the drone's home."""
+    """What drone i flies: the drawing, its middle over the drone's home; no jerk that its attitude cannot follow."""
     options, flight, home = DEFAULTS | config.mission_options, config.flight, config.drone(i).home
     strokes = read_strokes(options["drawing"])
     places = np.vstack([stroke[:, 1:] for stroke in strokes])
@@ -52,8 +53,11 @@ def drawn(config: SwarmConfig, i: int) -> Drawing:
     pen = Pen(
         height=flight.ground + flight.takeoff_height, lift=options["lift"], yaw=options["yaw"], timing=options["timing"]
     )
-    low, high = config.fence.min, config.fence.max
-    return drawing(placed, pen, Limits(v_max=flight.speed_limit, a_max=flight.acceleration_limit, low=low, high=high))
+    limits = Limits(
+        v_max=flight.speed_limit, a_max=flight.acceleration_limit, j_max=STANDARD.kr[0] * flight.acceleration_limit,
+        low=config.fence.min, high=config.fence.max,
+    )  # fmt: skip
+    return drawing(placed, pen, limits)
 
 
 def guidance(i: int, config: SwarmConfig) -> CFGuidance:

@@ -3,7 +3,7 @@
 crazychoir run figure --fast --drones 4 --picture out/figure.png
 
 [mission_options]: figure = "circle" | "eight";  size: m, the radius, or half the width of the eight;  period: s of a
-lap;  laps;  yaw: rad at the start;  yaw_rate: rad/s.
+lap at full speed;  laps;  ramp: s from rest to full speed, 0 for half a period;  yaw: rad at first;  yaw_rate: rad/s.
 """
 
 from typing import Any
@@ -16,11 +16,13 @@ from crazychoir.errors import ConfigError
 from crazychoir.planning.figure import Figure, circle, eight
 
 Results = dict[int, dict[str, Any]]
-DEFAULTS: dict[str, Any] = {"figure": "circle", "size": 0.4, "period": 10.0, "laps": 2.0, "yaw": 0.0, "yaw_rate": 0.0}
+DEFAULTS: dict[str, Any] = {
+    "figure": "circle", "size": 0.4, "period": 10.0, "laps": 2.0, "ramp": 0.0, "yaw": 0.0, "yaw_rate": 0.0,
+}  # fmt: skip
 
 
 class Flown(CFGuidance):
-    """Flies one figure and looks at how well, by its own estimate."""
+    """Flies one figure."""
 
     def __init__(self, home: tuple[float, float, float], options: dict[str, Any]) -> None:
         self.home, self.options = home, options
@@ -41,6 +43,7 @@ def figure(home: tuple[float, float, float], height: float, options: dict[str, A
     chosen = DEFAULTS | options
     center = (home[0], home[1], home[2] + height)
     size, rest = chosen["size"], {key: chosen[key] for key in ("period", "laps", "yaw", "yaw_rate")}
+    rest["ramp"] = chosen["ramp"] or None
     if chosen["figure"] == "circle":
         return circle(center, size, **rest)
     return eight(center, size, 0.5 * size, **rest)

@@ -30,9 +30,6 @@ matrix = numba.types.Array(numba.float64, 2, "C", readonly=True)
 memory = numba.float64[::1]
 table = numba.float64[:, ::1]
 
-# Nobody calls a law by its address: a tenth of the time to compile would go into what allows it.
-OPTIONS: dict[str, Any] = {"error_model": "numpy", "no_cfunc_wrapper": True}
-
 
 def kernel(*arguments: Any) -> Callable[[Law], Law]:
     """Compile a law for these argument types when its module is imported; after the first time, from the disk.
@@ -42,7 +39,9 @@ def kernel(*arguments: Any) -> Callable[[Law], Law]:
     """
 
     def compiled(law: Law) -> Law:
-        dispatcher: Any = numba.njit(**OPTIONS)(law)
+        # Nobody calls a law by its address: a tenth of the time to compile goes into what would allow it.
+        njit: Any = numba.njit
+        dispatcher = njit(error_model="numpy", no_cfunc_wrapper=True)(law)
         if dispatcher is law:  # with NUMBA_DISABLE_JIT
             return law
         dispatcher._cache = Kept(law, arguments, sorted(dispatcher.targetoptions.items()))

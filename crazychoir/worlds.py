@@ -42,7 +42,7 @@ def _cameras(config: SwarmConfig, ids: tuple[int, ...]) -> SimulatedMocap:
     mocap = config.mocap
     return SimulatedMocap(
         ids, config.seed, noise_p=mocap.noise, noise_angle=mocap.noise_angle, dropout=mocap.dropout,
-        latency_steps=round(mocap.latency * mocap.rate), dt=1.0 / mocap.rate,
+        latency_steps=round(mocap.latency * mocap.rate), dt=1.0 / mocap.rate, tilt=mocap.tilt,
     )  # fmt: skip
 
 

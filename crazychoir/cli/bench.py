@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Annotated, Any
 
 import typer
-from rich.table import Table
+from rich.console import RenderableType
 
 from crazychoir.cli.bench_latency import latency
 from crazychoir.cli.show import STDERR, fail, set_up_logging
@@ -30,11 +30,10 @@ def exchange(as_json: JsonOption = False, quick: QuickOption = False) -> None:
 
 @app.command()
 def flight(as_json: JsonOption = False, quick: QuickOption = False) -> None:
-    """How much faster than real time one core flies 10, 30 and 100 drones, and where the time goes."""
+    """How much faster than real time one core flies 10 to 1000 drones, where the time goes, and worlds alone."""
     from crazychoir.cli import bench_flight
 
-    drones, flights = ((10, 30), 1) if quick else (bench_flight.DRONES, 2)
-    _show(lambda say: bench_flight.run(drones, flights, say), bench_flight.table, as_json)
+    _show(lambda say: bench_flight.run(quick, say), bench_flight.tables, as_json)
 
 
 @app.command()
@@ -46,16 +45,27 @@ def filters(as_json: JsonOption = False, quick: QuickOption = False) -> None:
     _show(lambda say: bench_filters.run(seeds=seeds, say=say), bench_filters.table, as_json)
 
 
+@app.command()
+def tracking(as_json: JsonOption = False, quick: QuickOption = False) -> None:
+    """How exactly a drone flies a circle and an eight: controllers alone, and the whole stack with its errors."""
+    from crazychoir.cli import bench_tracking
+
+    _show(lambda say: bench_tracking.run(quick, say), bench_tracking.table, as_json)
+
+
 @app.command(name="all")
 def everything(quick: QuickOption = False) -> None:
     """All of them, one after the other."""
     exchange(quick=quick)
     flight(quick=quick)
+    tracking(quick=quick)
     filters(quick=quick)
     latency()
 
 
-def _show(measure: Callable[[Say], dict[str, Any]], table: Callable[[dict[str, Any]], Table], as_json: bool) -> None:
+def _show(
+    measure: Callable[[Say], dict[str, Any]], table: Callable[[dict[str, Any]], RenderableType], as_json: bool
+) -> None:
     """Measure under a line that says what is measured, then print."""
     set_up_logging()
     try:

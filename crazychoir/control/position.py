@@ -199,7 +199,8 @@ class FlatnessAccelerationCtrl(FlatnessPositionCtrl):
         w_d = lead * w_f in roll and pitch,  w_f' = cutoff (w(R_d) - w_f),  w(R_d): the rate at which R_d turns
 
     lead, cutoff: of the gains; some lead lets a faster law fly behind the same rate loop, see margin.guidance_loop.
-    s, d: of `trim`, which learns nothing here: there is no place to be at.  The rest as in FlatnessPositionCtrl.
+    s, d: of `trim`, as far as they are sure; it learns nothing here: there is no place to be at.
+    The rest as in FlatnessPositionCtrl.
     """
 
     def __init__(self, gains: Gains = FORMATION, platform: Platform = PAPER, trim: Trim | None = None) -> None:
@@ -210,7 +211,7 @@ class FlatnessAccelerationCtrl(FlatnessPositionCtrl):
         """Thrust, attitude and rate feed-forward (13,); None if state or reference is not finite."""
         measured = max(now - state.age, self._time)
         h = measured - self._time
-        if _led(state.flat, reference, self._figures, self.trim.flat, self._memory, h, self._out):
+        if _led(state.flat, reference, self._figures, self.trim.sure, self._memory, h, self._out):
             self._time = measured
             return self._desired
         return None

@@ -10,11 +10,12 @@ MOST_THRUST = 0.25  # share of the thrust: old propellers, a low battery, a wron
 MOST_TRIM = 0.6  # m/s2: an attitude that is 3.5 degrees off
 # An error says something about the trim when it is small and stays: on the way back from a larger one it does not.
 NEAR, NEAR_IN_HEIGHT = 0.12, 0.3  # m from its place, along each axis
+DOUBT = 0.005  # m/s2: what the noise of good cameras makes of it, twice over
 SLOW = 0.15  # m/s, of that error, along each axis
 
 
-@kernel(vector, vector, vector, real, memory)
-def _learn(x: Vec, ref: Vec, rates: Vec, h: float, trim: Vec) -> None:
+@kernel(vector, vector, vector, real, memory, memory)
+def _learn(x: Vec, ref: Vec, rates: Vec, h: float, trim: Vec, sure: Vec) -> None:
     """The law of Trim over h seconds; rates: (2,) = ki_thrust, ki_trim."""
     e = (ref[0] - x[0], ref[1] - x[1], ref[2] - x[2])
     if max(abs(ref[3] - x[3]), abs(ref[4] - x[4]), abs(ref[5] - x[5])) > SLOW:
@@ -27,6 +28,9 @@ def _learn(x: Vec, ref: Vec, rates: Vec, h: float, trim: Vec) -> None:
     trim[0] = clip(trim[0] + h * rates[0] * e[2] / GRAVITY, -MOST_THRUST, MOST_THRUST)
     trim[1] = clip(trim[1] + h * rates[1] * (c * e[0] + s * e[1]), -MOST_TRIM, MOST_TRIM)
     trim[2] = clip(trim[2] + h * rates[1] * (c * e[1] - s * e[0]), -MOST_TRIM, MOST_TRIM)
+    sure[0] = trim[0] if GRAVITY * abs(trim[0]) > DOUBT else 0.0
+    for k in range(1, 3):
+        sure[k] = trim[k] if abs(trim[k]) > DOUBT else 0.0
 
 
 class Trim:
@@ -37,12 +41,14 @@ class Trim:
 
     A thrust that is off by a factor pulls too hard sideways as well, so it is mended as a factor, where an integral of
     the height would only mend hovering. Rz turns by the heading: an attitude that is off is so in body axes, whatever
-    way the drone looks.  s: of the thrust;  d: (2,) m/s2, heading axes.  The position laws of one drone share it.
+    way the drone looks.  s: of the thrust;  d: (2,) m/s2, heading axes.
+    flat: (3,) = s, d;  sure: (3,) the same without what may be noise: for who only knows accelerations, as the slow
+    modes of a formation turn mm/s2 into centimetres. The position laws of one drone share it.
     frozen: learn nothing: on the ground, where an error of the height does not say what the thrust does.
     """
 
     def __init__(self) -> None:
-        self.flat = np.zeros(3)
+        self.flat, self.sure = np.zeros(3), np.zeros(3)
         self.frozen = True
 
     @property
@@ -58,4 +64,4 @@ class Trim:
     def learn(self, x: Vec, reference: Vec, rates: Vec, h: float) -> None:
         """Take in the error of one tick; rates: (2,) = ki_thrust, ki_trim;  h: s since the last one."""
         if not self.frozen:
-            _learn(x, reference, rates, h, self.flat)
+            _learn(x, reference, rates, h, self.flat, self.sure)

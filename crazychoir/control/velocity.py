@@ -7,8 +7,14 @@ import numpy as np
 from crazychoir.control.controller import EARLY, CrazyflieController
 from crazychoir.control.handlers import TrajectoryHandler
 from crazychoir.control.senders import CommunicationHandler
-from crazychoir.math3d import Vec, finite, kernel, memory, real, vector, wrap
+from crazychoir.math3d import GRAVITY, Vec, finite, kernel, memory, real, vector, wrap
 from crazychoir.types import Command, Reference, State
+
+VELOCITY_ON_BOARD = math.radians(25.0) * GRAVITY  # 1/s, kp of the firmware's control of a velocity by a tilt
+POSITION_ON_BOARD = 2.0  # 1/s, kp of the firmware's control of a place by a velocity
+YAW_ON_BOARD = 6.0  # 1/s, kp of the firmware's control of the yaw by a rate
+GROUNDED = 1.0  # s without a line, after which the next one begins another flight
+LEARNING = np.array([0.5, 1.0]) / (POSITION_ON_BOARD, YAW_ON_BOARD)  # 1/s, ki / kp of the height's and of the yaw's
 
 
 @kernel(vector, vector, vector, real, memory)
@@ -18,7 +24,8 @@ def _velocity(x: Vec, ref: Vec, gains: Vec, heading: float, out: Vec) -> bool:
         return False
     squares = 0.0
     for c in range(3):
-        out[c] = ref[3 + c] + gains[0] * (ref[c] - x[c]) + gains[1] * (ref[3 + c] - x[3 + c])
+        ahead = ref[6 + c] / VELOCITY_ON_BOARD if c < 2 else 0.0
+        out[c] = ref[3 + c] + ahead + gains[0] * (ref[c] - x[c]) + gains[1] * (ref[3 + c] - x[3 + c])
         squares += out[c] ** 2
     share = min(1.0, gains[3] / math.sqrt(squares)) if squares > 0.0 else 1.0
     for c in range(3):
@@ -30,8 +37,9 @@ def _velocity(x: Vec, ref: Vec, gains: Vec, heading: float, out: Vec) -> bool:
 class VelocityCtrlStrategy:
     """Proportional-derivative control of the place by a velocity.
 
-        u = v_d + kp (p_d - p) + kd (v_d - v),   yaw' = yaw_d' + k_yaw (yaw_d - yaw), the short way
+        u = v_d + S a_d / k_v + kp (p_d - p) + kd (v_d - v),   yaw' = yaw_d' + k_yaw (yaw_d - yaw), the short way
 
+    S a_d: its horizontal part, which the firmware makes of a velocity that is missing: k_v: 1/s, of its control.
     kp, k_yaw: 1/s;  kd: 1;  v_max: m/s, the longest u.
     """
 
@@ -67,19 +75,27 @@ class VelocityController(CrazyflieController):
 class WaypointController(CrazyflieController):
     """Flies references by the planner on board: every `every` s a straight line to where the reference will be.
 
-        p_c = p_d + v_d T + a_d T^2 / 2,   yaw_c = yaw_d + yaw_d' T,   T = ahead
+        p_c = p_d(T) + (v_d(T) - u e3 + S a_d / k_v) / k_p,   yaw_c = yaw_d(T) + (yaw_d' - w) / k_yaw
+        p_d(T) = p_d + v_d T + a_d T^2 / 2,   v_d(T) = v_d + a_d T,   yaw_d(T) = yaw_d + yaw_d' T,   T = ahead + late
+        u' = (v_d(T)_z - u) k_i / k_p,   w' = (yaw_d' - w) k_i / k_yaw
 
-    The planner is at p_c at now + T and the next line begins before that, so it flies along the reference, but for the
-    corners between lines.  every, ahead: s.
+    The planner is at p_c `ahead` s after the line has arrived and the next line begins before that, so its set-point
+    moves along p_c, but for the corners between lines.  The firmware turns what is missing into a velocity by k_p, and
+    knows no other: a drone that flies at v is v / k_p behind its set-point, which is therefore that far before the
+    reference; likewise its yaw.  The firmware's integrals of the height and of the yaw learn a climb and a turn that
+    stay: u, w is what they have learnt.  S a_d: as for VelocityCtrlStrategy.
+    every, ahead: s;  late: s, of the way of the command, the planner's tick, and the drone behind its set-points;
+    k_v, k_p, k_yaw: 1/s, k_i: 1/s2, of the height and of the yaw: of the control on board.
     """
 
     def __init__(
         self, command_sender: CommunicationHandler, traj_handler: TrajectoryHandler, every: float = 0.1,
-        ahead: float = 0.2,
+        ahead: float = 0.2, late: float = 0.05,
     ) -> None:  # fmt: skip
         super().__init__(command_sender, traj_handler)
-        self.every, self.ahead = every, ahead
+        self.every, self.ahead, self.late = every, ahead, late
         self._next, self._line = -math.inf, np.zeros(5)
+        self._learnt, self._asked = np.zeros(2), math.inf
 
     def command(self, state: State, reference: Reference | None, now: float) -> Command | None:
         """The next line if it is time for it."""
@@ -90,14 +106,26 @@ class WaypointController(CrazyflieController):
 
     def law(self, state: State, reference: Vec, now: float) -> Vec | None:
         """Place, yaw, duration (5,)."""
-        t = self.ahead
-        line = np.empty(5)
-        line[0:3] = reference[0:3] + t * reference[3:6] + 0.5 * t * t * reference[6:9]
-        line[3], line[4] = reference[12] + t * reference[13], t
+        t, a, rate = self.ahead + self.late, reference[6:9], float(reference[13])
+        v, line = reference[3:6] + t * a, np.empty(5)
+        line[0:3] = reference[0:3] + t * v - 0.5 * t * t * a
+        line[0:2] += (v[0:2] + a[0:2] / VELOCITY_ON_BOARD) / POSITION_ON_BOARD
+        line[3], line[4] = reference[12] + t * rate, self.ahead
         if not math.isfinite(sum(line.tolist())):
             return None
+        self._learn(float(v[2]), rate, now)
+        line[2] += (v[2] - self._learnt[0]) / POSITION_ON_BOARD
+        line[3] += (rate - self._learnt[1]) / YAW_ON_BOARD
         self._line = line
         return line
+
+    def _learn(self, climb: float, turn: float, now: float) -> None:
+        """What the integrals on board know of a climb m/s and a rate of the yaw rad/s; on the ground they forget it."""
+        h, self._asked = now - self._asked, now
+        if 0.0 <= h < GROUNDED:
+            self._learnt += (np.array([climb, turn]) - self._learnt) * -np.expm1(-h * LEARNING)
+        else:
+            self._learnt[:] = 0.0
 
     def blind(self) -> Vec:
         """The last line again: the planner on board needs no state from here."""

@@ -168,8 +168,9 @@ class CFGuidance:
             if np.linalg.norm(self.state.p - np.asarray(p)) < ARRIVED:
                 return
         place = np.round(np.asarray(p), 2).tolist()
+        gap = float(np.linalg.norm(self.state.p - np.asarray(p)))
         why = "held by its operator" if self.member.pilot.held else self.member.pilot.note
-        raise Interrupted(f"drone {self.id}: does not reach {place}: {why}")
+        raise Interrupted(f"drone {self.id}: does not reach {place}, still {gap:.2f} m from it: {why or 'no reason'}")
 
     async def fly(self, trajectory: Trajectory) -> None:
         """Go to where a trajectory begins, fly it, and be at its end.

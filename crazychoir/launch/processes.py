@@ -23,6 +23,8 @@ GRACE = 20.0
 ORPHANED = 8.0
 """s that agents get after the end of their world's owner: they notice within 3 s and end, but for those that have never
 heard of it and wait."""
+REFUSED = 2
+"""Exit code of a program that has refused what the user wrote."""
 CHUNK = 1 << 16
 """Bytes read at once of what a process says; a line may be of any length, and is passed on in parts if very long."""
 LONGEST = 1 << 20
@@ -102,7 +104,7 @@ async def _world(path: Path, agents: Children, say: Say) -> AsyncIterator[None]:
             return
         say(f"world: its owner ended with code {child.returncode}: its drones see nothing and stop")
         with contextlib.suppress(TimeoutError):
-            async with asyncio.timeout(ORPHANED):
+            async with asyncio.timeout(0.0 if child.returncode == REFUSED else ORPHANED):
                 await over.wait()
         _signal([agent for agent in agents.values() if agent.returncode is None], signal.SIGTERM)
 

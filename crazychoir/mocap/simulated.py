@@ -7,15 +7,15 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.special import ndtri
 
-from crazychoir.math3d import Mat, exponential, kernel, matrix, product, real, table
+from crazychoir.math3d import Mat, Vec, exponential, kernel, matrix, product, real, table, vector
 from crazychoir.types import Pose
 
 
-@kernel(matrix, matrix, real, real, table)
-def _disturb(x: Mat, normal: Mat, noise_p: float, noise_angle: float, out: Mat) -> None:
-    """Poses out (N, 7) of the states x (N, 13): p + n_p, q exp(n_angle), n from standard normals (N, 6)."""
+@kernel(matrix, matrix, real, real, vector, table)
+def _disturb(x: Mat, normal: Mat, noise_p: float, noise_angle: float, tilt: Vec, out: Mat) -> None:
+    """Poses out (N, 7) of the states x (N, 13): p + n_p, q q_tilt exp(n_angle), n from standard normals (N, 6)."""
     for i in range(x.shape[0]):
-        q = (x[i, 6], x[i, 7], x[i, 8], x[i, 9])
+        q = product((x[i, 6], x[i, 7], x[i, 8], x[i, 9]), (tilt[0], tilt[1], tilt[2], tilt[3]))
         a = noise_angle
         r = exponential(a * normal[i, 3], a * normal[i, 4], a * normal[i, 5])
         out[i, 3], out[i, 4], out[i, 5], out[i, 6] = product(q, r)
@@ -26,10 +26,11 @@ def _disturb(x: Mat, normal: Mat, noise_p: float, noise_angle: float, out: Mat) 
 class SimulatedMocap:
     """Cameras that see every drone once a tick, with noise, latency and independent dropouts.
 
-        p_measured = p + n_p,   q_measured = q exp(n_angle)
+        p_measured = p + n_p,   q_measured = q q_tilt exp(n_angle),   R(q_tilt) = Ry(pitch) Rx(roll)
 
     ids: the drones, row by row;  noise_p: m, noise_angle: rad, standard deviations an axis;  dropout: probability that
-    one drone is not seen in one tick;  latency_steps: ticks between exposure and arrival;  dt: s, one tick.
+    one drone is not seen in one tick;  latency_steps: ticks between exposure and arrival;  dt: s, one tick;  tilt:
+    (roll, pitch) rad, by which the body that the cameras know is mounted askew.
     What is drawn for a drone is a function of (seed, tick of exposure, id) alone: Philox with that key, row `id`.
     So it does not depend on the calls before, nor on how drones are spread over processes.
     """
@@ -43,9 +44,11 @@ class SimulatedMocap:
         dropout: float = 0.0,
         latency_steps: int = 0,
         dt: float = 0.01,
+        tilt: tuple[float, float] = (0.0, 0.0),
     ) -> None:
         self.ids, self.seed, self.dt = tuple(ids), seed, dt
         self.noise_p, self.noise_angle, self.dropout, self.latency_steps = noise_p, noise_angle, dropout, latency_steps
+        self._tilt = np.array(product(exponential(0.0, tilt[1], 0.0), exponential(tilt[0], 0.0, 0.0)))
         self._rows = np.array(self.ids)
         self._exposures: deque[tuple[int, Mat]] = deque()
 
@@ -60,7 +63,7 @@ class SimulatedMocap:
         exposed, truth = due
         normal = self._normal(exposed)
         flat = np.empty((len(self.ids), 7))
-        _disturb(truth, normal, self.noise_p, self.noise_angle, flat)
+        _disturb(truth, normal, self.noise_p, self.noise_angle, self._tilt, flat)
         age = (k - exposed) * self.dt
         seen = normal[:, 6] >= (ndtri(self.dropout) if self.dropout > 0.0 else -math.inf)
         return [Pose(row, age) if here else None for row, here in zip(flat, seen.tolist(), strict=True)]

@@ -81,6 +81,7 @@ def _advance(
 class CrazyflieWorld(MotorWorld):
     """MotorWorld whose drones carry their firmware.
 
+    platform: for which the firmware is made;  bodies: what each drone really is, None for its platform.
     onboard: by id, what a radio reaches of a drone: set-points, planner, parameters, logs, and the pose from outside.
     options: MotorWorld's. Motors stand still until the firmware turns them, in the air too.
     """
@@ -94,15 +95,17 @@ class CrazyflieWorld(MotorWorld):
         p0: Mat,
         yaw0: Vec | None = None,
         platform: Platform | Sequence[Platform] = CRAZYFLIE_21,
+        *,
+        bodies: Sequence[Platform] | None = None,
         **options: Any,
     ) -> None:
         platforms = [platform] * len(ids) if isinstance(platform, Platform) else platform
         self._firmware = np.concatenate([fleet(1, row) for row in platforms])
         self.onboard: dict[int, Onboard] = {}
         self._told, self._told_every = dict.fromkeys(ids, 0), dict.fromkeys(ids, 1)
-        super().__init__(ids, p0, yaw0, platform, **options)
+        super().__init__(ids, p0, yaw0, platforms if bodies is None else bodies, **options)
         for row, i in enumerate(self.ids):
-            self.onboard[i] = Onboard(self.platforms[row], self._firmware, row)
+            self.onboard[i] = Onboard(platforms[row], self._firmware, row)
             self.onboard[i].place(self.states[row, :3], yaw_of(self.states[row, 6:10]))
             self._firmware["vbat_low"][row] = self.vbat(i)
 

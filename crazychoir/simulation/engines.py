@@ -9,8 +9,10 @@ import msgspec
 import numpy as np
 
 from crazychoir.errors import ConfigError, CrazyChoirError
+from crazychoir.math3d import exponential, product, rotation
 from crazychoir.platforms import platform
 from crazychoir.simulation.integrator import CFIntegrator
+from crazychoir.simulation.mismatch import built, scaled
 from crazychoir.simulation.world import World, WorldSetup
 from crazychoir.swarm.checks import LIGHTWEIGHT, MOTORS, WORLD_STEP, WORLDS
 from crazychoir.swarm.config import SwarmConfig
@@ -27,7 +29,9 @@ OURS = {
 def lightweight(setup: WorldSetup) -> World:
     """The paper's integrator."""
     homes = np.array(setup.homes, dtype=float)
-    return CFIntegrator(setup.ids, homes, np.array(setup.yaws), setup.platforms, setup.dt, **setup.options)
+    bodies = [scaled(row, setup.mass_error, setup.thrust_error) for row in setup.platforms]
+    options = {name: setup.options[name] for name in ("inputs", "rate_lag", "command_delay")}
+    return CFIntegrator(setup.ids, homes, np.array(setup.yaws), bodies, setup.dt, **options)
 
 
 def motors(setup: WorldSetup) -> World:
@@ -40,10 +44,14 @@ def motors(setup: WorldSetup) -> World:
     gusts, gust_time, noise = options["gusts"], options["gust_time"], options["imu_noise"]
     wind = Wind(setup.wind, gusts, gust_time) if gusts > 0.0 or any(setup.wind) else None
     sheet = asdict(Imu())
+    roll, pitch = options["floor_tilt"]
+    normal = rotation(np.array(product(exponential(0.0, pitch, 0.0), exponential(roll, 0.0, 0.0))))[:, 2]
+    bodies = [built(row, setup.mass_error, setup.thrust_error) for row in setup.platforms]
     return CrazyflieWorld(
         setup.ids, np.array(setup.homes, dtype=float), np.array(setup.yaws), setup.platforms, dt=setup.dt,
         seed=setup.seed, wind=wind, imu=Imu(**{name: noise * value for name, value in sheet.items()}),
-        ground_effect=options["ground_effect"], downwash=options["downwash"], charge=options["battery"],
+        ground_effect=options["ground_effect"], downwash=options["downwash"], charge=options["battery"], bodies=bodies,
+        floor_normal=tuple(normal.tolist()),
     )  # fmt: skip
 
 
@@ -79,6 +87,8 @@ def _world(config: SwarmConfig, drones: tuple[Drone, ...]) -> World:
         wind=config.motors.wind,
         seed=config.seed,
         dt=WORLD_STEP,
+        mass_error=config.plant.mass_error,
+        thrust_error=config.plant.thrust_error,
     )
     try:
         world: World = entry.load()(setup)

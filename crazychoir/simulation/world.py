@@ -20,7 +20,8 @@ class WorldSetup:
 
     homes: m, yaws: rad, where they stand;  uris: as in the swarm file, after whose scheme an engine may read what it
     likes;  options: of the engine ([plant], [motors], for the engines of others [world.options]);  wind: m/s, world
-    frame;  seed: of every random draw;  dt: s, of one step.
+    frame;  seed: of every random draw;  dt: s, of one step;  mass_error, thrust_error: shares by which the bodies are
+    heavier and pull harder than their platforms.
     """
 
     ids: tuple[int, ...]
@@ -32,6 +33,8 @@ class WorldSetup:
     wind: Position
     seed: int
     dt: float
+    mass_error: float = 0.0
+    thrust_error: float = 0.0
 
 
 class Link(Protocol):

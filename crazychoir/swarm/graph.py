@@ -3,7 +3,7 @@
 import random
 import re
 from collections.abc import Iterable, Mapping
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import combinations, pairwise, permutations, product
 from typing import Self
 
@@ -100,7 +100,7 @@ class Graph(Wire, frozen=True, array_like=True, gc=True, dict=True):
         """The most hops that a message needs from one drone to another: rounds of a flood."""
         if not self.is_connected:
             raise ConfigError("graph", "a drone that cannot reach all others", "a connected graph", "Add an edge.")
-        return max(max(_distances(i, self._out).values()) for i in self.ids)
+        return _diameter(self.ids, self.arcs)
 
     def at(self, k: int) -> Self:
         """The graph of round k: always this one."""
@@ -282,6 +282,12 @@ def _adjacency(ids: tuple[int, ...], arcs: Iterable[Arc]) -> dict[int, tuple[int
     for i, j in arcs:
         found[i].append(j)
     return {i: tuple(sorted(others)) for i, others in found.items()}
+
+
+@lru_cache(maxsize=16)  # each drone of a large swarm asks it of the same graph
+def _diameter(ids: tuple[int, ...], arcs: tuple[Arc, ...]) -> int:
+    step = _adjacency(ids, arcs)
+    return max(max(_distances(i, step).values()) for i in ids)
 
 
 def _distances(start: int, step: Mapping[int, tuple[int, ...]]) -> dict[int, int]:

@@ -8,6 +8,7 @@ counts from a round that nobody has reached. A newer epoch wins.
 """
 
 from collections.abc import Callable
+from functools import lru_cache
 from typing import Final, Literal
 
 import msgspec
@@ -28,6 +29,11 @@ __all__ = ["Barrier", "Beat", "Roster"]
 POLL: Final = 0.02
 REMEMBERED: Final = 1000
 """Changes of presence."""
+
+
+@lru_cache(maxsize=2048)  # all drones of a process hear the same beat, as bytes
+def _read(payload: bytes) -> Beat:
+    return Beat.of(decode(payload))
 
 
 class Barrier:
@@ -60,6 +66,7 @@ class Barrier:
         self.listeners: list[Callable[[Roster], None]] = []
         self.history: list[tuple[float, int, str]] = []
         self._others = tuple(j for j in graph.ids if j != self.id)
+        self._known = frozenset(self._others)
         self._lost: dict[int, None] = {}
         self._strangers = Strangers(port.bus.clock, self.id, len(graph.ids), mission_hash)
         self._checksum = 0
@@ -215,11 +222,11 @@ class Barrier:
         if self._calm.get(source) == payload:
             return  # what it has said before, and all was well
         try:
-            beat = Beat.of(decode(payload))
+            beat = _read(payload)
         except (CodecError, TypeError, ValueError):
             self.port.counters.malformed += 1
             return
-        if not self._strangers.heard(source, beat.mission_hash) and source in self._others:
+        if not self._strangers.heard(source, beat.mission_hash) and source in self._known:
             self.beats[source] = beat
             if source not in self.monitor.watched and self.port.bus.clock.now_ns() > self._settled_ns:
                 self.monitor.watched += (source,)  # who watches us shall hear us

@@ -56,6 +56,11 @@ Wind = Annotated[
     tuple[float, float, float], Meta(description="a velocity [x, y, z] in m/s", examples=[[0.5, 0.0, 0.0]])
 ]
 Gust = Annotated[float, Meta(ge=0, le=20, description="a speed in m/s, 0 to 20", examples=[0.3])]
+Mismatch = Annotated[float, Meta(ge=-0.5, le=0.5, description="a share, -0.5 to 0.5", examples=[0.05])]
+Tilt = Annotated[
+    tuple[Annotated[float, Meta(ge=-0.5, le=0.5)], Annotated[float, Meta(ge=-0.5, le=0.5)]],
+    Meta(description="angles [roll, pitch] in rad, -0.5 to 0.5", examples=[[0.0175, 0.0]]),
+]
 Share = Annotated[float, Meta(gt=0, le=1, description="a share, above 0, at most 1", examples=[0.5])]
 Factor = Annotated[float, Meta(ge=0, le=100, description="a factor, 0 to 100", examples=[1.0])]
 Inputs = Annotated[
@@ -154,7 +159,8 @@ class Flight(Table, frozen=True, kw_only=True):
 
 class Mocap(Table, frozen=True, kw_only=True):
     """[mocap]: rate: poses a second; noise m, noise_angle rad: standard deviations an axis;
-    dropout: probability a pose; latency: s, whole periods of the rate.
+    dropout: probability a pose; latency: s, whole periods of the rate; tilt: (roll, pitch) rad, by which the body
+    that the cameras know is mounted askew on the drone.
     """
 
     rate: Hertz = 100.0
@@ -162,23 +168,28 @@ class Mocap(Table, frozen=True, kw_only=True):
     noise_angle: Turn = 0.001
     dropout: Probability = 0.0
     latency: Seconds = 0.0
+    tilt: Tilt = (0.0, 0.0)
 
 
 class Plant(Table, frozen=True, kw_only=True):
-    """[plant]: a simulated drone: command_delay: s until it obeys, in every world; the rest is of the lightweight one:
-    rate_lag: time constant of its body rates.
+    """[plant]: a simulated drone. In every world: command_delay: s until it obeys;  mass_error, thrust_error: shares by
+    which it is heavier and pulls harder than its platform, for which its controllers are made. Of the lightweight one:
+    inputs;  rate_lag: time constant of its body rates.
     """
 
     inputs: Inputs = "rates"
     rate_lag: Seconds = 0.03
     command_delay: Seconds = 0.02
+    mass_error: Mismatch = 0.0
+    thrust_error: Mismatch = 0.0
 
 
 class Motors(Table, frozen=True, kw_only=True):
     """[motors]: the motor-level world.
 
     wind: m/s, world;  gusts: m/s, standard deviation an axis, each lasting gust_time s;  ground_effect, downwash:
-    whether they act;  battery: charge at the start, 1 is full;  imu_noise: of the sensors, 1 is the data sheet's.
+    whether they act;  battery: charge at the start, 1 is full;  imu_noise: of the sensors, 1 is the data sheet's;
+    floor_tilt: (roll, pitch) rad, about the world's axes, of what is under each drone.
     """
 
     wind: Wind = (0.0, 0.0, 0.0)
@@ -188,6 +199,7 @@ class Motors(Table, frozen=True, kw_only=True):
     downwash: Flag = True
     battery: Share = 1.0
     imu_noise: Factor = 1.0
+    floor_tilt: Tilt = (0.0, 0.0)
 
 
 class World(Table, frozen=True, kw_only=True):

@@ -83,7 +83,7 @@ def here(monkeypatch):
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["nothing", "--fast"], ["nothing", "bearing_formation, pickup_delivery"]),
+        (["nothing", "--fast"], ["nothing", "bearing_formation, drawn_path, figure, pickup_delivery"]),
         (["no_file.toml", "--fast"], ["no_file.toml"]),
         (["bearing_formation", "--only", "2,3"], ["--only", "2,3 without a swarm file", "--swarm"]),
         (["deploy/lab6.toml", "--only", "x"], ["--only", "0 to 5"]),
@@ -102,7 +102,7 @@ def test_run_refuses(here, repository, monkeypatch, words, said):
 
 def test_what_is_refused_is_one_json_object_and_exit_code_2():
     said = call("crazychoir", "run", "nothing", "--fast", "--json")
-    said.refuses("bearing_formation, pickup_delivery")
+    said.refuses("bearing_formation, drawn_path, figure, pickup_delivery")
     assert said.json["kind"] == "ConfigError"
     assert said.json["success"] is False
 
@@ -286,6 +286,14 @@ async def test_looking_into_a_swarm_that_runs_then_landing_it(four, tmp_path, co
         assert said.code == 0
         assert set(said.json) == {"0", "1", "2", "3"}
         assert "0.3" in str(said.json["0"])
+        said = await look("param", "set", "control.kr", "7,7,4", "--drone", "2", "--json", "--swarm", path)
+        assert (said.code, said.json) == (0, {"2": [7.0, 7.0, 4.0]})
+        said = await look("param", "set", "control.kr", "30,30,4", "--json", "--swarm", path)
+        assert said.code == 1
+        assert all("gains that bear 40 ms more delay" in text for text in said.json.values())
+        said = await look("param", "get", "control.kr", "--json", "--swarm", path)
+        kept = {"control.kr": [8.0, 8.0, 4.0]}
+        assert said.json == {"0": kept, "1": kept, "2": {"control.kr": [7.0, 7.0, 4.0]}, "3": kept}
         said = await look("stop", "--land", "--json", "--swarm", path)
         assert (said.code, said.json) == (0, dict.fromkeys("0123", "acknowledged"))
         ended = await agent.end(40.0)

@@ -15,6 +15,7 @@ from system.commands import call
 
 from crazychoir.launch import network
 from crazychoir.launch.network import apart
+from crazychoir.swarm.checks import MOTORS
 from crazychoir.swarm.config import SwarmConfig
 
 pytestmark = [
@@ -42,8 +43,8 @@ def guidance(i, config):
 '''
 
 
-def standing(folder: Path, duration: float, drones: int = 4, **tables: object) -> SwarmConfig:
-    """Drones in a row, in one world with an owner."""
+def standing(folder: Path, duration: float, drones: int = 4, motors: int = 0, **tables: object) -> SwarmConfig:
+    """Drones in a row, in worlds with an owner: the first `motors` of them with motors and firmware."""
     folder.mkdir(exist_ok=True)
     path = folder / "standing.py"
     path.write_text(STANDING)
@@ -52,7 +53,10 @@ def standing(folder: Path, duration: float, drones: int = 4, **tables: object) -
             "name": "standing",
             "mission": str(path),
             "mission_options": {"duration": duration},
-            "drones": [{"id": i, "home": [float(i), 0.0, 0.0]} for i in range(drones)],
+            "drones": [
+                {"id": i, "home": [float(i), 0.0, 0.0], **({"uri": MOTORS, "platform": "cf21"} if i < motors else {})}
+                for i in range(drones)
+            ],
             "flight": {**BRISK, "takeoff_height": 0.5},
             "world": {"owned": True},
             "lost_after": 3.0,
@@ -109,8 +113,8 @@ def gone(pids: list[int]) -> bool:
     return not any(Path(f"/proc/{pid}").exists() for pid in pids)
 
 
-async def test_four_processes_fly_in_one_world_that_others_can_look_into(tmp_path):
-    async with running(standing(tmp_path, 5.0), tmp_path) as run:
+async def test_four_processes_fly_in_worlds_of_one_owner_that_others_can_look_into(tmp_path):
+    async with running(standing(tmp_path, 5.0, motors=2), tmp_path) as run:
         await run.hovers()
         said = await asyncio.to_thread(call, "crazychoir", "echo", "truth", "--swarm", run.path, "--seconds", 1)
         ended = await run.program.end(60.0)

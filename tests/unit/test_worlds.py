@@ -276,3 +276,22 @@ def test_an_owner_that_cannot_go_on_ends_with_the_reason(how, caplog):
         report = run_virtual(main)
     assert not report["success"]
     assert ("another owns" if how == "refused" else "world failed: ") in report["reason"]
+
+
+def test_the_cameras_of_a_world_see_its_drones_tilted_as_the_swarm_file_says():
+    """All of [mocap] reaches them, and the pose that the drone's own estimator is told is tilted too."""
+    mocap = {"noise": 0.0, "noise_angle": 0.0, "tilt": [0.02, -0.03]}
+    drone = {"id": 0, "home": [0.0, 0.0, 0.0], "uri": MOTORS}
+    config = SwarmConfig.of({"name": "a", "drones": [drone], "mocap": mocap})
+
+    async def main(clock):
+        agent = Agent(clock, config, SimpleNamespace(guidance=lambda i, config: None), (0,))
+        (owner,) = agent.owners
+        told = []
+        owner.world.see = lambda i, pose: told.append(pose)
+        owner.step()
+        return told[0].q
+
+    x, y, z, w = run_virtual(main)
+    assert (2.0 * x / w, 2.0 * y / w) == pytest.approx((0.02, -0.03), rel=1e-3)
+    assert z == pytest.approx(0.0, abs=1e-3)

@@ -291,7 +291,8 @@ class Onboard:
     def register(self, name: str, law: laws.Law) -> None:
         """Offer a controller of the user's own, to be chosen by `set("stabilizer.controller", name)`.
 
-        law(setpoint, estimate, gyro, dt) -> ForceTorque, MotorForces or Legacy, called every 2 ms.
+        law(setpoint, estimate, gyro, dt) -> ForceTorque, MotorForces or Legacy, called every 2 ms, on the ground too:
+        where setpoint.modes ask for nothing and there is no thrust, it is to answer none, or the motors turn on.
         """
         if name in CONTROLLERS or not callable(law):
             taken = ", ".join(CONTROLLERS)

@@ -115,7 +115,12 @@ async def test_the_world_is_there_before_the_agents_and_ends_after_them(tmp_path
     assert order[2:] == ["agent ends", "world ends"]
 
 
-async def test_without_their_world_agents_end_that_do_not_by_themselves(tmp_path, monkeypatch):
+@pytest.mark.parametrize(
+    ("ends", "code", "orphaned"),
+    [("os.kill(os.getpid(), 9)", -9, 0.3), ("exit(2)", 2, 60.0)],
+    ids=["killed", "refused: at once"],
+)
+async def test_without_their_world_agents_end_that_do_not_by_themselves(tmp_path, monkeypatch, ends, code, orphaned):
     children, said = [], []
 
     async def spawn(group, path, result, options):
@@ -123,12 +128,12 @@ async def test_without_their_world_agents_end_that_do_not_by_themselves(tmp_path
         await asyncio.sleep(0.2)
         return children[-1]
 
-    world_that("os.kill(os.getpid(), 9)", monkeypatch)
+    world_that(f"time.sleep(0.5); {ends}", monkeypatch)
     monkeypatch.setattr(processes, "_spawn", spawn)
-    monkeypatch.setattr(processes, "ORPHANED", 0.3)
+    monkeypatch.setattr(processes, "ORPHANED", orphaned)
     await run_children([(0,)], tmp_path / "s.json", default_swarm(1), [], said.append, world=True)
     assert children[0].returncode == 3
-    assert "world: its owner ended with code -9: its drones see nothing and stop" in said
+    assert f"world: its owner ended with code {code}: its drones see nothing and stop" in said
 
 
 async def test_a_signal_is_passed_on_as_what_it_is(tmp_path, monkeypatch):

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from crazychoir.math3d import conjugate, logarithm, product
+from crazychoir.math3d import conjugate, logarithm, product, rotation
 from crazychoir.mocap.simulated import SimulatedMocap
 
 
@@ -47,3 +47,16 @@ def test_poses_arrive_late_with_their_age():
     assert seen[:3] == [None, None, None]
     assert [p.p[0] for p in seen[3:]] == [0.0, 1.0, 2.0]
     assert seen[3].age == pytest.approx(0.03)
+
+
+def test_a_body_that_is_mounted_askew_is_seen_turned_by_the_same_angles_whatever_way_the_drone_looks():
+    x = truth([0, 1])
+    x[:, 6:10] = [[0.1, -0.2, 0.3, np.sqrt(0.86)], [0.0, 0.0, 0.9, np.sqrt(0.19)]]
+    mocap = SimulatedMocap([0, 1], 0, noise_p=0.0, noise_angle=0.0, tilt=(0.02, -0.05))
+    for row, pose in zip(x, mocap.sample(x, 0), strict=True):
+        r = rotation(row[6:10]).T @ rotation(pose.q)
+        # R = Ry(pitch) Rx(roll): its last row is (-sin pitch, cos pitch sin roll, cos pitch cos roll), its first column
+        # (cos pitch, 0, -sin pitch).
+        np.testing.assert_allclose(r[2], [-np.sin(-0.05), np.cos(0.05) * np.sin(0.02), np.cos(0.05) * np.cos(0.02)])
+        np.testing.assert_allclose(r[:, 0], [np.cos(0.05), 0.0, np.sin(0.05)], atol=1e-15)
+        np.testing.assert_array_equal(pose.p, row[0:3])

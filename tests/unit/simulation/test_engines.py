@@ -100,8 +100,10 @@ def test_the_motor_level_world_gets_its_table(monkeypatch):
 
 def test_lightweight_drones_of_several_platforms_fly_as_what_they_are():
     config = swarm({}, {"platform": "cf21"}, {}, plant={"rate_lag": 0.0, "command_delay": 0.0})
-    made = worlds(config, config.ids)
-    assert {world.ids: world.platform for world in made} == {(0, 2): PAPER, (1,): CRAZYFLIE_21}
+    (made,) = worlds(config, config.ids)
+    assert made.platforms == (PAPER, CRAZYFLIE_21, PAPER)
+    (world,) = worlds(config, config.ids)
+    assert (world.ids, world.platforms) == ((0, 1, 2), (PAPER, CRAZYFLIE_21, PAPER))
 
 
 def test_only_the_lightweight_world_has_the_delay_in_its_model():

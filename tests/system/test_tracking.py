@@ -1,0 +1,55 @@
+"""How exactly drones fly, as `crazychoir bench tracking` measures it: accuracy is asserted, time is not."""
+
+import pytest
+
+from crazychoir.cli.bench_tracking import CORNERS, NOMINAL, alone, original, ours, row, whole
+from crazychoir.guidance.mission import load
+from crazychoir.launch.flight import fly_fast
+from crazychoir.launch.recording import recording_file
+from crazychoir.recording.figures import TOPICS, flight_of
+from crazychoir.recording.reading import read
+from crazychoir.swarm.config import SwarmConfig
+
+pytestmark = pytest.mark.system
+LIMITS_MM = {
+    "lightweight": {"circle": 0.1, "eight-1": 0.2, "eight-2": 1.5},
+    "motors": {"circle": 1.0, "eight-1": 3.0, "eight-2": 13.0},
+}
+
+
+def rmse_mm(errors):
+    return row("", "", "", NOMINAL, errors).rmse_mm
+
+
+@pytest.mark.parametrize("plant", LIMITS_MM)
+@pytest.mark.parametrize("name", ["circle", "eight-1", "eight-2"])
+def test_the_controllers_alone(plant, name):
+    assert rmse_mm(alone(plant, name, ours(plant))) <= LIMITS_MM[plant][name]
+
+
+def test_the_gains_of_the_original_are_lost_behind_rotors_that_lag():
+    assert alone("motors", "eight-1", original("motors")) is None
+
+
+def test_the_whole_stack_at_1_m_s():
+    assert rmse_mm(whole("eight-1")) <= 8.0
+
+
+@pytest.mark.parametrize("corner", CORNERS[1::5], ids=lambda corner: corner.name)
+def test_the_whole_stack_with_a_drone_that_is_not_what_its_controllers_believe(corner):
+    assert rmse_mm(whole("eight-1", corner)) <= 20.0
+
+
+def test_a_drawn_word_is_flown_within_its_limits(tmp_path):
+    config = SwarmConfig.load("deploy/casy.toml")
+    path = tmp_path / "casy.mcap"
+    with recording_file(path, config, virtual=True) as file:
+        result = fly_fast(config, load("drawn_path"), file=file)
+    assert result["success"], result["reasons"]
+    assert result["speed_m_s"] <= config.flight.speed_limit
+    assert result["acceleration_m_s2"] <= config.flight.acceleration_limit
+    assert result["deviation_mm"] < 15.0
+    flown = flight_of(read(path, TOPICS)).figures()["drones"][0]
+    assert flown["tracking_rmse_m"] < 0.005
+    assert flown["fastest_m_s"] < 1.05 * config.flight.speed_limit
+    assert result["drawing_s"] > 20.0
