@@ -478,7 +478,9 @@ class Pilot(Actor):
         self.flights.brake(start, self.clock.now())
 
     def _descend(self) -> float:
-        """Land from where it is; s until its motors stop."""
+        """Land from where it is; s until its motors stop. What it learns meanwhile may be of a floor that it pushes."""
+        if self.mode is not LAND:
+            self.controls.trim.keep()
         self._flown = start = self._departure()
         self.mode = LAND
         return self.flights.descend(start, self.clock.now(), self.limits.ground + ON_THE_FLOOR)
@@ -493,6 +495,7 @@ class Pilot(Actor):
         self._flown = None
         self.flights.clear()
         self.controls.trim.frozen = True
+        self.controls.trim.restore()
         self._obeyed = Action.NOMINAL
         if self._braked > 1:
             text = f"the safety table has braked it {self._braked} times in this flight"

@@ -139,6 +139,23 @@ def test_the_motors_are_off_within_a_second_of_the_touch_down_and_stay_off(tilte
     assert flight.modes[-1] is Mode.GROUND
 
 
+def test_a_floor_that_is_higher_than_the_swarm_file_says_teaches_the_controllers_nothing():
+    """It pushes the floor for two seconds and more, before it knows that it stands: 24 % of thrust, when it learnt."""
+
+    async def twice(guidance):
+        for _ in range(2):
+            await guidance.take_off()
+            await guidance.sleep(2.0)
+            await guidance.land()
+            learnt.append(guidance.member.pilot.controls.trim.thrust)
+
+    learnt: list[float] = []
+    config = swarm_of([("cf21", "fpqr")], 0.0, flight={"ground": -0.1})
+    flight = fly(config, mission_of(twice))[0]
+    assert flight.result["success"], flight.result
+    assert learnt == pytest.approx([1.0, 1.0], abs=0.01)
+
+
 AGAIN = [("cf21", "fpqr"), ("cf21", "xyz"), ("cf21bl", "vel"), ("cf21bl", "xyz")]
 
 
