@@ -2,6 +2,7 @@
 
 import pytest
 
+from crazychoir.cli import bench_tracking
 from crazychoir.cli.bench_tracking import CORNERS, NOMINAL, alone, original, ours, row, whole
 from crazychoir.guidance.mission import load
 from crazychoir.launch.flight import fly_fast
@@ -33,6 +34,11 @@ def test_the_gains_of_the_original_are_lost_behind_rotors_that_lag():
 
 def test_the_whole_stack_at_1_m_s():
     assert rmse_mm(whole("eight-1")) <= 8.0
+
+
+def test_a_part_of_a_flight_is_no_flight(monkeypatch):
+    monkeypatch.setattr(bench_tracking, "counts", lambda t: 8.0 <= t <= 18.0)
+    assert whole("eight-1") is None
 
 
 @pytest.mark.parametrize("corner", CORNERS[1::5], ids=lambda corner: corner.name)
