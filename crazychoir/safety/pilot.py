@@ -8,7 +8,7 @@ import asyncio
 import logging
 import math
 from enum import Enum
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -169,7 +169,7 @@ class Pilot(Actor):
             self._run = None
 
     def _posed(self, pose: Pose | None, age: float) -> None:
-        if pose is not None and age > pose.age:  # it was on its way
+        if pose is not None and not pose.age >= age:  # it was on its way; or its age is no number
             pose = Pose(pose.flat, age)
         run = self._run
         if run is not None and not run.done():
@@ -202,6 +202,12 @@ class Pilot(Actor):
             self._descend()
         elif self.mode in GUIDED:
             self.mode = Mode.HOVER
+
+    def set_parameter(self, name: str, value: Any) -> Any:
+        """Change a parameter, from the next tick on, and return it; ConfigError if it may not be."""
+        found = self.parameters.set(name, value)
+        self.reference_limits = ReferenceLimits(self.limits, self.controls.gains)
+        return found
 
     def hold(self, on: bool = True) -> None:
         """An operator holds the drone where it is, whatever guidance wants, or lets it go on."""
