@@ -225,7 +225,8 @@ class Pilot(Actor):
         try:
             now_ns = self._ticked_ns = self.clock.now_ns()
             now = now_ns / SECOND
-            self.state = self.filter.predict(now) if pose is None else self.filter.update(pose, now)
+            state = self.filter.predict(now) if pose is None else self.filter.update(pose, now)
+            self.state = state if self._models or state is None or state.age <= SEEN else self._believed(state, now)
         except BaseException as error:  # noqa: BLE001 - see _fail
             self._fail(error)
         else:
@@ -234,6 +235,17 @@ class Pilot(Actor):
                 stages.say.append(self._say_state)
                 stages.act.append(self._act)
                 stages.due()
+
+    def _believed(self, state: State, now: float) -> State:
+        """Where a drone is that is not seen and whose filter does not know its commands: where it is to be.
+
+        The filter lets it go on at its last speed. A controller would brake that forever, and the drone fly backwards.
+        """
+        flown = self.flights.sample(now) or self._flown
+        if flown is None:
+            return state
+        half = 0.5 * flown.yaw
+        return State(np.array([*flown.p, *flown.v, 0.0, 0.0, math.sin(half), math.cos(half), 0.0, 0.0, 0.0]), state.age)
 
     def _say_state(self) -> None:
         """Guidance decides when all have said theirs."""

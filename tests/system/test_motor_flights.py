@@ -248,3 +248,42 @@ def test_without_commands_a_drone_that_is_sent_places_hovers_where_the_last_one_
     assert flight.harm == ""
     assert flight.resting[-1]
     assert flight.motors[-1] == 0.0
+
+
+# Out of sight -----------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def unseen():
+    """All senders fly along x at 0.9 m/s when the cameras go blind for 1.9 s."""
+
+    async def along_x(guidance):
+        await guidance.take_off()
+        await guidance.go_to(guidance.state.p + np.array([4.0, 0.0, 0.0]))
+
+    def blind(agent):
+        cameras = agent.owners[0].cameras
+        sample, blinded = cameras.sample, []
+
+        def gap(x, k):
+            if not blinded and np.min(x[:, 3]) > 0.8:
+                blinded.append(k)
+            poses = sample(x, k)
+            return [None] * len(poses) if blinded and k < blinded[0] + round(1.9 / TICK) else poses
+
+        cameras.sample = gap
+
+    return dict(zip(ALIKE, fly(swarm_of(ALIKE, 0.0), mission_of(along_x), blind).values(), strict=True))
+
+
+@pytest.mark.parametrize("row", ALIKE, **names)
+def test_a_drone_that_is_not_seen_any_more_brakes_and_lands_and_does_not_fly_backwards(unseen, row):
+    """Measured: back at 0.1 m/s with fpqr and frpy, 0.4 with vel, 0.6 with xyz. Braking on a prediction that knew no
+    commands, frpy flew back at 4 m/s and tilted by 45 degrees."""
+    flight = unseen[row]
+    fastest = int(np.argmax(np.array(flight.truth)[:, 3]))
+    assert np.array(flight.truth)[fastest, 3] > 0.8
+    assert np.min(np.array(flight.truth)[fastest:, 3]) > -0.8
+    assert np.max(np.degrees(flight.tilts)) < 25.0
+    assert flight.harm == ""
+    assert flight.modes[-1] is Mode.GROUND
