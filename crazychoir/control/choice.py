@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from crazychoir.control.attitude import AngleAttitudeCtrl, AttitudeControl, GeometryAttitudeCtrl
+from crazychoir.control.attitude import ATTITUDE_ON_BOARD, AngleAttitudeCtrl, AttitudeControl, GeometryAttitudeCtrl
 from crazychoir.control.controller import CrazyflieController, HierarchicalController
 from crazychoir.control.gains import FORMATION, OF_TRACKING, RANGES, STANDARD, Gains
 from crazychoir.control.handlers import AccelerationTraj, FullStateTraj
@@ -55,7 +55,7 @@ class Controls:
 
     def retune(self, gains: Gains) -> None:
         """Fly with other gains from the next tick on; ConfigError if they are not stable behind this drone."""
-        require_stable(gains, self.platform, self.plant)
+        require_stable(gains, self.platform, self.plant, sender=self.sender.kind)
         self.gains = gains
         if isinstance(self.tracker, HierarchicalController):
             self.tracker.pos_strategy.gains = gains
@@ -76,7 +76,7 @@ def controls(
         STANDARD.on_motors(platform, command_delay) if plant == "motors" else STANDARD.on_rates(rate_lag, command_delay)
     )
     gains = changed(late, choice.gains, f"{where}.gains")
-    require_stable(gains, platform, plant, where)
+    require_stable(gains, platform, plant, where, choice.sender)
     if choice.gains and choice.sender in ON_BOARD:
         found, allowed = f"gains for the sender {choice.sender}", "none: the firmware's own fly places and velocities"
         raise ConfigError(f"{where}.gains", found, allowed, "Leave them out, or send fpqr or frpy.")
@@ -117,8 +117,15 @@ def changed(gains: Gains, values: dict[str, Any], where: str) -> Gains:
     return replace(gains, **known)
 
 
-def require_stable(gains: Gains, platform: Platform, plant: Plant, where: str = "control") -> None:
-    """Refuse gains that leave less delay margin than REQUIRED, with the lag of the rotors 1.3 times as identified."""
+def require_stable(
+    gains: Gains, platform: Platform, plant: Plant, where: str = "control", sender: str = "fpqr"
+) -> None:
+    """Refuse gains that leave less delay margin than REQUIRED, with the lag of the rotors 1.3 times as identified.
+
+    Behind roll and pitch, "frpy", the attitude is controlled on board, whatever kr is.
+    """
+    if sender == "frpy":
+        gains = replace(gains, kr=(ATTITUDE_ON_BOARD, ATTITUDE_ON_BOARD, gains.kr[2]))
     left = margin(gains, platform, plant)
     if left < REQUIRED:
         raise ConfigError(

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -53,6 +55,17 @@ def test_gains_of_the_swarm_file_are_checked_before_the_flight():
         controls(Control(gains={"kpp": 3}))
     with pytest.raises(ConfigError, match=r"control.gains.max_tilt.*0\.2 to 1\.2"):
         controls(Control(gains={"max_tilt": 2.0}))
+
+
+def test_gains_are_judged_with_the_attitude_control_that_flies_them():
+    """Behind roll and pitch that is the firmware's, of 6 1/s."""
+    fast = {"kp": [20, 20, 10], "kv": [3, 3, 5], "kr": [10, 10, 4]}
+    chosen = controls(Control(sender="frpy"), PLATFORMS["cf21"], "motors")
+    assert controls(Control(gains=fast), PLATFORMS["cf21"], "motors").gains.kr == (10.0, 10.0, 4.0)
+    with pytest.raises(ConfigError, match="bear 0 ms"):
+        controls(Control(sender="frpy", gains=fast), PLATFORMS["cf21"], "motors")
+    with pytest.raises(ConfigError, match="bear 0 ms"):
+        chosen.retune(replace(chosen.gains, kp=(20.0, 20.0, 10.0), kv=(3.0, 3.0, 5.0)))
 
 
 @pytest.mark.parametrize("sender", ["vel", "xyz"])
