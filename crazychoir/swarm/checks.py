@@ -364,7 +364,7 @@ def _partitions(swarm: Swarm, where: str) -> None:
 
 
 RULES = (
-    _uris, _platforms, _delay, _roles, _speed, _box, _homes, _cameras, _hosts, _placement, _world, _processes, _start, _ports,
-    _links, _partitions,
+    _uris, _platforms, _delay, _roles, _speed, _box, _homes, _cameras, _hosts, _placement, _world, _processes, _start,
+    _ports, _links, _partitions,
 )  # fmt: skip
 """In the order of their errors."""
