@@ -84,11 +84,18 @@ def check(config: SwarmConfig, force: bool = False) -> list[str]:
     for key, value in config.mission_options.items():
         if key not in DEFAULTS:
             raise ConfigError(f"swarm {config.name}: mission_options.{key}", value, f"one of {', '.join(DEFAULTS)}")
-    flown = drawn(config, config.ids[0])
+    flown, *_ = [_checked(config, i) for i in config.ids]
     return [
         f"the drawing takes {flown.path.duration:.1f} s, at most {flown.speed:.2f} m/s and "
         f"{flown.acceleration:.2f} m/s2, {1e3 * flown.deviation:.1f} mm from what was drawn"
     ]
+
+
+def _checked(config: SwarmConfig, i: int) -> Drawing:
+    try:
+        return drawn(config, i)
+    except ConfigError as error:
+        raise ConfigError(f"drone {i}: {error.where}", error.found, error.allowed, error.do, error.problem) from error
 
 
 def report(config: SwarmConfig, results: Results) -> dict[str, Any]:

@@ -13,6 +13,8 @@ import numpy as np
 
 from crazychoir import CFGuidance, SwarmConfig
 from crazychoir.errors import ConfigError
+from crazychoir.planning import feasibility
+from crazychoir.planning.feasibility import Limits
 from crazychoir.planning.figure import Figure, circle, eight
 
 Results = dict[int, dict[str, Any]]
@@ -55,14 +57,24 @@ def guidance(i: int, config: SwarmConfig) -> CFGuidance:
 
 
 def check(config: SwarmConfig, force: bool = False) -> list[str]:
-    """The options are those that there are."""
+    """The options are those that there are, and each drone can fly its figure."""
     where = f"swarm {config.name}: mission_options"
     for key, value in config.mission_options.items():
         if key not in DEFAULTS:
             raise ConfigError(f"{where}.{key}", value, f"one of {', '.join(DEFAULTS)}")
         if key == "figure" and value not in ("circle", "eight"):
             raise ConfigError(f"{where}.figure", value, '"circle" or "eight"')
-    figure(config.drone(config.ids[0]).home, config.flight.takeoff_height, config.mission_options)
+        if key != "figure" and not isinstance(value, int | float) and (key, value) != ("yaw", "along"):
+            raise ConfigError(f"{where}.{key}", value, "a number")
+    limits = Limits(
+        v_max=config.flight.speed_limit, a_max=config.flight.acceleration_limit,
+        low=config.fence.min, high=config.fence.max,
+    )  # fmt: skip
+    for i in config.ids:
+        try:
+            feasibility.check(_figure(config, i), limits)
+        except ConfigError as error:
+            raise ConfigError(f"{where}: drone {i}: {error.where}", error.found, error.allowed, error.do) from error
     return []
 
 
@@ -85,5 +97,9 @@ def picture(config: SwarmConfig, results: Results, path: str) -> None:
 
 
 def _path(config: SwarmConfig, i: int) -> np.ndarray:
-    flight = figure(config.drone(i).home, config.flight.takeoff_height, config.mission_options)
+    flight = _figure(config, i)
     return np.array([flight.sample(t).p for t in np.linspace(0.0, flight.duration, 500)])
+
+
+def _figure(config: SwarmConfig, i: int) -> Figure:
+    return figure(config.drone(i).home, config.flight.takeoff_height, config.mission_options)

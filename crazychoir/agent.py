@@ -240,7 +240,7 @@ class Agent:
             case "param_get":
                 return drone.pilot.parameters.values(arguments.get("name"))
             case "param_set":
-                return drone.pilot.parameters.set(arguments["name"], arguments["value"])
+                return drone.pilot.set_parameter(arguments["name"], arguments["value"])
             case "ping":
                 return drone.pilot.mode.value
             case _:

@@ -80,10 +80,10 @@ class WorldProcess(Actor):
         self._supervisor = Supervisor(clock, "world", self._failed)
 
     def _bodies(self, owner: WorldOwner) -> list[RemoteBody]:
-        note = Latency(owner, self.latencies_ns).note
+        note, flight = Latency(owner, self.latencies_ns).note, self._config.flight
         kinds = {i: self._config.control_of(i).sender for i in owner.world.ids}
         return [
-            RemoteBody(self.bus.ports[BODIES + i], owner.world, owner.link(i, kind), kind, note)
+            RemoteBody(self.bus.ports[BODIES + i], owner.world, owner.link(i, kind), kind, note, flight)
             for i, kind in kinds.items()
         ]
 

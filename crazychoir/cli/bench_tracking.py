@@ -181,7 +181,7 @@ def ours(plant: Plant) -> Controls:
 
 
 def whole(name: Path, corner: Corner | None = None) -> Errors | None:
-    """Errors of the mission `figure` flown by an agent; None if the drone is lost."""
+    """Errors of the mission `figure` flown by an agent; None if the drone is lost, or has not flown all that counts."""
     config = swarm("motors", name, (0.0, 0.0, 0.0), corner)
 
     async def main(clock: Clock) -> Errors | None:
@@ -189,7 +189,8 @@ def whole(name: Path, corner: Corner | None = None) -> Errors | None:
         meter = Meter(agent)
         agent.services.append(meter)
         results = await agent.run()
-        return meter.errors if results[0].get("success", True) and not agent.owners[0].world.crashed else None
+        flown = results[0].get("success", True) and not agent.owners[0].world.crashed
+        return meter.errors if flown and len(meter.errors) >= 0.99 * SECONDS / TICK else None
 
     return run_virtual(main)
 

@@ -1,13 +1,14 @@
 """Which controllers a drone gets: by its row in the swarm file, its platform and what it is flown through."""
 
-from dataclasses import dataclass, fields, replace
+import math
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from crazychoir.control.attitude import AngleAttitudeCtrl, AttitudeControl, GeometryAttitudeCtrl
+from crazychoir.control.attitude import ATTITUDE_ON_BOARD, AngleAttitudeCtrl, AttitudeControl, GeometryAttitudeCtrl
 from crazychoir.control.controller import CrazyflieController, HierarchicalController
-from crazychoir.control.gains import FORMATION, STANDARD, Gains
+from crazychoir.control.gains import FORMATION, OF_TRACKING, RANGES, STANDARD, Gains
 from crazychoir.control.handlers import AccelerationTraj, FullStateTraj
 from crazychoir.control.margin import REQUIRED, Plant, margin
 from crazychoir.control.position import FlatnessAccelerationCtrl, FlatnessPositionCtrl
@@ -21,6 +22,8 @@ from crazychoir.swarm.tables import Control
 SENDERS: dict[str, type[CommunicationHandler]] = {
     "fpqr": FPQRSender, "frpy": FRPYSender, "vel": VelSender, "xyz": XYZSender,
 }  # fmt: skip
+ON_BOARD = ("vel", "xyz")
+"""Senders for which the gains are those of the firmware."""
 
 
 @dataclass
@@ -43,9 +46,16 @@ class Controls:
         """What speaks to the drone."""
         return self.tracker.command_sender
 
+    @property
+    def tuned(self) -> dict[str, Any]:
+        """The gains that it flies by, by name; none for one that is flown by those of its firmware."""
+        if self.sender.kind in ON_BOARD:
+            return {}
+        return {name: getattr(self.gains, name) for name in OF_TRACKING}
+
     def retune(self, gains: Gains) -> None:
         """Fly with other gains from the next tick on; ConfigError if they are not stable behind this drone."""
-        require_stable(gains, self.platform, self.plant)
+        require_stable(gains, self.platform, self.plant, sender=self.sender.kind)
         self.gains = gains
         if isinstance(self.tracker, HierarchicalController):
             self.tracker.pos_strategy.gains = gains
@@ -66,7 +76,10 @@ def controls(
         STANDARD.on_motors(platform, command_delay) if plant == "motors" else STANDARD.on_rates(rate_lag, command_delay)
     )
     gains = changed(late, choice.gains, f"{where}.gains")
-    require_stable(gains, platform, plant, where)
+    require_stable(gains, platform, plant, where, choice.sender)
+    if choice.gains and choice.sender in ON_BOARD:
+        found, allowed = f"gains for the sender {choice.sender}", "none: the firmware's own fly places and velocities"
+        raise ConfigError(f"{where}.gains", found, allowed, "Leave them out, or send fpqr or frpy.")
     trim, send = Trim(), SENDERS[choice.sender]()
     if choice.sender == "vel":
         tracker: CrazyflieController = VelocityController(VelocityCtrlStrategy(), send, FullStateTraj())
@@ -87,8 +100,8 @@ def controls(
 
 
 def changed(gains: Gains, values: dict[str, Any], where: str) -> Gains:
-    """These gains with some others; ConfigError names what there is."""
-    known = {field.name: getattr(gains, field.name) for field in fields(gains)}
+    """These gains with some others; ConfigError names what there is, or the range."""
+    known = {name: getattr(gains, name) for name in OF_TRACKING}
     for name, value in values.items():
         if name not in known:
             raise ConfigError(f"{where}.{name}", value, f"one of {', '.join(known)}")
@@ -97,12 +110,22 @@ def changed(gains: Gains, values: dict[str, Any], where: str) -> Gains:
         if not (fits and np.all(np.isfinite(value)) and np.all(np.asarray(value) >= 0.0)):
             kind = "three finite numbers, none negative" if shape else "a finite number, not negative"
             raise ConfigError(f"{where}.{name}", value, kind)
+        low, high = RANGES.get(name, (0.0, math.inf))
+        if not np.all((np.asarray(value) >= low) & (np.asarray(value) <= high)):
+            raise ConfigError(f"{where}.{name}", value, f"{low:g} to {high:g}")
         known[name] = tuple(map(float, value)) if shape else float(value)
     return replace(gains, **known)
 
 
-def require_stable(gains: Gains, platform: Platform, plant: Plant, where: str = "control") -> None:
-    """Refuse gains that leave less delay margin than REQUIRED, with the lag of the rotors 1.3 times as identified."""
+def require_stable(
+    gains: Gains, platform: Platform, plant: Plant, where: str = "control", sender: str = "fpqr"
+) -> None:
+    """Refuse gains that leave less delay margin than REQUIRED, with the lag of the rotors 1.3 times as identified.
+
+    Behind roll and pitch, "frpy", the attitude is controlled on board, whatever kr is.
+    """
+    if sender == "frpy":
+        gains = replace(gains, kr=(ATTITUDE_ON_BOARD, ATTITUDE_ON_BOARD, gains.kr[2]))
     left = margin(gains, platform, plant)
     if left < REQUIRED:
         raise ConfigError(

@@ -82,3 +82,7 @@ STANDARD = Gains(kp=(6.0, 6.0, 10.0), kv=(4.0, 4.0, 5.0), kr=(8.0, 8.0, 4.0), ki
 # gains are as fast as that attitude loop allows.
 FORMATION = Gains(kp=(1.0, 1.0, 10.0), kv=(1.5, 1.5, 5.0), kr=(2.0, 2.0, 4.0), lead=0.4)
 SHIPPED = {"standard": STANDARD, "formation": FORMATION}
+RANGES = {"max_tilt": (0.2, 1.2), "rate_delay": (0.0, 0.2), "thrust_delay": (0.0, 0.2)}
+"""What the delay margin does not see, rad and s: below 0.2 rad a drone can hardly brake, from pi/2 on it flees."""
+OF_TRACKING = ("kp", "kv", "kr", *RANGES, "ki_thrust", "ki_trim")
+"""Gains that FlatnessPositionCtrl and its attitude control obey, which is all that a user may set."""

@@ -1,6 +1,5 @@
 """What of a drone's controllers can be read and changed while it flies, by name."""
 
-from dataclasses import asdict
 from typing import Any
 
 from crazychoir.control.choice import Controls, changed
@@ -12,6 +11,8 @@ READ_ONLY = ("trim.thrust", "trim.roll_rad", "trim.pitch_rad", "platform.name", 
 class Parameters:
     """The parameters of one drone: `control.kp`, `control.kr`, ... may be set within their stable range.
 
+    A drone that is sent velocities or places has none of these: it is flown by the gains of its firmware.
+
     `trim.thrust`, `trim.roll_rad`, `trim.pitch_rad`: what the drone has learnt of itself, to be read.
     """
 
@@ -22,7 +23,7 @@ class Parameters:
         """Every parameter by name."""
         controls = self.controls
         pitch, roll = controls.trim.tilt
-        return {f"control.{name}": value for name, value in asdict(controls.gains).items()} | {
+        return {f"control.{name}": value for name, value in controls.tuned.items()} | {
             "trim.thrust": controls.trim.thrust,
             "trim.roll_rad": -float(roll),
             "trim.pitch_rad": float(pitch),

@@ -50,6 +50,7 @@ class Trim:
     def __init__(self) -> None:
         self.flat, self.sure = np.zeros(3), np.zeros(3)
         self.frozen = True
+        self._kept = np.zeros(3), np.zeros(3)
 
     @property
     def thrust(self) -> float:
@@ -60,6 +61,14 @@ class Trim:
     def tilt(self) -> Vec:
         """(2,) rad, by which the drone is tilted more about its pitch axis and less about its roll axis: d / g."""
         return self.flat[1:3] / GRAVITY
+
+    def keep(self) -> None:
+        """Remember what is known now, for `restore`."""
+        self._kept = self.flat.copy(), self.sure.copy()
+
+    def restore(self) -> None:
+        """Forget what was learnt since `keep`, as from a floor that was higher than where the reference went."""
+        self.flat[:], self.sure[:] = self._kept
 
     def learn(self, x: Vec, reference: Vec, rates: Vec, h: float) -> None:
         """Take in the error of one tick; rates: (2,) = ki_thrust, ki_trim;  h: s since the last one."""

@@ -8,7 +8,7 @@ import asyncio
 import logging
 import math
 from enum import Enum
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -169,7 +169,7 @@ class Pilot(Actor):
             self._run = None
 
     def _posed(self, pose: Pose | None, age: float) -> None:
-        if pose is not None and age > pose.age:  # it was on its way
+        if pose is not None and not pose.age >= age:  # it was on its way; or its age is no number
             pose = Pose(pose.flat, age)
         run = self._run
         if run is not None and not run.done():
@@ -203,6 +203,12 @@ class Pilot(Actor):
         elif self.mode in GUIDED:
             self.mode = Mode.HOVER
 
+    def set_parameter(self, name: str, value: Any) -> Any:
+        """Change a parameter, from the next tick on, and return it; ConfigError if it may not be."""
+        found = self.parameters.set(name, value)
+        self.reference_limits = ReferenceLimits(self.limits, self.controls.gains)
+        return found
+
     def hold(self, on: bool = True) -> None:
         """An operator holds the drone where it is, whatever guidance wants, or lets it go on."""
         self.held = on
@@ -219,7 +225,8 @@ class Pilot(Actor):
         try:
             now_ns = self._ticked_ns = self.clock.now_ns()
             now = now_ns / SECOND
-            self.state = self.filter.predict(now) if pose is None else self.filter.update(pose, now)
+            state = self.filter.predict(now) if pose is None else self.filter.update(pose, now)
+            self.state = state if self._models or state is None or state.age <= SEEN else self._believed(state, now)
         except BaseException as error:  # noqa: BLE001 - see _fail
             self._fail(error)
         else:
@@ -228,6 +235,17 @@ class Pilot(Actor):
                 stages.say.append(self._say_state)
                 stages.act.append(self._act)
                 stages.due()
+
+    def _believed(self, state: State, now: float) -> State:
+        """Where a drone is that is not seen and whose filter does not know its commands: where it is to be.
+
+        The filter lets it go on at its last speed. A controller would brake that forever, and the drone fly backwards.
+        """
+        flown = self.flights.sample(now) or self._flown
+        if flown is None:
+            return state
+        half = 0.5 * flown.yaw
+        return State(np.array([*flown.p, *flown.v, 0.0, 0.0, math.sin(half), math.cos(half), 0.0, 0.0, 0.0]), state.age)
 
     def _say_state(self) -> None:
         """Guidance decides when all have said theirs."""
@@ -478,7 +496,9 @@ class Pilot(Actor):
         self.flights.brake(start, self.clock.now())
 
     def _descend(self) -> float:
-        """Land from where it is; s until its motors stop."""
+        """Land from where it is; s until its motors stop. What it learns meanwhile may be of a floor that it pushes."""
+        if self.mode is not LAND:
+            self.controls.trim.keep()
         self._flown = start = self._departure()
         self.mode = LAND
         return self.flights.descend(start, self.clock.now(), self.limits.ground + ON_THE_FLOOR)
@@ -493,6 +513,7 @@ class Pilot(Actor):
         self._flown = None
         self.flights.clear()
         self.controls.trim.frozen = True
+        self.controls.trim.restore()
         self._obeyed = Action.NOMINAL
         if self._braked > 1:
             text = f"the safety table has braked it {self._braked} times in this flight"

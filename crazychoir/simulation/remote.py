@@ -11,10 +11,13 @@ from crazychoir.bus.codec import encode
 from crazychoir.bus.local import BODIES, Port
 from crazychoir.bus.topics import BODY, COMMAND, CUT
 from crazychoir.errors import CodecError
+from crazychoir.math3d import yaw_of
+from crazychoir.planning.point_to_point import PEAK_SPEED
 from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import SECOND, Clock
 from crazychoir.runtime.mailbox import Latest
 from crazychoir.simulation.world import KINDS, Link, World
+from crazychoir.swarm.tables import Flight
 from crazychoir.types import FPQR, FRPY, XYZ, Body, Command, FullState, Vel
 
 log = logging.getLogger(__name__)
@@ -22,6 +25,8 @@ SIZES: dict[type[Any], int] = {FPQR: 4, FRPY: 4, Vel: 4, XYZ: 5, FullState: 14}
 """Numbers in a command of each kind."""
 GONE = 3.0
 """s of silence after which a world's owner does not come back: all its drones have stopped their motors by then."""
+LANDS = 1.0
+"""s without a command after which a drone whose planner is on board, which would fly on for good, is told to land."""
 PATIENT = 5.0
 """s after which a drone that waits for its world says so."""
 _NOTHING = encode(None)
@@ -94,13 +99,16 @@ class OwnerWatch(Actor):
 class RemoteBody:
     """The other end: the body of one drone obeys what comes at its port from that drone, and nobody else.
 
-    link: of the world, for commands of this kind;  obeyed: called after each command that was.
+    link: of the world, for commands of this kind;  obeyed: called after each command that was;  flight: how one that is
+    left alone lands.
     """
 
     def __init__(
-        self, port: Port, world: World, link: Link, kind: str, obeyed: Callable[[], None] = lambda: None
-    ) -> None:
+        self, port: Port, world: World, link: Link, kind: str, obeyed: Callable[[], None] = lambda: None,
+        flight: Flight | None = None,
+    ) -> None:  # fmt: skip
         self.port, self.world, self.link, self.kind, self.obeyed = port, world, link, kind, obeyed
+        self.flight = Flight() if flight is None else flight
         self.drone = port.address - BODIES
         self.refused = 0
         self._clock = port.bus.clock
@@ -115,14 +123,22 @@ class RemoteBody:
         return math.inf if self._commanded_ns is None else (self._clock.now_ns() - self._commanded_ns) / SECOND
 
     def look(self) -> None:
-        """Nobody flies it any more: its motors stop, unless it has firmware that knows what to do."""
-        limit = self.world.command_timeout
+        """Nobody flies it any more: its motors stop, unless it has firmware that knows what to do, or lands it."""
+        planned = self.kind == "xyz"
+        limit = LANDS if planned else self.world.command_timeout
         if limit is None or self._idle or not limit < self.silence < math.inf:
             return
-        self._idle = True
-        self.link.send(FPQR(np.zeros(4)))
-        if not self.world.resting(self.drone):
-            log.warning("drone %d: no command for %.2f s, limit %.2f s: no thrust", self.drone, self.silence, limit)
+        self._idle, rests = True, self.world.resting(self.drone)
+        self.link.send(self._down(rests) if planned else FPQR(np.zeros(4)))
+        if not rests:
+            does = "landing" if planned else "no thrust"
+            log.warning("drone %d: no command for %.2f s, limit %.2f s: %s", self.drone, self.silence, limit, does)
+
+    def _down(self, rests: bool) -> XYZ:
+        """To the ground by the planner on board, whose heading stays; one that rests stops its motors."""
+        state, flight = self.world.state(self.drone), self.flight
+        seconds = max(1.0, PEAK_SPEED * (float(state.p[2]) - flight.ground) / flight.landing_speed)
+        return XYZ("stop" if rests else "land", np.array([0.0, 0.0, flight.ground, yaw_of(state.q), seconds]))
 
     def _commanded(self, source: int, payload: bytes, number: int, channel: str, flags: int, age: float) -> None:
         try:

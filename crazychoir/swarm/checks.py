@@ -24,6 +24,8 @@ PLANNED = ("udp", "radio", "mujoco")
 TOUCHING = 0.137
 """m: two Crazyflies nearer than this, centre to centre, may touch: 92 mm from motor to motor along the diagonal (data
 sheet of the Crazyflie 2.1, Bitcraze), and half a propeller of 45 mm beyond each end."""
+FASTEST_PLANNED = 1.0
+"""m/s, to which the firmware limits a drone that flies to places."""
 OLDEST_POSE = 0.10
 """s: a drone whose pose is older brakes, see safety/guard.py; one that always is never flies."""
 
@@ -173,6 +175,16 @@ def _delay(swarm: Swarm, where: str) -> None:
             f"multiples of {WORLD_STEP:g} s, a step of the world, unless all drones are {LIGHTWEIGHT}",
             f"For example {WORLD_STEP * round(steps):g}.",
         )
+
+
+def _speed(swarm: Swarm, where: str) -> None:
+    """Nothing on board says that a drone stays behind its places: its reference would run away from it."""
+    rows = {row.name: row for row in swarm.roles}
+    planned = [drone.id for drone in swarm.drones if rows.get(drone.role, swarm.control).sender == "xyz"]
+    if planned and swarm.flight.speed_limit > FASTEST_PLANNED:
+        problem = f"drone {planned[0]} is sent places (xyz), which the firmware flies to at {FASTEST_PLANNED:g} m/s"
+        allowed, do = f"at most {FASTEST_PLANNED:g} m/s with xyz", "Lower it, or choose another sender."
+        raise ConfigError(f"{where}: flight.speed_limit", swarm.flight.speed_limit, allowed, do, problem)
 
 
 def _box(swarm: Swarm, where: str) -> None:
@@ -352,7 +364,7 @@ def _partitions(swarm: Swarm, where: str) -> None:
 
 
 RULES = (
-    _uris, _platforms, _delay, _roles, _box, _homes, _cameras, _hosts, _placement, _world, _processes, _start, _ports,
-    _links, _partitions,
+    _uris, _platforms, _delay, _roles, _speed, _box, _homes, _cameras, _hosts, _placement, _world, _processes, _start,
+    _ports, _links, _partitions,
 )  # fmt: skip
 """In the order of their errors."""

@@ -61,6 +61,18 @@ def test_a_late_thrust_is_asked_for_earlier_by_the_jerk():
     assert jerk != 0.0
 
 
+def test_the_drag_of_a_changing_velocity_is_fed_forward_too():
+    """F'/m = j_d + (1/m) R A R^T a_d."""
+    late, platform = 0.1, replace(PAPER, drag=(0.02, 0.03, 0.05))
+    state, ref = on_path(4.3)
+    r = rotation(state.q)
+    rise = (platform.mass * ref.flat[9:12] + r @ np.diag(platform.drag) @ r.T @ ref.a) @ r[:, 2]
+    laws = [FlatnessPositionCtrl(replace(STANDARD, thrust_delay=t), platform) for t in (0.0, late)]
+    plain, early = [law.desired(state, ref.flat, 0.0)[0] for law in laws]
+    assert early - plain == pytest.approx(late * rise, rel=1e-9)
+    assert abs(rise - platform.mass * ref.flat[9:12] @ r[:, 2]) > 1e-4
+
+
 def test_a_reference_that_jumps_does_not_shake_the_drone():
     law = FlatnessPositionCtrl(replace(STANDARD, rate_delay=0.1), DRAGLESS)
     state = State.at((0.0, 0.0, 1.0))

@@ -139,6 +139,23 @@ def test_the_motors_are_off_within_a_second_of_the_touch_down_and_stay_off(tilte
     assert flight.modes[-1] is Mode.GROUND
 
 
+def test_a_floor_that_is_higher_than_the_swarm_file_says_teaches_the_controllers_nothing():
+    """It pushes the floor for two seconds and more, before it knows that it stands: 24 % of thrust, when it learnt."""
+
+    async def twice(guidance):
+        for _ in range(2):
+            await guidance.take_off()
+            await guidance.sleep(2.0)
+            await guidance.land()
+            learnt.append(guidance.member.pilot.controls.trim.thrust)
+
+    learnt: list[float] = []
+    config = swarm_of([("cf21", "fpqr")], 0.0, flight={"ground": -0.1})
+    flight = fly(config, mission_of(twice))[0]
+    assert flight.result["success"], flight.result
+    assert learnt == pytest.approx([1.0, 1.0], abs=0.01)
+
+
 AGAIN = [("cf21", "fpqr"), ("cf21", "xyz"), ("cf21bl", "vel"), ("cf21bl", "xyz")]
 
 
@@ -231,3 +248,42 @@ def test_without_commands_a_drone_that_is_sent_places_hovers_where_the_last_one_
     assert flight.harm == ""
     assert flight.resting[-1]
     assert flight.motors[-1] == 0.0
+
+
+# Out of sight -----------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def unseen():
+    """All senders fly along x at 0.9 m/s when the cameras go blind for 1.9 s."""
+
+    async def along_x(guidance):
+        await guidance.take_off()
+        await guidance.go_to(guidance.state.p + np.array([4.0, 0.0, 0.0]))
+
+    def blind(agent):
+        cameras = agent.owners[0].cameras
+        sample, blinded = cameras.sample, []
+
+        def gap(x, k):
+            if not blinded and np.min(x[:, 3]) > 0.8:
+                blinded.append(k)
+            poses = sample(x, k)
+            return [None] * len(poses) if blinded and k < blinded[0] + round(1.9 / TICK) else poses
+
+        cameras.sample = gap
+
+    return dict(zip(ALIKE, fly(swarm_of(ALIKE, 0.0), mission_of(along_x), blind).values(), strict=True))
+
+
+@pytest.mark.parametrize("row", ALIKE, **names)
+def test_a_drone_that_is_not_seen_any_more_brakes_and_lands_and_does_not_fly_backwards(unseen, row):
+    """Measured: back at 0.1 m/s with fpqr and frpy, 0.4 with vel, 0.6 with xyz. Braking on a prediction that knew no
+    commands, frpy flew back at 4 m/s and tilted by 45 degrees."""
+    flight = unseen[row]
+    fastest = int(np.argmax(np.array(flight.truth)[:, 3]))
+    assert np.array(flight.truth)[fastest, 3] > 0.8
+    assert np.min(np.array(flight.truth)[fastest:, 3]) > -0.8
+    assert np.max(np.degrees(flight.tilts)) < 25.0
+    assert flight.harm == ""
+    assert flight.modes[-1] is Mode.GROUND

@@ -2,7 +2,9 @@
 
 import pytest
 
+from crazychoir.cli import bench_tracking
 from crazychoir.cli.bench_tracking import CORNERS, NOMINAL, alone, original, ours, row, whole
+from crazychoir.errors import ConfigError
 from crazychoir.guidance.mission import load
 from crazychoir.launch.flight import fly_fast
 from crazychoir.launch.recording import recording_file
@@ -35,9 +37,33 @@ def test_the_whole_stack_at_1_m_s():
     assert rmse_mm(whole("eight-1")) <= 8.0
 
 
+def test_a_part_of_a_flight_is_no_flight(monkeypatch):
+    monkeypatch.setattr(bench_tracking, "counts", lambda t: 8.0 <= t <= 18.0)
+    assert whole("eight-1") is None
+
+
 @pytest.mark.parametrize("corner", CORNERS[1::5], ids=lambda corner: corner.name)
 def test_the_whole_stack_with_a_drone_that_is_not_what_its_controllers_believe(corner):
     assert rmse_mm(whole("eight-1", corner)) <= 20.0
+
+
+@pytest.mark.parametrize(
+    ("mission", "options", "says"),
+    [
+        ("figure", {"period": 1.0}, "drone 0: trajectory at .* s: acceleration"),
+        ("figure", {"figure": "eight", "size": 1.5, "period": 40.0}, "drone 1: trajectory: set-point.*fence"),
+        ("figure", {"size": "wide"}, "mission_options.size.*a number"),
+        ("drawn_path", {}, "drone 1: .*fence"),
+    ],
+)
+def test_what_one_of_the_drones_cannot_fly_is_refused_before_the_flight(mission, options, says):
+    drones = [{"id": 0, "home": [0.0, 0.0, 0.0]}, {"id": 1, "home": [1.5, 3.5, 0.0]}]
+    config = SwarmConfig.of(
+        {"name": "wide", "mission": mission, "mission_options": options, "graph": "path", "drones": drones,
+         "fence": {"min": [-2.5, -2.5, 0.0], "max": [2.5, 4.0, 3.0]}}
+    )  # fmt: skip
+    with pytest.raises(ConfigError, match=says):
+        load(mission).check(config, False)
 
 
 def test_a_drawn_word_is_flown_within_its_limits(tmp_path):

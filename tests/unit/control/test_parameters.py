@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -28,6 +30,11 @@ def test_a_gain_that_is_set_flies_from_the_next_tick_on():
         ("control.kp", [6.0, 6.0], "three finite numbers"),
         ("control.kp", [6.0, float("nan"), 6.0], "three finite numbers"),
         ("control.max_tilt", "high", "a finite number"),
+        ("control.max_tilt", 2.0, r"0\.2 to 1\.2"),  # beyond pi/2 it would fly away from where it is to be
+        ("control.max_tilt", 0.0, r"0\.2 to 1\.2"),
+        ("control.thrust_delay", 5.0, r"0 to 0\.2"),
+        ("control.rate_delay", 5.0, r"0 to 0\.2"),
+        ("control.lead", 1.0, "no such parameter"),  # of the law of accelerations
         ("control.kx", 1.0, "control.kp"),
         ("trim.thrust", 1.0, "can only be read"),
     ],
@@ -46,6 +53,27 @@ def test_gains_of_the_swarm_file_are_checked_before_the_flight():
         controls(Control(gains={"kr": [40, 40, 4]}), where="roles[0]")
     with pytest.raises(ConfigError, match=r"control.gains.kpp"):
         controls(Control(gains={"kpp": 3}))
+    with pytest.raises(ConfigError, match=r"control.gains.max_tilt.*0\.2 to 1\.2"):
+        controls(Control(gains={"max_tilt": 2.0}))
+
+
+def test_gains_are_judged_with_the_attitude_control_that_flies_them():
+    """Behind roll and pitch that is the firmware's, of 6 1/s."""
+    fast = {"kp": [20, 20, 10], "kv": [3, 3, 5], "kr": [10, 10, 4]}
+    chosen = controls(Control(sender="frpy"), PLATFORMS["cf21"], "motors")
+    assert controls(Control(gains=fast), PLATFORMS["cf21"], "motors").gains.kr == (10.0, 10.0, 4.0)
+    with pytest.raises(ConfigError, match="bear 0 ms"):
+        controls(Control(sender="frpy", gains=fast), PLATFORMS["cf21"], "motors")
+    with pytest.raises(ConfigError, match="bear 0 ms"):
+        chosen.retune(replace(chosen.gains, kp=(20.0, 20.0, 10.0), kv=(3.0, 3.0, 5.0)))
+
+
+@pytest.mark.parametrize("sender", ["vel", "xyz"])
+def test_gains_that_the_firmware_does_not_obey_are_refused(sender):
+    with pytest.raises(ConfigError, match=r"control.gains.*fpqr or frpy"):
+        controls(Control(sender=sender, gains={"kp": [5, 5, 9]}), plant="motors")
+    with pytest.raises(ConfigError, match="no such parameter"):
+        Parameters(controls(Control(sender=sender), plant="motors")).set("control.kp", [5.0, 5.0, 9.0])
 
 
 @pytest.mark.parametrize("platform", PLATFORMS.values(), ids=lambda row: row.name)

@@ -456,6 +456,17 @@ async def test_an_acceleration_beyond_the_limit_is_cut_to_it(clock):
     assert drone.p[0] == pytest.approx(drone.p[1], abs=0.01), "its direction stays"
 
 
+@virtual
+async def test_references_are_cut_by_the_gains_that_fly(clock):
+    drone = Flown(clock)
+    await drone.hovering()
+    drone.pilot.set_parameter("control.kp", [5.0, 5.0, 9.0])
+    far = FullState.at((2.0, 0.0, 1.0))
+    cut = drone.pilot.reference_limits.full_state(far, drone.pilot.state)
+    pull = 5.0 * (cut.p[0] - drone.pilot.state.p[0])
+    assert pull == pytest.approx(Flight().acceleration_limit, rel=0.05)
+
+
 async def accelerated(clock, period):
     """Wants 2 m/s2 for 6 s, in every `period`-th tick."""
     drone = Flown(clock, fence=((-3.0, -3.0, 0.0), (30.0, 3.0, 2.5)))
@@ -970,6 +981,18 @@ def once():
     """True the first time."""
     turns = iter([True])
     return lambda *_: next(turns, False)
+
+
+@virtual
+async def test_a_pose_whose_age_is_no_number_is_as_old_as_its_way(clock):
+    drone = Supervised(clock)
+    await drone.hovering()
+    truth = drone.world.state(0)
+    drone.pilot.port.publish(POSE, Pose(truth.flat[[0, 1, 2, 6, 7, 8, 9]], np.nan))
+    drone.bus.stages.run()
+    await drone.fly(0.5)
+    assert (drone.failures, drone.pilot.mode) == ([], Mode.HOVER)
+    await drone.end()
 
 
 @virtual

@@ -42,6 +42,15 @@ def test_a_command_turns_the_motors_and_cut_stops_them_for_good(onboard, kind):
     assert not run(onboard, 300)
 
 
+@pytest.mark.parametrize("kind", [mc.MotorCtrlFPQR, mc.MotorCtrlVel])
+def test_places_take_over_from_streamed_set_points(onboard, kind):
+    """The planner is not heard before notify_setpoint_stop: a stop would leave the motors on until the time-outs."""
+    assert kind(onboard).send(COMMANDS[kind])
+    assert run(onboard, 100)
+    assert mc.MotorCtrlXYZ(onboard).send(XYZ("stop", np.zeros(5)))
+    assert not run(onboard, 50)
+
+
 @pytest.mark.parametrize("kind", [mc.MotorCtrlFPQR, mc.MotorCtrlFRPY])
 def test_the_thrust_is_unlocked_once_and_not_interrupted(onboard, kind):
     link = kind(onboard)

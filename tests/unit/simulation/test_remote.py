@@ -9,11 +9,13 @@ from virtual_time import virtual
 from crazychoir.bus.codec import encode
 from crazychoir.bus.local import BODIES, Bus
 from crazychoir.bus.topics import BODY, COMMAND, CUT
+from crazychoir.math3d import yaw_of
 from crazychoir.platforms import PAPER
 from crazychoir.simulation import remote
+from crazychoir.simulation.crazyflies import CrazyflieWorld
 from crazychoir.simulation.integrator import SILENCE, CFIntegrator
 from crazychoir.simulation.remote import GONE, OwnerWatch, RemoteBody, RemoteLink
-from crazychoir.types import FPQR, FRPY, XYZ, Body
+from crazychoir.types import FPQR, FRPY, XYZ, Body, Pose
 
 said: list[str] = []
 HOVER = FPQR(np.array([PAPER.weight, 0.0, 0.0, 0.0]))
@@ -138,6 +140,35 @@ async def test_an_engine_with_firmware_is_left_alone(clock):
     await clock.sleep(10.0)
     pair.body.look()
     assert pair.thrust == PAPER.weight
+
+
+@virtual
+async def test_a_drone_whose_planner_would_fly_on_for_good_is_landed(clock):
+    bus = Bus(clock)
+    drone, there = bus.port(3), bus.port(BODIES + 3)
+    world = CrazyflieWorld((3,), np.zeros((1, 3)), np.array([2.0]))
+    body = RemoteBody(there, world, world.link(3, "xyz"), "xyz")
+    link = RemoteLink(drone)
+
+    async def live(seconds, command=None):
+        for k in range(round(seconds / world.dt)):
+            await clock.sleep(world.dt)
+            if command is not None and k % 10 == 0:
+                link.send(command)
+            world.step()
+            world.see(3, Pose(world.states[0, [0, 1, 2, 6, 7, 8, 9]]))
+            body.look()
+
+    await live(5.0, XYZ("line", np.array([0.0, 0.0, 0.5, 2.0, 0.2])))
+    assert world.state(3).p[2] == pytest.approx(0.5, abs=0.1)
+    await live(0.9)
+    assert world.state(3).p[2] == pytest.approx(0.5, abs=0.1)
+    await live(5.0)
+    assert world.resting(3)
+    assert world.harm(3) == ""
+    assert yaw_of(world.state(3).q) == pytest.approx(2.0, abs=0.05)
+    assert not any(world.onboard[3].record["motors"])
+    assert said == ["drone 3: no command for 1.01 s, limit 1.00 s: landing"]
 
 
 @virtual

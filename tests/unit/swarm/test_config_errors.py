@@ -156,6 +156,12 @@ CASES = {
         'x.toml: drones[3].uri: found "sim://motor"; allowed: sim://, sim://motors. Write uri = "sim://", or leave it '
         "out.",
     ),
+    "faster than the planner on board": (
+        '[flight]\nspeed_limit = 2.0\n[control]\nsender = "xyz"',
+        "",
+        "x.toml: flight.speed_limit = 2.0: drone 0 is sent places (xyz), which the firmware flies to at 1 m/s; "
+        "at most 1 m/s with xyz. Lower it, or choose another sender.",
+    ),
     "unknown platform": (
         "",
         'platform = "cf22"',
