@@ -11,18 +11,31 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
+from rich.console import Group
 from rich.table import Table
 
 import crazychoir
 from crazychoir.agent import Agent
+from crazychoir.cli import bench_worlds
+from crazychoir.cli.bench_worlds import COUNTS
+from crazychoir.control.margin import Plant
 from crazychoir.errors import Refused
 from crazychoir.guidance.mission import load
 from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import Clock, run_virtual
 from crazychoir.safety.pilot import Mode
+from crazychoir.swarm.checks import LIGHTWEIGHT, MOTORS
 from crazychoir.swarm.config import SwarmConfig
 
-DRONES = (10, 30, 100)
+CASES: tuple[tuple[int, Plant], ...] = (
+    (10, "lightweight"), (30, "lightweight"), (100, "lightweight"), (100, "motors"), (1000, "lightweight"),
+)  # fmt: skip
+"""Drones and engine of each row."""
+QUICK = CASES[:2]
+URI: dict[Plant, str] = {"lightweight": LIGHTWEIGHT, "motors": MOTORS}
+PLATFORM: dict[Plant, str] = {"lightweight": "paper", "motors": "cf21"}
+MANY = 300
+"""Drones beyond which one flight of shorter windows is enough."""
 SPACING = 0.7
 """m between neighbours on the ring."""
 SETTLE = 0.5
@@ -40,52 +53,59 @@ ROOMS = (
 Say = Callable[[str], None]
 
 
-def run(drones: tuple[int, ...] = DRONES, flights: int = 2, say: Say = lambda line: None) -> dict[str, Any]:
-    """{"rows": [one a size of swarm]}; raises Refused if a swarm does not land in good order."""
-    rows = []
-    for n in drones:
-        say(f"{n} drones: flying")
-        windows = [window for _ in range(flights) for window in fly(n)]
-        say(f"{n} drones: profiling one more flight")
-        rows.append(
-            {
-                "drones": n,
-                "plant": "lightweight",
-                "processes": 1,
-                "real_time_factor": WINDOW / statistics.median(wall for wall, _ in windows),
-                "real_time_factor_cpu": WINDOW / statistics.median(cpu for _, cpu in windows),
-                "windows": len(windows),
-                "window_s": WINDOW,
-                "profile": profile(n),
-            }
-        )
-    return {"rows": rows}
+def run(quick: bool = False, say: Say = lambda line: None) -> dict[str, Any]:
+    """{"rows": [one a flight], "worlds": [one an engine]}; raises Refused if a swarm does not land in good order."""
+    rows = [_row(n, plant, 1 if quick or n > MANY else 2, say) for n, plant in (QUICK if quick else CASES)]
+    return {"rows": rows, "worlds": bench_worlds.run(COUNTS[:1] if quick else COUNTS, say)}
+
+
+def _row(n: int, plant: Plant, flights: int, say: Say) -> dict[str, Any]:
+    window = WINDOW if n <= MANY else 0.2 * WINDOW
+    say(f"{n} drones, {plant}: flying")
+    windows = [each for _ in range(flights) for each in fly(n, plant, window)]
+    say(f"{n} drones, {plant}: profiling one more flight")
+    return {
+        "drones": n,
+        "plant": plant,
+        "processes": 1,
+        "real_time_factor": window / statistics.median(wall for wall, _ in windows),
+        "real_time_factor_cpu": window / statistics.median(cpu for _, cpu in windows),
+        "windows": len(windows),
+        "window_s": window,
+        "profile": profile(n, plant) if n <= MANY else {},
+    }
+
+
+def tables(result: dict[str, Any]) -> Group:
+    """Flights and worlds, for people."""
+    return Group(table(result), bench_worlds.table(result["worlds"]))
 
 
 def table(result: dict[str, Any]) -> Table:
-    """The rows, for people."""
+    """The flights."""
     shown = Table(title="The whole stack in virtual time, one core")
-    for name in ("drones", "times real time", "by processor time", "where the time goes"):
+    for name in ("drones", "plant", "times real time", "by processor time", "where the time goes"):
         shown.add_column(name, justify="left" if "goes" in name else "right")
     for row in result["rows"]:
         rooms = sorted(row["profile"].items(), key=lambda item: -item[1])
         shares = ", ".join(f"{room} {share:.0%}" for room, share in rooms if share >= 0.01)
-        shown.add_row(
-            str(row["drones"]), f"{row['real_time_factor']:.1f}", f"{row['real_time_factor_cpu']:.1f}", shares
-        )
+        factors = [f"{row[name]:.2f}" for name in ("real_time_factor", "real_time_factor_cpu")]
+        shown.add_row(str(row["drones"]), row["plant"], *factors, shares)
     return shown
 
 
-def fly(drones: int, watch: Callable[[bool], None] = lambda on: None) -> list[tuple[float, float]]:
+def fly(
+    drones: int, plant: Plant = "lightweight", window: float = WINDOW, watch: Callable[[bool], None] = lambda on: None
+) -> list[tuple[float, float]]:
     """One flight in virtual time; returns (wall, processor) seconds of each window.
 
     watch: called with True when the first window begins and with False when the last one has ended.
     """
-    config = ring(drones)
+    config = ring(drones, plant, window)
 
     async def main(clock: Clock) -> list[tuple[float, float]]:
         agent = Agent(clock, config, load("bearing_formation"), config.ids)
-        meter = Meter(agent, watch)
+        meter = Meter(agent, window, watch)
         agent.services.append(meter)
         failed = {i: r["reason"] for i, r in (await agent.run()).items() if not r["success"]}
         if failed or len(meter.windows) < WINDOWS or agent.owners[0].world.crashed:
@@ -95,7 +115,7 @@ def fly(drones: int, watch: Callable[[bool], None] = lambda on: None) -> list[tu
     return run_virtual(main)
 
 
-def ring(n: int) -> SwarmConfig:
+def ring(n: int, plant: Plant = "lightweight", window: float = WINDOW) -> SwarmConfig:
     """n drones on the corners of a regular polygon, each hears its two neighbours; two opposite ones lead.
 
     They take off into the shape, so the law only has to hold it against the noise of the cameras.
@@ -110,11 +130,17 @@ def ring(n: int) -> SwarmConfig:
             "mission": "bearing_formation",
             "mission_options": {
                 "shape": {str(k): [*corner, 1.0] for k, corner in enumerate(corners)},
-                "duration": SETTLE + WINDOWS * WINDOW + 0.5,
+                "duration": SETTLE + WINDOWS * window + 0.5,
             },
             "seed": 1,
             "edges": [[k, (k + 1) % n] for k in range(n)],
-            "drones": [{"id": k, "home": [*corners[k], 0.0], "leader": k in (0, n // 2)} for k in range(n)],
+            "drones": [
+                {
+                    "id": k, "home": [*corners[k], 0.0], "leader": k in (0, n // 2), "uri": URI[plant],
+                    "platform": PLATFORM[plant],
+                }
+                for k in range(n)
+            ],
             "fence": {"min": [-far, -far, 0.0], "max": [far, far, 3.0]},
         },
         "bench flight",
@@ -126,12 +152,12 @@ class Meter(Actor):
 
     name = "meter"
 
-    def __init__(self, agent: Agent, watch: Callable[[bool], None]) -> None:
-        self.agent, self.watch = agent, watch
+    def __init__(self, agent: Agent, window: float, watch: Callable[[bool], None]) -> None:
+        self.agent, self.window, self.watch = agent, window, watch
         self.windows: list[tuple[float, float]] = []
 
     async def run(self) -> None:
-        """Wait for the law, then read the machine's clocks every WINDOW s of virtual time."""
+        """Wait for the law, then read the machine's clocks every `window` s of virtual time."""
         clock = self.agent.clock
         while not self._flying():
             await clock.sleep(0.1)
@@ -139,7 +165,7 @@ class Meter(Actor):
         self.watch(True)
         for _ in range(WINDOWS):
             wall, cpu = time.perf_counter(), time.process_time()
-            await clock.sleep(WINDOW)
+            await clock.sleep(self.window)
             self.windows.append((time.perf_counter() - wall, time.process_time() - cpu))
         self.watch(False)
 
@@ -148,11 +174,11 @@ class Meter(Actor):
         return all(d.pilot.mode is Mode.FOLLOW for i, d in self.agent.drones.items() if i not in leaders)
 
 
-def profile(drones: int) -> dict[str, float]:
+def profile(drones: int, plant: Plant = "lightweight") -> dict[str, float]:
     """Share of each room in the processor time of a flight; what a room calls outside of the house counts for it."""
     seen: Counter[str] = Counter()
     with sampling(seen) as watch:
-        fly(drones, watch)
+        fly(drones, plant, watch=watch)
     total = max(seen.total(), 1)
     return {room: round(seen[room] / total, 4) for room in (*ROOMS, "asyncio", "other")}
 

@@ -5,7 +5,7 @@ from typing import Protocol
 
 import numpy as np
 
-from crazychoir.control.gains import STANDARD, Gains
+from crazychoir.control.gains import STANDARD, Gains, Tuned
 from crazychoir.math3d import Vec, clip, columns, dot, kernel, memory, vector
 from crazychoir.platforms import PAPER, Platform
 from crazychoir.types import State
@@ -48,7 +48,7 @@ def _geometric(x: Vec, desired: Vec, figures: Vec, out: Vec) -> None:
         out[1 + c] = clip(dot(r[c], w) - figures[c] * e[c], -figures[3 + c], figures[3 + c])
 
 
-class GeometryAttitudeCtrl:
+class GeometryAttitudeCtrl(Tuned):
     """Geometric attitude control on SO(3) with body rates as output.
 
         e_R = 1/2 (R_d^T R - R^T R_d)^vee,   w = - K_R e_R + R^T R_d w_d
@@ -59,17 +59,10 @@ class GeometryAttitudeCtrl:
 
     def __init__(self, gains: Gains = STANDARD, platform: Platform = PAPER) -> None:
         self.platform = platform
-        self.gains = gains
+        super().__init__(gains)
 
-    @property
-    def gains(self) -> Gains:
-        """The gains; new ones act from the next call on."""
-        return self._gains
-
-    @gains.setter
-    def gains(self, gains: Gains) -> None:
-        self._gains = gains
-        self._figures = np.array([*gains.kr, *self.platform.max_rate])
+    def _tuned(self, gains: Gains) -> Vec:
+        return np.array([*gains.kr, *self.platform.max_rate])
 
     def command(self, state: State, desired: Vec) -> Vec:
         """A new (4,) = thrust N, body rates rad/s."""
@@ -95,7 +88,7 @@ def _angles(x: Vec, desired: Vec, figures: Vec, out: Vec) -> None:
     out[3] = clip(w[2] + figures[1] * turn, -figures[2], figures[2])
 
 
-class AngleAttitudeCtrl:
+class AngleAttitudeCtrl(Tuned):
     """Roll, pitch and yaw rate for an attitude control on board, which turns by k times what is missing.
 
         phi = asin(-z_2) + w_x / k,   theta = atan2(z_1, z_3) + w_y / k,   psi' = w_z + K_R psi_e
@@ -106,17 +99,10 @@ class AngleAttitudeCtrl:
 
     def __init__(self, gains: Gains = STANDARD, platform: Platform = PAPER) -> None:
         self.platform = platform
-        self.gains = gains
+        super().__init__(gains)
 
-    @property
-    def gains(self) -> Gains:
-        """The gains; new ones act from the next call on."""
-        return self._gains
-
-    @gains.setter
-    def gains(self, gains: Gains) -> None:
-        self._gains = gains
-        self._figures = np.array([ATTITUDE_ON_BOARD, gains.kr[2], self.platform.max_rate[2], MOST_ANGLE])
+    def _tuned(self, gains: Gains) -> Vec:
+        return np.array([ATTITUDE_ON_BOARD, gains.kr[2], self.platform.max_rate[2], MOST_ANGLE])
 
     def command(self, state: State, desired: Vec) -> Vec:
         """A new (4,) = thrust N, roll, pitch rad, yaw rate rad/s."""

@@ -1,5 +1,6 @@
 """The gains that ship, and how late a drone obeys. MARGINS says what each row was checked at, and a test holds it."""
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -54,6 +55,26 @@ class Gains:
         """These gains for the lightweight plant: rate_lag: s, of its body rates; its thrust follows at once."""
         late = HOLD + command_delay
         return replace(self, rate_delay=late + rate_lag, thrust_delay=late)
+
+
+class Tuned(ABC):
+    """A strategy whose gains may change while it flies."""
+
+    def __init__(self, gains: Gains) -> None:
+        self.gains = gains
+
+    @property
+    def gains(self) -> Gains:
+        """The gains; new ones act from the next call on."""
+        return self._gains
+
+    @gains.setter
+    def gains(self, gains: Gains) -> None:
+        self._gains, self._figures = gains, self._tuned(gains)
+
+    @abstractmethod
+    def _tuned(self, gains: Gains) -> Vec:
+        """The figures of the kernel."""
 
 
 STANDARD = Gains(kp=(6.0, 6.0, 10.0), kv=(4.0, 4.0, 5.0), kr=(8.0, 8.0, 4.0), ki_thrust=4.0, ki_trim=4.0)

@@ -5,7 +5,7 @@ from typing import Protocol
 
 import numpy as np
 
-from crazychoir.control.gains import FORMATION, STANDARD, Gains
+from crazychoir.control.gains import FORMATION, STANDARD, Gains, Tuned
 from crazychoir.control.trim import Trim
 from crazychoir.math3d import (
     GRAVITY,
@@ -148,7 +148,7 @@ def _led(x: Vec, ref: Vec, figures: Vec, trim: Vec, mem: Vec, h: float, desired:
     return True
 
 
-class FlatnessPositionCtrl:
+class FlatnessPositionCtrl(Tuned):
     """Tracks a flat trajectory: position, velocity, acceleration, jerk and yaw.
 
         F/m = g e3 + a_d - Kp (p - p_d) - Kv (v - v_d) + (1/m) R A R^T v_d + Rz d
@@ -165,21 +165,15 @@ class FlatnessPositionCtrl:
     def __init__(self, gains: Gains = STANDARD, platform: Platform = PAPER, trim: Trim | None = None) -> None:
         self.trim = Trim() if trim is None else trim
         self.platform = platform
+        super().__init__(gains)
         self._out = np.zeros(DESIRED + 1)
         self._desired = self._out[:DESIRED]
         self._memory, self._time = np.full(3, np.nan), -math.inf
-        self.gains = gains
 
-    @property
-    def gains(self) -> Gains:
-        """The gains; new ones act from the next call on."""
-        return self._gains
-
-    @gains.setter
-    def gains(self, gains: Gains) -> None:
-        self._gains = gains
-        self._figures = np.array([*gains.position, *self.platform.flat])
-        self._rates = self._figures[11:13]
+    def _tuned(self, gains: Gains) -> Vec:
+        figures = np.array([*gains.position, *self.platform.flat])
+        self._rates = figures[11:13]
+        return figures
 
     def desired(self, state: State, reference: Vec, now: float) -> Vec | None:
         """Thrust, attitude and rate feed-forward (13,); None if state or reference is not finite."""

@@ -22,7 +22,8 @@ from crazychoir.types import Pose
 
 # isort: off
 from crazychoir.simulation.lanes import (
-    ACCX, ACCY, ACCZ, GYROX, GYROY, GYROZ, LANES, U1, U2, U3, U4, VOLTAGE, give, take,
+    ACCX, ACCY, ACCZ, GYROX, GYROY, GYROZ, LANES, U1, U2, U3, U4, VOLTAGE, Blocks, blocks, give,
+    take,
 )  # fmt: skip
 # isort: on
 
@@ -42,10 +43,10 @@ def _think(m: Vec, first: int, firmware: Fleet) -> None:
         m[U1 + k], m[U2 + k], m[U3 + k], m[U4 + k] = u[0], u[1], u[2], u[3]
 
 
-@kernel(table, table, matrix, matrix, matrix, vector, memory, memory, memory, memory, keys, whole, whole, vector, rows)
+@kernel(table, blocks, matrix, matrix, matrix, vector, memory, memory, memory, memory, keys, whole, whole, vector, rows)
 def _advance(
     x: Mat,
-    blocks: Mat,
+    lanes: Blocks,
     commands: Mat,
     force: Mat,
     torque: Mat,
@@ -62,8 +63,8 @@ def _advance(
 ) -> None:
     """As `motors._advance`, with the firmware between the sensors and the motors in each step."""
     normal = (options[0], options[1], options[2])
-    for b in range(blocks.shape[0]):
-        m, first = blocks[b], b * LANES
+    for b in range(lanes.shape[0]):
+        m, first = lanes[b].m, b * LANES
         take(m, first, x, commands, force, torque, below, limited)
         for step in range(steps):
             measure(m, seeds[b], time + step, options[3], options[4])
@@ -137,7 +138,7 @@ class CrazyflieWorld(MotorWorld):
     def _advance(self, time: int, steps: int) -> None:
         _advance(
             self.states,
-            self._blocks,
+            self._lanes,
             self.commands,
             self.force,
             self.torque,

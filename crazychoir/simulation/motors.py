@@ -34,7 +34,7 @@ from crazychoir.simulation.truth import Truth
 # isort: off
 from crazychoir.simulation.lanes import (
     ACCX, ACCY, ACCZ, AIRX, AIRY, AIRZ, ALIVE, BIAS1, CHARGE, F1, FREE, GYROX, GYROY, GYROZ, LANES, N1, S1, SIZE,
-    SX, VOLTAGE, constants, give, in_lanes, take,
+    SX, VOLTAGE, Blocks, block_fields, blocks, constants, give, in_lanes, take,
 )  # fmt: skip
 # isort: on
 
@@ -47,10 +47,10 @@ keys: Any = numba.types.Array(numba.uint64, 2, "C", readonly=True)
 whole: Any = numba.int64
 
 
-@kernel(table, table, matrix, matrix, matrix, vector, memory, memory, memory, memory, keys, whole, whole, vector)
+@kernel(table, blocks, matrix, matrix, matrix, vector, memory, memory, memory, memory, keys, whole, whole, vector)
 def _advance(
     x: Mat,
-    blocks: Mat,
+    lanes: Blocks,
     commands: Mat,
     force: Mat,
     torque: Mat,
@@ -69,8 +69,8 @@ def _advance(
     options: (5,) normal of the floor, deviations of gyroscope and accelerometer.
     """
     normal = (options[0], options[1], options[2])
-    for b in range(blocks.shape[0]):
-        m = blocks[b]
+    for b in range(lanes.shape[0]):
+        m = lanes[b].m
         take(m, b * LANES, x, commands, force, torque, below, limited)
         for step in range(steps):
             measure(m, seeds[b], time + step, options[3], options[4])
@@ -136,6 +136,7 @@ class MotorWorld(Truth):
         self._options = np.array([*self._normal, *sensors.deviations(H)])
         self._sensors, self._gusts = self._keys(seed, SENSORS), self._keys(seed, GUSTS)
         self._blocks = np.zeros((-(-n // LANES), SIZE))
+        self._lanes = self._blocks.view(block_fields)[:, 0]
         self._fill(seed, sensors, ground_effect, charge)
         self._run(0, 0)
 
@@ -223,7 +224,7 @@ class MotorWorld(Truth):
     def _run(self, time: int, steps: int) -> None:
         _advance(
             self.states,
-            self._blocks,
+            self._lanes,
             self.commands,
             self.force,
             self.torque,

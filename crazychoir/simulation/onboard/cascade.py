@@ -5,6 +5,8 @@ Degrees, and pitch positive nose up, as in the firmware: the body's rate about y
 
 import math
 
+import numpy as np
+
 from crazychoir.math3d import clip, kernel
 from crazychoir.simulation.onboard import pid
 from crazychoir.simulation.onboard.record import ABSOLUTE, DISABLE, LEGACY, VELOCITY, Record
@@ -118,7 +120,7 @@ def _attitude(fw: Record, sp: Record) -> None:
 @kernel()
 def _whole(value: float) -> float:
     """What a 16-bit integer keeps of a command."""
-    return float(math.trunc(clip(value, -MOST_TURN, MOST_TURN)))
+    return float(np.trunc(clip(value, -MOST_TURN, MOST_TURN)))
 
 
 @kernel()

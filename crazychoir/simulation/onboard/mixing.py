@@ -3,12 +3,13 @@
 Motors in a cross: 0 front right, 1 back right, 2 back left, 3 front left; 0 and 2 push the body to a negative yaw.
 """
 
-import math
+import numpy as np
 
 from crazychoir.math3d import kernel
 from crazychoir.simulation.onboard.record import FORCE_TORQUE, LEGACY, Record
 
 FULL = 65535.0
+PER_FULL = 1.0 / FULL
 LOW_PASS = 0.01  # of the battery's voltage, a ms
 STEADY = 1e-9  # relative, of the battery against its low-pass
 
@@ -16,7 +17,7 @@ STEADY = 1e-9  # relative, of the battery against its low-pass
 @kernel()
 def _legacy(fw: Record) -> None:
     """m = T -/+ roll/2 +/- pitch/2 +/- yaw, with halves cut to integers; pitch positive nose up."""
-    r, p = float(math.trunc(0.5 * fw.roll_out)), float(math.trunc(0.5 * fw.pitch_out))
+    r, p = float(np.trunc(0.5 * fw.roll_out)), float(np.trunc(0.5 * fw.pitch_out))
     t, y = fw.thrust, fw.yaw_out
     fw.request[0] = t - r + p + y
     fw.request[1] = t - r - p - y
@@ -70,15 +71,24 @@ def _thrust(fw: Record, v: float) -> float:
 
 
 @kernel()
-def _voltages(fw: Record) -> None:
-    """V that make each motor's requested N, thrust_min at least: a pass of Newton's method from the last answer.
+def _voltage(fw: Record, v: float, request: float) -> float:
+    """V that make the requested N, thrust_min at least: a pass of Newton's method from v, the last answer.
 
     Its error counts by the battery's distance from its low-pass only. The curve rises everywhere.
     """
-    newtons = fw.thrust_max / FULL
-    for i in range(4):
-        f, v = max(fw.request[i] * newtons, fw.thrust_min), fw.volts[i]
-        fw.volts[i] = v - (_thrust(fw, v) - f) / (fw.c1 + v * (2.0 * fw.c2 + 3.0 * v * fw.c3))
+    f: float = max(request * (fw.thrust_max * PER_FULL), fw.thrust_min)
+    slope: float = fw.c1 + v * (2.0 * fw.c2 + 3.0 * v * fw.c3)
+    return v - (_thrust(fw, v) - f) / slope
+
+
+@kernel()
+def _share(fw: Record, v: float, request: float, ratio: float) -> float:
+    """Share of the full thrust of a motor that v V would make give its request, at `ratio` times that voltage."""
+    f, e = request * (fw.thrust_max * PER_FULL), ratio - 1.0
+    more = v * e * (fw.c1 + v * (fw.c2 * (1.0 + ratio) + v * fw.c3 * (1.0 + ratio * (1.0 + ratio))))
+    g = f + more if f < _thrust(fw, fw.vbat_low) else _thrust(fw, fw.vbat)
+    share: float = 0.0 if f < fw.thrust_min else max(g, 0.0) * (1.0 / fw.thrust_max)
+    return share
 
 
 @kernel()
@@ -88,21 +98,21 @@ def compensate(fw: Record) -> None:
         f = request / 65535 thrust_max, 0 below thrust_min;  duty = V(f) / v_low <= 1;  share = F(duty v) / thrust_max
 
     V inverts F, the curve of the motor;  v: the battery's voltage, v_low: low-passed.
+    All four are computed before one is written, without branches: none waits for another.
     """
-    ratio, full = fw.vbat / fw.vbat_low, _thrust(fw, fw.vbat_low)
-    steady = abs(ratio - 1.0) < STEADY
-    if not steady:
-        _voltages(fw)
-    newtons, share = fw.thrust_max / FULL, 1.0 / fw.thrust_max
-    most = max(_thrust(fw, fw.vbat), 0.0) * share
-    for i in range(4):
-        f = fw.request[i] * newtons
-        if f < fw.thrust_min:
-            fw.motors[i] = 0.0
-        elif f >= full:
-            fw.motors[i] = most
-        elif steady:
-            fw.motors[i] = f * share
-        else:
-            v = fw.volts[i]
-            fw.motors[i] = max(f + _thrust(fw, v * ratio) - _thrust(fw, v), 0.0) * share
+    r, v, ratio = fw.request, fw.volts, fw.vbat / fw.vbat_low
+    if abs(ratio - 1.0) < STEADY:
+        ratio = 1.0
+    else:
+        v[0], v[1], v[2], v[3] = (
+            _voltage(fw, v[0], r[0]),
+            _voltage(fw, v[1], r[1]),
+            _voltage(fw, v[2], r[2]),
+            _voltage(fw, v[3], r[3]),
+        )
+    fw.motors[0], fw.motors[1], fw.motors[2], fw.motors[3] = (
+        _share(fw, v[0], r[0], ratio),
+        _share(fw, v[1], r[1], ratio),
+        _share(fw, v[2], r[2], ratio),
+        _share(fw, v[3], r[3], ratio),
+    )

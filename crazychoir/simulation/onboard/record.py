@@ -83,7 +83,7 @@ lee_fields = np.dtype(
     )
 )
 
-PIDS = "x y z vx vy vz roll pitch yaw roll_rate pitch_rate yaw_rate"
+PIDS = "roll_rate pitch_rate yaw_rate roll pitch yaw vx vy vz x y z"
 
 drone_fields = np.dtype(
     [
@@ -110,9 +110,6 @@ drone_fields = np.dtype(
         ("rate_pitch_mode", np.int64),
         ("rate_yaw_mode", np.int64),
         ("wanted", setpoint_fields),
-        ("level", setpoint_fields),
-        # planner
-        ("planner", planner_fields),
         # supervisor
         *_wholes("state since armed auto_arm arm_requested flying tumbled estop"),
         *_wholes("spun upright_at not_upside_at watchdog watchdog_at stopping_at"),
@@ -127,8 +124,6 @@ drone_fields = np.dtype(
         *_reals("target_vx target_vy target_vz position_thrust"),
         *_reals("target_roll target_pitch target_yaw"),
         *_reals("target_roll_rate target_pitch_rate target_yaw_rate"),
-        ("mellinger", mellinger_fields),
-        ("lee", lee_fields),
         # what the controller wants
         ("output", np.int64),
         *_reals("thrust roll_out pitch_out yaw_out"),  # legacy
@@ -138,6 +133,11 @@ drone_fields = np.dtype(
         ("request", np.float64, (4,)),  # 0..65535
         ("volts", np.float64, (4,)),
         *_reals("vbat_low idle thrust_max thrust_min arm torque_ratio c0 c1 c2 c3"),
+        # What is not needed in each ms lies behind what is, so that of a thousand drones this fits into a cache.
+        ("level", setpoint_fields),
+        ("planner", planner_fields),
+        ("mellinger", mellinger_fields),
+        ("lee", lee_fields),
         ("memory", np.float32, (MEMORY,)),
     ],
     align=True,
