@@ -10,7 +10,7 @@ import glob
 import os
 import sys
 from collections.abc import Callable, Mapping
-from functools import cached_property
+from functools import cache, cached_property
 from hashlib import blake2b
 from opcode import opmap
 from types import BuiltinFunctionType, CodeType, FunctionType, ModuleType
@@ -74,7 +74,10 @@ class Kept(NullCache):
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """The machine code for these types, None if there is none."""
-        return self._files.load_overload(sig, target_context)
+        found = self._files.load_overload(sig, target_context)
+        if found is None:
+            _say_once()
+        return found
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Keep the machine code for these types."""
@@ -83,6 +86,13 @@ class Kept(NullCache):
     def flush(self) -> None:
         """Forget all of it."""
         self._files.flush()
+
+
+@cache
+def _say_once() -> None:
+    """People who wait are told what for."""
+    if sys.stderr.isatty():
+        sys.stderr.write("crazychoir compiles its laws, once; that takes up to a minute\n")
 
 
 class _Place(CompileResultCacheImpl):

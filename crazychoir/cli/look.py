@@ -1,5 +1,6 @@
 """Look into a running swarm, and change its simulated network: topics, echo, hz, status, impair, stop."""
 
+import signal
 from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -63,6 +64,7 @@ def echo(
 ) -> None:
     """Print the values of a topic, one JSON object a line."""
     chosen = _topic(topic)
+    signal.signal(signal.SIGPIPE, signal.SIG_DFL)  # end, as other programs do, when nobody reads on
 
     async def work(window: "Window") -> None:
         for i in await window.find() if drone is None else [drone]:

@@ -183,6 +183,9 @@ def summary_table(run: dict[str, Any]) -> Table:
     for key, form in shown:
         if run.get(key) is not None:
             table.add_row(key, form.format(run[key] if not isinstance(run[key], dict) else _pairs(run[key])))
+    for key in run.get("report", ()):
+        if key not in dict(shown) and not isinstance(run[key], list | tuple):
+            table.add_row(key, Text(_pairs(run[key]) if isinstance(run[key], dict) else _short(run[key])))
     if run.get("recording"):
         table.add_row("recording", Text(_recording(run["recording"])))
     for i, reason in run["reasons"].items():

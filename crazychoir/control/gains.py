@@ -77,7 +77,7 @@ class Tuned(ABC):
         """The figures of the kernel."""
 
 
-STANDARD = Gains(kp=(6.0, 6.0, 10.0), kv=(4.0, 4.0, 5.0), kr=(8.0, 8.0, 4.0), ki_thrust=4.0, ki_trim=4.0)
+STANDARD = Gains(kp=(6.0, 6.0, 10.0), kv=(4.0, 4.0, 5.0), kr=(8.0, 8.0, 4.0), ki_thrust=6.0, ki_trim=3.0)
 # Behind a bearing law: a slow attitude loop and some lead leave the delay margin to the formation's modes. Its position
 # gains are as fast as that attitude loop allows.
 FORMATION = Gains(kp=(1.0, 1.0, 10.0), kv=(1.5, 1.5, 5.0), kr=(2.0, 2.0, 4.0), lead=0.4)

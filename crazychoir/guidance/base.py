@@ -12,7 +12,7 @@ import numpy as np
 
 from crazychoir.bus.topics import STATE
 from crazychoir.control.position import HEADROOM
-from crazychoir.errors import CrazyChoirError
+from crazychoir.errors import ConfigError, CrazyChoirError
 from crazychoir.guidance.hearing import Hearing, VelocitySum
 from crazychoir.planning.feasibility import Limits, check
 from crazychoir.planning.trajectory import Trajectory
@@ -24,7 +24,7 @@ from crazychoir.swarm.communicator import Communicator, run_rounds
 from crazychoir.swarm.config import SwarmConfig
 from crazychoir.swarm.graph import Graph
 from crazychoir.swarm.round import Round
-from crazychoir.types import Acceleration, FullState, Goto, Heard, Point, Reference, State
+from crazychoir.types import Acceleration, FullState, Goto, Heard, Point, Reference, State, Vec
 
 log = logging.getLogger(__name__)
 P = ParamSpec("P")
@@ -37,6 +37,10 @@ ARRIVED = 0.2
 """m from a goal that counts as there."""
 RISEN = 0.04
 """m from its height, above where it stood, beyond which a drone has not flown its take-off to the end."""
+THERE, STILL, STOOD = 0.003, 0.02, 0.3
+"""m, m/s, s: so near, slow and long a drone that has risen stands, and knows its thrust to some thousandths."""
+PATIENT = 5.0
+"""s that it gets for that."""
 ATTEMPTS = 5
 PATIENCE = 300.0
 """s that a flight waits for a pilot that is held, or that the safety table has stopped; and for a first pose."""
@@ -152,6 +156,17 @@ class CFGuidance:
         await self._while(pilot.take_off(height), Mode.TAKEOFF)
         if np.linalg.norm(goal - self.state.p) > RISEN:
             await self.go_to(goal)
+        await self._settle(goal)
+
+    async def _settle(self, goal: Vec) -> None:
+        """Wait, at most PATIENT s, until it has stood still at goal: then it has learnt its thrust and its trim."""
+        clock, pilot, stood = self.member.clock, self.member.pilot, 0
+        ends = clock.now() + PATIENT
+        while pilot.mode in (TAKEOFF, Mode.HOVER) and clock.now() < ends and stood * SETTLE < STOOD:
+            state = self.state
+            there = np.linalg.norm(state.p - goal) < THERE and np.linalg.norm(state.v) < STILL
+            stood = stood + 1 if there else 0
+            await self.sleep(SETTLE)
 
     async def go_to(self, p: Point, duration: float = 0.0, yaw: float | None = None) -> None:
         """Fly to p (3,) m, world, yaw rad (None: as it is), and be there; stopped by the safety table, it flies again.
@@ -175,9 +190,15 @@ class CFGuidance:
     async def fly(self, trajectory: Trajectory) -> None:
         """Go to where a trajectory begins, fly it, and be at its end.
 
+        trajectory: anything with `duration` s, `sample(t)` and `done(t)`, as planning/ makes them: `minimum_snap(...)`,
+        `circle(...)`.
         Raises ConfigError, before it leaves, if the trajectory leaves the fence or is faster than [flight] allows;
         Interrupted when the flight is stopped on the way, as by a hold, or not ended where the trajectory ends.
         """
+        if not all(hasattr(trajectory, name) for name in ("duration", "sample", "done")):
+            do = "Make one of places: crazychoir.planning.minimum_snap.minimum_snap(places)."
+            found = type(trajectory).__name__
+            raise ConfigError(f"drone {self.id}: fly", found, "a trajectory: duration, sample(t), done(t)", do)
         self._require_feasible(trajectory)
         start, end = trajectory.sample(0.0), trajectory.sample(trajectory.duration)
         await self.go_to(start.p, yaw=start.yaw)
@@ -388,7 +409,7 @@ class CFDistributedFeedback(CFGuidance):
 
     def _not_taken(self, reference: object) -> None:
         """Count what can never be flown, and say once why."""
-        self._refused, self._amiss = self._refused + 1, amiss(reference)
+        self._refused, self._amiss = self._refused + 1, self.member.pilot.unflown(reference) or amiss(reference)
         if self._refused == 1:
             log.warning("drone %d: %s: not flown", self.id, self._amiss)
 

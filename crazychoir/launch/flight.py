@@ -23,6 +23,7 @@ from crazychoir.swarm.checks import TOUCHING
 from crazychoir.swarm.config import SwarmConfig
 
 log = logging.getLogger(__name__)
+NO_REASONS = "its mission's report returned success = False, without reasons"
 NO_REASON = "its mission returned success = False, without a reason"
 NOBODY_MOVED = "the law returned None in every step of every drone: all hovered, nobody moved"
 Results = dict[int, dict[str, Any]]
@@ -103,6 +104,8 @@ def summary(
     started = config.ids if started is None else started
     report = mission.report(config, results) if started == config.ids and has(mission, "report") else {}
     reached, off = bool(report.pop("success", True)), report.pop("reasons", {})
+    if not reached and not off:
+        off = dict.fromkeys(started, NO_REASONS)
     failed = failures(results, score.touching, started)
     absent = [i for i in started if i not in results]
     separation = score.min_separation
@@ -111,6 +114,7 @@ def summary(
         score.log.append(NOBODY_MOVED)
     return {
         **report,
+        "report": list(report),
         "mission": config.mission,
         "success": reached and not failed and not absent,
         "drones": len(config.ids),

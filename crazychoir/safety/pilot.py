@@ -356,9 +356,8 @@ class Pilot(Actor):
             wanted: Reference | None = self.reference_limits.acceleration(reference, state, self.filter.speed)
         else:
             wanted = reference if flyable(reference) else None
-        if isinstance(reference, Acceleration) and self.controls.follower is None:
-            kind = self.controls.sender.kind
-            self._say("sender", f"an Acceleration cannot be sent as {kind}: not flown. Send fpqr or frpy")
+        if why := self.unflown(reference):
+            self._say("sender", why)
             return False
         if wanted is None:
             self._say("reference", f"{type(reference).__name__} is no finite reference of its shape: not flown")
@@ -369,6 +368,12 @@ class Pilot(Actor):
             self._reference, self._reference_ns = wanted, self.clock.now_ns()
             self.mode = FOLLOW
         return True
+
+    def unflown(self, reference: object) -> str:
+        """Why a reference of this kind can never be flown; empty if it can."""
+        if isinstance(reference, Acceleration) and self.controls.follower is None:
+            return f"an Acceleration cannot be sent as {self.controls.sender.kind}: not flown. Send fpqr or frpy"
+        return ""
 
     def _fly_goto(self, wanted: Goto) -> None:
         """Begin the flight that a Goto wants, unless it has begun: a law may want the same in each of its steps."""
