@@ -417,7 +417,7 @@ def test_what_a_mission_leaves_behind_flies_nothing():
 
     results, _, phases = ended(leaves)
     assert results[0] == {"success": True}
-    assert phases == [Mode.GROUND, Mode.TAKEOFF, Mode.LAND, Mode.GROUND]
+    assert phases == [Mode.GROUND, Mode.TAKEOFF, Mode.HOVER, Mode.LAND, Mode.GROUND]
 
 
 # A law --------------------------------------------------------------------------------------------------------------
