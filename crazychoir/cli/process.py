@@ -33,13 +33,13 @@ def run_agent(
         incarnation = random.SystemRandom().getrandbits(62)
         process = f"{ids[0]}-{incarnation & 0xFFFFFFFF:08x}"
         agent = Agent(clock, config, mission, ids, process=process, incarnation=incarnation, alone=False)
+        _obey_signals(clock, agent)  # before others may find us, and end us
         link = _link(agent, config, ids, listen, connect)
         link.open()
         agent.alarm = link.alarm
         agent.watchdog = Watchdog(clock, agent.stalled)
         agent.watchdog.start()
         agent.services += [link, *(PublicCopies(link, i) for i in ids)]
-        _obey_signals(clock, agent)
         try:
             results = await agent.run()
             await clock.sleep(0.3)  # the last statuses leave

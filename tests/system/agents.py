@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from crazychoir.guidance.base import LAW
 from crazychoir.swarm.config import SwarmConfig
 
 AGENT = (sys.executable, "-m", "crazychoir.cli.agent")
@@ -134,6 +135,14 @@ class Team:
             lambda: all(any(s["phase"] in phases for s in self.statuses(i)) for i in self.config.ids),
             seconds,
             lambda: f"not all {phases}: {self.text}",
+        )
+
+    async def law(self, seconds: float = 40.0) -> None:
+        """Wait until every drone was seen in the law of its mission: they have met in the air."""
+        await until(
+            lambda: all(any(s["task"] == LAW for s in self.statuses(i)) for i in self.config.ids),
+            seconds,
+            lambda: f"not all in the law: {self.text}",
         )
 
     async def end(self, seconds: float, *without: int) -> dict[int, dict[str, Any]]:

@@ -402,7 +402,7 @@ async def test_who_is_killed_at_the_start_ends_the_wait_of_the_others(four, comp
         said = await look("run", path, "--only", "0,1,2,3", "--json")
     assert time.monotonic() - began < 30.0, "not the whole deadline"
     assert said.code == 1
-    assert said.json["absent"] == [2, 3]
+    assert {2, 3} <= set(said.json["absent"]), "of the others, those too that had not begun to obey signals"
     assert "the others wait no more" in said.err
 
 

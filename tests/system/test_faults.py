@@ -131,7 +131,7 @@ async def test_a_killed_process_in_planning_ends_the_mission_of_the_others_and_i
 async def test_a_stopped_process_delays_nobody(tmp_path):
     config, first = apart(standing(tmp_path, 6.0), None), ahead_of_others()
     async with flying(config, tmp_path, lambda i: first) as team:
-        await team.phase("hovering")
+        await team.law()
         stopped = time.monotonic()
         team.agents[3].signal(signal.SIGSTOP)
         ended = await team.end(30.0, 3)
@@ -267,7 +267,7 @@ async def stop_restart_and_clear(folder: Path) -> None:
     """A restarted agent hears of the stop from the others, and stays on the ground until an operator clears it."""
     config = apart(standing(folder, 60.0, drones=2), None)
     async with flying(config, folder) as team:
-        await team.phase("hovering")
+        await team.law()
         assert (await stop(team)).count("acknowledged") == 2
         await until(lambda: all(team.statuses(i)[-1]["phase"] == "stopped" for i in config.ids), 3.0)
         team.agents[1].signal(signal.SIGKILL)

@@ -91,6 +91,7 @@ class Run:
             40.0,
             lambda: f"{self.phases}: {self.program.text}",
         )
+        await asyncio.sleep(3.0)  # then they stand still, and meet
 
 
 @contextlib.asynccontextmanager
