@@ -43,7 +43,7 @@ class VelocityCtrlStrategy:
     kp, k_yaw: 1/s;  kd: 1;  v_max: m/s, the longest u.
     """
 
-    def __init__(self, kp: float = 1.5, kd: float = 0.1, k_yaw: float = 2.0, v_max: float = 3.0) -> None:
+    def __init__(self, kp: float = 2.0, kd: float = 0.1, k_yaw: float = 2.0, v_max: float = 3.0) -> None:
         self._gains = np.array([kp, kd, k_yaw, v_max])
 
     def velocity(self, state: State, reference: Vec) -> Vec | None:

@@ -8,6 +8,7 @@ from crazychoir.math3d import GRAVITY, flat_attitude, quaternion
 from crazychoir.simulation.onboard.commander import HIGH_LEVEL
 from crazychoir.simulation.onboard.onboard import Onboard
 from crazychoir.simulation.onboard.planner import OK, body_rates
+from crazychoir.simulation.onboard.units import thrust_raw
 from crazychoir.types import FPQR, FRPY, XYZ, Command, FullState, Vel
 
 
@@ -111,6 +112,11 @@ CONTROLS: dict[str, type[MotorCtrl]] = {
 TAKES: dict[str, type[Command]] = {"fpqr": FPQR, "frpy": FRPY, "vel": Vel, "xyz": XYZ, "fullstate": FullState}
 
 
+BASE_THRUST = 0.8
+"""Of hovering, to which the firmware's control of climbs adds; about what its constant is for a bare Crazyflie. With
+more, the integral of the climb, which grows while the rotors spin up on the floor, throws the drone up."""
+
+
 class CrazyflieLink:
     """The way to one drone with firmware: commands of one kind, and those of its planner, which every drone takes.
 
@@ -121,6 +127,9 @@ class CrazyflieLink:
         self.onboard = onboard
         self._controls = {XYZ: MotorCtrlXYZ(onboard), TAKES[kind]: CONTROLS[kind](onboard)}
         self._arms = onboard.firmware.needs_arming
+        if kind in ("vel", "xyz"):
+            base = BASE_THRUST * thrust_raw(onboard.platform.weight, onboard.firmware)
+            onboard.set("posCtlPid.thrustBase", base)
 
     def send(self, command: Command) -> None:
         """Held until the next one; what the firmware refuses is not obeyed."""

@@ -103,20 +103,19 @@ def tilted():
     return dict(zip(TILTED, fly(config, mission_of(up_and_down)).values(), strict=True))
 
 
-OVERSHOOT = {"fpqr": 0.05, "frpy": 0.05, "vel": 0.15, "xyz": 0.15}
-"""m above the height of the take-off. With vel and xyz the firmware's integrals of height and climb overshoot: they
-begin with a base thrust that is not that of hovering."""
+OVERSHOOT = 0.05
+"""m above the height of the take-off."""
 
 
 @pytest.mark.parametrize("row", TILTED, **names)
 def test_a_take_off_from_a_tilted_floor_goes_straight_up_without_much_overshoot(tilted, row):
-    """Measured: overshoot fpqr 3 mm, frpy 7 mm, vel 116 mm, xyz 108 mm (both on cf21thrust); drift 13 and 43 mm."""
+    """Measured: overshoot fpqr 3 mm, frpy 7 mm, vel 22 mm, xyz 43 mm; drift 13 mm, with vel and xyz up to 49 mm."""
     flight = tilted[row]
     assert flight.result["success"], flight.result
     assert flight.tilts[0] == pytest.approx(math.radians(3.0), abs=1e-3)
     up = flight.during(Mode.TAKEOFF, Mode.HOVER)
     moved = flight.p[up] - flight.p[0]
-    assert np.max(moved[:, 2]) - 1.0 <= OVERSHOOT[row[1]]
+    assert np.max(moved[:, 2]) - 1.0 <= OVERSHOOT
     assert np.max(moved[:, 2]) > 0.9
     assert np.max(np.linalg.norm(moved[:, :2], axis=1)) <= 0.05
 
