@@ -1,5 +1,6 @@
 """From commands to the firmware on board: one class a kind of command, by the paper's names."""
 
+from abc import ABC, abstractmethod
 from typing import Any
 
 import numpy as np
@@ -12,15 +13,15 @@ from crazychoir.simulation.onboard.units import thrust_raw
 from crazychoir.types import FPQR, FRPY, XYZ, Command, FullState, Vel
 
 
-class MotorCtrl:
+class MotorCtrl(ABC):
     """What all have: a drone's firmware, and the way to stop it."""
 
     def __init__(self, onboard: Onboard) -> None:
         self.onboard = onboard
 
+    @abstractmethod
     def send(self, command: Any) -> bool:
         """Obey a command of this kind; False if it is not taken."""
-        raise NotImplementedError
 
     def cut(self) -> None:
         """Stop the motors for good."""
