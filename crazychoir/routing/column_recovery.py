@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from crazychoir.errors import SolverError
-from crazychoir.routing.consensus import Exchange, best_offer, flood
+from crazychoir.optimization.agreement import best_offer, flood
+from crazychoir.optimization.program import Exchange
 from crazychoir.routing.master import Pool, partition
 from crazychoir.routing.member import Member
 from crazychoir.routing.plan import sha256

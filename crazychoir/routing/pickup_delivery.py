@@ -4,8 +4,9 @@ from collections.abc import Mapping
 from typing import Any
 
 from crazychoir.errors import ConfigError, SolverError
+from crazychoir.optimization.agreement import flood
+from crazychoir.optimization.program import Exchange, Program
 from crazychoir.routing.column_recovery import DISCLOSED, Assignment, ColumnRecovery
-from crazychoir.routing.consensus import Exchange, flood
 from crazychoir.routing.instance import LocalProblem
 from crazychoir.routing.member import Member, Place, Progress, Settings
 from crazychoir.routing.plan import Route, Solution, digest_of
@@ -16,7 +17,7 @@ from crazychoir.routing.resource_recovery import ResourceRecovery
 METHODS = ("resource-columns", "resource", "resource-argmax")
 
 
-class PickupDelivery:
+class PickupDelivery(Program[Solution]):
     """Robot i of a team that shares out pickup-and-delivery tasks: a Round.
 
         price rounds (primal decomposition)  ->  recovery of an integer plan  ->  confirmation of its hash
@@ -46,42 +47,27 @@ class PickupDelivery:
         place = Place(local.robot, n, tuple(sorted(neighbors)), diameter, dict(degree_of))
         self._member = Member(local, place, settings or Settings())
         self._method = method
-        self._rounds = 0
-        self._solution: Solution | None = None
-        self._program = self._run()
-        self._message = next(self._program)
-
-    @property
-    def done(self) -> bool:
-        """Whether the plan is confirmed."""
-        return self._solution is not None
+        super().__init__()
 
     @property
     def solution(self) -> Solution:
         """What this robot knows of the plan; only when `done`."""
-        if self._solution is None:
-            raise SolverError(f"robot {self._member.place.robot}: {self._method}", f"not done in round {self._rounds}")
-        return self._solution
+        if not self.done:
+            raise SolverError(f"robot {self._member.place.robot}: {self._method}", f"not done in round {self.k}")
+        return self.result
 
     @property
     def progress(self) -> Progress:
         """Phase, round, cost so far, unserved demand."""
         return self._member.progress
 
-    def message(self) -> Any:
-        """What all neighbours get in this round: plain values and float64 arrays."""
-        return self._message
-
     def step(self, heard: Mapping[int, Any]) -> None:
         """Take the neighbours' messages of this round."""
-        self._rounds += 1
-        self._member.report(round=self._rounds)
-        try:
-            self._message = self._program.send({j: heard[j] for j in sorted(heard)})
-        except StopIteration as end:
-            self._solution = end.value
+        self._member.report(round=self.k + 1)
+        super().step(heard)
 
-    def _run(self) -> Exchange[Solution]:
+    def run(self) -> Exchange[Solution]:
+        """Prices, recovery, confirmation."""
         yield from self._hello()
         prices = PriceRounds(self._member)
         yield from prices.run()
@@ -126,7 +112,7 @@ class PickupDelivery:
             bound_exact=bound is not None,
             method=self._method,
             disclosed=disclosed,
-            rounds=self._rounds,
+            rounds=self.k,
             plan_digest=digest,
             routes=(route,) if nodes else (),
         )

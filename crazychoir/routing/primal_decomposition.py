@@ -4,8 +4,8 @@ from typing import Any
 
 import numpy as np
 
+from crazychoir.optimization.program import Exchange
 from crazychoir.routing.columns import ColumnProgram
-from crazychoir.routing.consensus import Exchange
 from crazychoir.routing.member import Member
 from crazychoir.routing.pricing import Column
 from crazychoir.types import Vec

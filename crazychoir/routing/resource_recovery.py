@@ -6,8 +6,9 @@ import numpy as np
 import numpy.typing as npt
 
 from crazychoir.errors import SolverError
+from crazychoir.optimization.agreement import flood, highest_bids
+from crazychoir.optimization.program import Exchange
 from crazychoir.routing.column_recovery import Assignment
-from crazychoir.routing.consensus import Exchange, flood, highest_bids
 from crazychoir.routing.labels import Ints
 from crazychoir.routing.member import Member
 from crazychoir.routing.primal_decomposition import PriceRounds

@@ -1,7 +1,7 @@
 import pytest
 
-from crazychoir.routing.consensus import best_offer, flood, highest_bids
-from crazychoir.routing.solve import diameter
+from crazychoir.optimization.agreement import best_offer, flood, highest_bids
+from crazychoir.swarm.graph import named
 
 
 def together(programs, graph):
@@ -18,26 +18,26 @@ def together(programs, graph):
         sent = dict(messages)
         for i, program in programs.items():
             try:
-                messages[i] = program.send({j: sent[j] for j in graph[i]})
+                messages[i] = program.send({j: sent[j] for j in graph.neighbors(i)})
             except StopIteration as end:
                 values[i] = end.value
     return values, rounds
 
 
 @pytest.fixture(params=["ring", "complete", "path", "star"])
-def team(request, graph):
-    return graph(request.param, 6)
+def team(request):
+    return named(request.param, 6)
 
 
 def test_a_flood_brings_everybody_everything_in_diameter_rounds(team):
-    values, rounds = together({i: flood(i, [i * 1.5], diameter(team)) for i in team}, team)
-    assert rounds == diameter(team)
+    values, rounds = together({i: flood(i, [i * 1.5], team.diameter()) for i in team.ids}, team)
+    assert rounds == team.diameter()
     assert all(list(known.items()) == [(j, [j * 1.5]) for j in range(6)] for known in values.values())
 
 
-def test_a_flood_one_round_short_misses_somebody(graph):
-    team = graph("path", 6)
-    values, _ = together({i: flood(i, i, 4) for i in team}, team)
+def test_a_flood_one_round_short_misses_somebody():
+    team = named("path", 6)
+    values, _ = together({i: flood(i, i, 4) for i in team.ids}, team)
     assert 5 not in values[0]
 
 
@@ -51,19 +51,19 @@ def test_a_flood_sends_each_item_once():
 def test_the_best_offer_is_the_cheapest_and_then_of_the_lowest_id(team):
     costs = {0: None, 1: 4.0, 2: 3.0, 3: 3.0, 4: None, 5: 9.0}
     offers = {i: None if c is None else [c, i, f"plan {i}"] for i, c in costs.items()}
-    values, rounds = together({i: best_offer(offers[i], diameter(team)) for i in team}, team)
-    assert rounds == diameter(team)
+    values, rounds = together({i: best_offer(offers[i], team.diameter()) for i in team.ids}, team)
+    assert rounds == team.diameter()
     assert set(map(tuple, values.values())) == {(3.0, 2, "plan 2")}
 
 
 def test_no_offer_is_none(team):
-    values, _ = together({i: best_offer(None, diameter(team)) for i in team}, team)
+    values, _ = together({i: best_offer(None, team.diameter()) for i in team.ids}, team)
     assert set(values.values()) == {None}
 
 
 def test_the_highest_bid_wins_each_task_and_ties_go_to_the_lowest_id(team):
-    bids = {i: {7: [0.5, i]} for i in team}
+    bids = {i: {7: [0.5, i]} for i in team.ids}
     bids[3] = {7: [0.5, 3], 2: [0.1, 3]}
     bids[4] = {2: [0.2, 4]}
-    values, _ = together({i: highest_bids(bids[i], diameter(team)) for i in team}, team)
+    values, _ = together({i: highest_bids(bids[i], team.diameter()) for i in team.ids}, team)
     assert all(value == {2: [0.2, 4], 7: [0.5, 0]} for value in values.values())

@@ -1,14 +1,12 @@
 """Finite-time agreement as generators: `heard = yield message` is one round.
 
 A distributed algorithm is written as a plain sequence of `yield from` these; all need `diameter`, the largest
-distance between two robots of the graph, and end in the same round at every robot with the same value.
+distance between two agents of the graph, and end in the same round at every agent with the same value.
 """
 
-from collections.abc import Generator, Mapping
-from typing import Any, TypeVar
+from typing import Any
 
-T = TypeVar("T")
-Exchange = Generator[Any, Mapping[int, Any], T]
+from crazychoir.optimization.program import Exchange
 
 
 def flood(robot: int, value: Any, diameter: int) -> Exchange[dict[int, Any]]:

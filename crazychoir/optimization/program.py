@@ -1,0 +1,47 @@
+"""A distributed algorithm written as one generator: `heard = yield message` is one round."""
+
+from abc import abstractmethod
+from collections.abc import Generator, Mapping
+from typing import Any, Generic, TypeVar
+
+T = TypeVar("T")
+Exchange = Generator[Any, Mapping[int, Any], T]
+
+
+class Program(Generic[T]):
+    """A Round whose rounds are the `yield`s of `run`: for algorithms of several phases, or several exchanges a step.
+
+    A subclass sets its fields, then calls `super().__init__()`, which runs it up to its first message.
+    k: rounds done;  result: what `run` returned, once `done`.
+    """
+
+    def __init__(self) -> None:
+        self.k = 0
+        self._done = False
+        self._program = self.run()
+        self._advance(None)
+
+    @abstractmethod
+    def run(self) -> Exchange[T]:
+        """The algorithm, from the first message to the result."""
+
+    @property
+    def done(self) -> bool:
+        """Whether the last round is over."""
+        return self._done
+
+    def message(self) -> Any:
+        """What the neighbours get in this round."""
+        return self._message
+
+    def step(self, heard: Mapping[int, Any]) -> None:
+        """Take the neighbours' messages of this round."""
+        self.k += 1
+        self._advance({j: heard[j] for j in sorted(heard)})
+
+    def _advance(self, heard: Mapping[int, Any] | None) -> None:
+        try:
+            self._message = self._program.send(heard)  # type: ignore[arg-type]  # None starts it
+        except StopIteration as end:
+            self.result: T = end.value
+            self._message, self._done = None, True
