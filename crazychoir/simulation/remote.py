@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 
 from crazychoir.bus.codec import encode
+from crazychoir.bus.commands import CommandServer
 from crazychoir.bus.local import BODIES, Port
 from crazychoir.bus.topics import BODY, COMMAND, CUT
-from crazychoir.errors import CodecError
+from crazychoir.errors import CodecError, Refused
 from crazychoir.math3d import yaw_of
 from crazychoir.planning.point_to_point import PEAK_SPEED
 from crazychoir.runtime.actor import Actor
@@ -99,6 +100,8 @@ class OwnerWatch(Actor):
 class RemoteBody:
     """The other end: the body of one drone obeys what comes at its port from that drone, and nobody else.
 
+    But an emergency stop counts from any operator, whether the drone's agent is there or not.
+
     link: of the world, for commands of this kind;  obeyed: called after each command that was;  flight: how one that is
     left alone lands.
     """
@@ -116,6 +119,7 @@ class RemoteBody:
         self._idle = self._was_cut = False
         port.handlers[COMMAND.number] = self._commanded
         port.handlers[CUT.number] = self._cut
+        CommandServer(port, self._execute, self._stop)
 
     @property
     def silence(self) -> float:
@@ -166,8 +170,17 @@ class RemoteBody:
 
     def _cut(self, source: int, payload: bytes, number: int, channel: str, flags: int, age: float) -> None:
         if source == self.drone:
-            self._commanded_ns, self._was_cut = self._clock.now_ns(), True
+            self._commanded_ns = self._clock.now_ns()
+            self._stop(True)
+
+    def _stop(self, on: bool) -> None:
+        """Motors off for good: where the stop is cleared, they stay off until the world is started again."""
+        if on:
+            self._was_cut = True
             self.link.cut()
+
+    async def _execute(self, verb: str, arguments: dict[str, Any]) -> Any:
+        raise Refused(f"body of drone {self.drone}", f"{verb!r} is its agent's; only an emergency stop counts here")
 
 
 def _whole(command: Any) -> bool:

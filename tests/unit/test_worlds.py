@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from crazychoir.agent import Agent
+from crazychoir.bus.commands import REFUSED, Commander
 from crazychoir.bus.local import BODIES, OBSERVER
 from crazychoir.bus.topics import TRUTH
 from crazychoir.errors import ConfigError, Refused
@@ -209,6 +210,23 @@ def test_a_cut_reaches_the_body():
     results, _ = fly(swarm(), meanwhile=meanwhile)
     assert all(speed < -1.0 for speed in fell.values()), fell
     assert all("emergency stop" in result["reason"] for result in results.values()), results
+
+
+def test_an_emergency_stop_reaches_the_body_whatever_its_agent_goes_on_to_send():
+    seen = {}
+
+    async def meanwhile(clock, world, agent, wires):
+        operator = Commander(world.bus.port(OBSERVER + 1))
+        await clock.sleep(2.5)
+        refused = await operator.request(BODIES, "land")
+        seen.update(refused=refused.kind, missing=await operator.emergency_stop([BODIES], deadline=1.0))
+        await clock.sleep(0.2)
+        seen.update({i: world.owners[0].world.state(i).v[2] for i in (0, 1)})
+
+    results, _ = fly(swarm(), meanwhile=meanwhile)
+    assert (seen["refused"], seen["missing"]) == (REFUSED, [])
+    assert seen[0] < -1.0 < -0.1 < seen[1], "drone 0 falls, drone 1 flies on"
+    assert [result["success"] for result in results.values()] == [False, True]
 
 
 def test_a_pose_is_as_old_as_its_way_was_long():
