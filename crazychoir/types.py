@@ -194,10 +194,11 @@ class Status(Wire, frozen=True, array_like=True, gc=False):
 class Body(Wire, frozen=True, array_like=True, gc=False):
     """How a drone's simulated body is.
 
-    harm: what has broken it, empty if nothing has.
+    harm: what has broken it, empty if nothing has;  flying: it is in the air, flown there by commands.
     """
 
     harm: str = ""
+    flying: bool = False
 
 
 Reference = Acceleration | FullState | Goto

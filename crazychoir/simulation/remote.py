@@ -16,7 +16,7 @@ from crazychoir.math3d import yaw_of
 from crazychoir.planning.point_to_point import PEAK_SPEED
 from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import SECOND, Clock
-from crazychoir.runtime.mailbox import Latest
+from crazychoir.runtime.mailbox import Call, Latest
 from crazychoir.simulation.world import KINDS, Link, World
 from crazychoir.swarm.tables import Flight
 from crazychoir.types import FPQR, FRPY, XYZ, Body, Command, FullState, Vel
@@ -42,16 +42,26 @@ class RemoteLink:
 
     def __init__(self, port: Port) -> None:
         self.port, self._body = port, BODIES + port.address
-        self._cut = False
+        self._cut = self._heard = False
+        self.found_flying: Callable[[], None] = lambda: None
+        """Called once if the body is in the air before this link has sent anything: an agent before us flew it."""
         self._condition: Latest[Body] = Latest(port.bus.clock, f"drone {port.address} body", BODY.max_age)
         port.bus.subscribe(BODY, self._body, port.address, self._condition)
+        port.bus.subscribe(BODY, self._body, port.address, Call(port.bus.clock, self._begin, "body"))
+
+    def _begin(self, body: Body, age: float) -> None:
+        """Somebody says how it is: from now on commands leave."""
+        if not self._heard:
+            self._heard = True
+            if body.flying:
+                self.found_flying()
 
     def send(self, command: Command) -> None:
-        """On its way."""
+        """On its way; not before it is known whether the body flies already: the first command stops its motors."""
         if self._cut:
             self.cut()
-            return
-        self.port.send(COMMAND, (self._body,), encode(command))
+        elif self._heard:
+            self.port.send(COMMAND, (self._body,), encode(command))
 
     def cut(self) -> None:
         """Stop the motors for good."""
@@ -125,6 +135,11 @@ class RemoteBody:
     def silence(self) -> float:
         """s since the last command; infinite before the first."""
         return math.inf if self._commanded_ns is None else (self._clock.now_ns() - self._commanded_ns) / SECOND
+
+    @property
+    def flying(self) -> bool:
+        """Whether commands have brought it into the air."""
+        return self._commanded_ns is not None and not self._was_cut and not self.world.resting(self.drone)
 
     def look(self) -> None:
         """Nobody flies it any more: its motors stop, unless it has firmware that knows what to do, or lands it."""

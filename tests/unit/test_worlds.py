@@ -229,6 +229,44 @@ def test_an_emergency_stop_reaches_the_body_whatever_its_agent_goes_on_to_send()
     assert [result["success"] for result in results.values()] == [False, True]
 
 
+@pytest.mark.parametrize("sender", ["fpqr", "xyz"])
+def test_an_agent_that_is_started_again_lands_a_drone_that_is_in_the_air(sender):
+    drones = [{"id": i, "home": [float(i), 0.0, 0.0], "uri": MOTORS} for i in range(2)]
+    flight = BRISK | {"speed_limit": 0.9}
+    tables = {"drones": drones, "flight": flight, "control": {"sender": sender}} if sender == "xyz" else {}
+    config = swarm(**tables)
+
+    async def main(clock):
+        world = WorldProcess(clock, config, "world", "here", 1)
+        agents = [Agent(clock, config, ENDLESS, config.ids, incarnation=n, alone=False) for n in (1, 2)]
+        serving = asyncio.create_task(world.serve())
+        wires = wired(agents[0].bus, world.bus)
+        flying = asyncio.create_task(agents[0].run())
+        await clock.sleep(3.0)
+        height = world.owners[0].world.state(0).p[2]
+        for wire in wires:
+            wire.torn = True
+        flying.cancel()
+        wired(agents[1].bus, world.bus)
+        again = asyncio.create_task(agents[1].run())
+        await clock.sleep(0.1)
+        notes = [drone.pilot.note for drone in agents[1].drones.values()]
+        speeds = []
+        while any(drone.pilot.mode.value == "landing" for drone in agents[1].drones.values()):
+            await clock.sleep(0.05)
+            speeds.append(world.owners[0].world.state(0).v[2])
+        for task in (flying, again, serving):
+            task.cancel()
+        await asyncio.gather(flying, again, serving, return_exceptions=True)
+        return height, notes, min(speeds), world.report()
+
+    height, notes, sinks, report = run_virtual(main)
+    assert height > 0.4
+    assert notes == ["found in the air, where another agent has flown it: landing"] * 2
+    assert sinks > -1.3, "it falls"
+    assert report["crashed"] == []
+
+
 def test_a_pose_is_as_old_as_its_way_was_long():
     ages = []
 
