@@ -201,6 +201,13 @@ class Body(Wire, frozen=True, array_like=True, gc=False):
     flying: bool = False
 
 
+class Failure(Wire, frozen=True, array_like=True, gc=False):
+    """What an algorithm that has failed at `agent` sends in place of its message: the reason."""
+
+    agent: int
+    reason: str
+
+
 Reference = Acceleration | FullState | Goto
 Heard = dict[int, State]
 
