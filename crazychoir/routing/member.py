@@ -106,8 +106,8 @@ class Member:
 
     def fingerprint(self, method: str) -> str:
         """Hash of all that the team must have in common."""
-        tasks, place = self.local.tasks, self.place
-        common = [tasks.pickup.tolist(), tasks.delivery.tolist(), tasks.load.tolist()]
+        local, place = self.local, self.place
+        common = [local.tasks.to_json(), local.objective]
         return sha256([common, method, asdict(self.settings), place.robots, place.diameter])
 
     def report(self, **news: object) -> None:

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from crazychoir.errors import InstanceError, SolverError
-from crazychoir.routing.instance import SLACK, LocalProblem
+from crazychoir.routing.instance import LocalProblem
 from crazychoir.routing.labels import MOST_TASKS, Ints, Problem, Words, grow_labels, reduced_costs
+from crazychoir.routing.vehicle import SLACK
 from crazychoir.types import Vec
 
 MOST_LABELS = 4_000_000
@@ -114,7 +115,7 @@ def _restricted(local: LocalProblem, chosen: Ints) -> Problem:
         raise InstanceError(where, len(chosen), f"at most {MOST_TASKS}", do)
     m = len(local.tasks)
     nodes = np.concatenate([chosen, m + chosen, [2 * m]])
-    distance = np.ascontiguousarray(local.distance[np.ix_(nodes, nodes)])
+    distance = np.ascontiguousarray(local.vehicle.distance[np.ix_(nodes, nodes)])
     return distance, local.tasks.load[chosen], local.capacity + SLACK, local.limit + SLACK
 
 

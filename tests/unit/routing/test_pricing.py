@@ -19,7 +19,7 @@ def brute_force(local, tasks):
             continue
         held = np.cumsum([local.tasks.load[v] if v < m else -local.tasks.load[v - m] for v in order])
         tour = [2 * m, *order, 2 * m]
-        length = sum(local.distance[a, b] for a, b in pairwise(tour))
+        length = sum(local.vehicle.distance[a, b] for a, b in pairwise(tour))
         if (held <= local.capacity).all() and length <= local.limit and (best is None or length < best):
             best = length
     return best
