@@ -10,8 +10,9 @@ import numpy as np
 
 from crazychoir.errors import SolverError
 from crazychoir.routing.columns import quiet_highs
-from crazychoir.routing.instance import SLACK, Instance, LocalProblem
+from crazychoir.routing.instance import Instance, LocalProblem
 from crazychoir.routing.plan import Plan, Route
+from crazychoir.routing.vehicle import SLACK
 
 Terms = dict[int, float]
 Sense = Literal["<=", "==", ">="]
@@ -69,7 +70,7 @@ def solve_compact(instance: Instance, nodes: int = 1_000_000) -> Plan:
 
 def _add_robot(model: _Model, local: LocalProblem) -> dict[tuple[int, int], int]:
     """Variables and rows of one robot; returns its arc variables. Nodes: 0..2M-1 stops, 2M start, 2M + 1 end."""
-    m, d = len(local.tasks), local.distance
+    m, d = len(local.tasks), local.vehicle.distance
     start, end = 2 * m, 2 * m + 1
     served = [int(j) for j in local.servable]
     stops = served + [m + j for j in served]
@@ -117,5 +118,5 @@ def _route(local: LocalProblem, arcs: dict[tuple[int, int], int], values: list[f
         nodes.append(at)
         at = after[at]
     tour = [2 * m, *nodes, 2 * m]
-    length = sum(float(local.distance[v, w]) for v, w in pairwise(tour))
+    length = sum(float(local.vehicle.distance[v, w]) for v, w in pairwise(tour))
     return Route.from_nodes(local.robot, nodes, m, length)

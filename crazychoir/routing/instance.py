@@ -1,7 +1,7 @@
 """A pickup-and-delivery instance, and the part of it that one robot sees."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -9,31 +9,83 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from crazychoir.errors import InstanceError
+from crazychoir.errors import ConfigError, InstanceError
 from crazychoir.routing.instance_file import Fields, read
+from crazychoir.routing.servable import require_servable
+from crazychoir.routing.vehicle import MAKESPAN, TOTAL, Vehicle
 from crazychoir.types import Mat, Vec
 
-SLACK = 1e-9
-"""Loads and lengths may exceed their limits by this much: rounding of a sum, not a licence."""
+MOST_WEIGHT = 1e6
+"""Of a refusal, in costs of plans: above it a solver's tolerances are as large as a route."""
+OBJECTIVES = ((TOTAL,), (MAKESPAN,), (TOTAL, MAKESPAN), (MAKESPAN, TOTAL))
 
 
 @dataclass(frozen=True, eq=False)
 class Tasks:
-    """The public list of goods: pickup and delivery (M, 2) or (M, 3) m, load (M,)."""
+    """The public list of goods.
+
+    pickup, delivery: (M, 2) or (M, 3) m;  load: (M,);
+    service: (2M,) s, at pickups, then at deliveries;  earliest, latest: (2M,) s, when service may begin, a pickup not
+    before its release;  penalty: (M,), what it costs to refuse the task, inf if it must be served;
+    priority: (M,) whole numbers: tasks of a higher one are refused later;
+    span: more than any plan without refusals costs, known to all; used where there are priorities.
+    """
 
     pickup: Mat
     delivery: Mat
     load: Vec
+    service: Vec = field(default_factory=lambda: np.empty(0))
+    earliest: Vec = field(default_factory=lambda: np.empty(0))
+    latest: Vec = field(default_factory=lambda: np.empty(0))
+    penalty: Vec = field(default_factory=lambda: np.empty(0))
+    priority: npt.NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64))
+    span: float = 0.0
+
+    def __post_init__(self) -> None:
+        m = len(self.load)
+        defaults = {"service": (2 * m, 0.0), "earliest": (2 * m, 0.0), "latest": (2 * m, math.inf),
+                    "penalty": (m, math.inf), "priority": (m, 0)}  # fmt: skip
+        for name, (size, value) in defaults.items():
+            if len(getattr(self, name)) == 0:
+                object.__setattr__(self, name, np.full(size, value))
 
     def __len__(self) -> int:
         return len(self.load)
+
+    @cached_property
+    def refusal(self) -> Vec:
+        """(M,), what leaving a task out costs where plans are compared: inf if it must be served.
+
+            priority 0:  penalty_j
+            priority p:  penalty_j + W_p,   W_p > any cost without refusals + all refusals of lower priorities
+
+        So one task of a higher priority outweighs everything below it.
+        """
+        cost = self.penalty.astype(float)
+        below = self.span + float(cost[(self.priority == 0) & np.isfinite(cost)].sum())
+        for p in np.unique(self.priority[(self.priority > 0) & np.isfinite(cost)]):
+            same = (self.priority == p) & np.isfinite(cost)
+            cost[same] += below
+            below += float(cost[same].sum())
+        return cost
+
+    def to_json(self) -> dict[str, Any]:
+        """A JSON object of all fields: what robots must have in common."""
+        return {name: _plain(value) for name, value in vars(self).items() if name != "refusal"}
 
 
 @dataclass(frozen=True, eq=False)
 class LocalProblem:
     """What robot `robot` of `robots` knows: its own home, capacity, limit and capability, and the public goods.
 
-    home: (2,) or (3,) m;  capacity: units of load;  limit: m, inf if none;  capable: (M,) bool.
+    home: (2,) or (3,) m;  capacity: units of load;  limit: m of each trip, inf if none;  capable: (M,) bool; where a
+    task is aboard another robot it is False;  end: (d,) m, home if None;  open_tour: whether it ends where it likes;
+    distance: (2M + 1, 2M + 1) m, own pickups, deliveries, home, Euclidean if None;  speed: m/s;
+    window: s, when it may leave home, and must be back;  initial_load: part of the capacity in use all the time;
+    fixed: cost of leaving home;  trips: at most;  objective: what the team minimises, in order.
+    In flight:
+    start: (d,) m, where it is or will be at start_time;  aboard: (M,) bool, tasks whose goods it carries;
+    left: m, what is left of the limit of its present trip.
     """
 
     robot: int
@@ -43,34 +95,79 @@ class LocalProblem:
     limit: float
     capable: npt.NDArray[np.bool_]
     tasks: Tasks
+    end: Vec | None = None
+    open_tour: bool = False
+    distance: Mat | None = None
+    speed: float = 1.0
+    window: tuple[float, float] = (0.0, math.inf)
+    initial_load: float = 0.0
+    fixed: float = 0.0
+    trips: int = 1
+    objective: tuple[str, ...] = (TOTAL,)
+    start: Vec | None = None
+    start_time: float = 0.0
+    aboard: npt.NDArray[np.bool_] | None = None
+    left: float | None = None
 
     @cached_property
-    def distance(self) -> Mat:
-        """(2M + 1, 2M + 1) m, Euclidean; rows: pickups 0..M-1, deliveries M..2M-1, home 2M."""
-        points = np.vstack([self.tasks.pickup, self.tasks.delivery, self.home])
-        return np.asarray(np.sqrt(((points[:, None] - points[None, :]) ** 2).sum(axis=2)))
+    def vehicle(self) -> Vehicle:
+        """As the kernels see it. Raises ConfigError for a start away from home where distances are a matrix."""
+        m, distance = len(self.tasks), self._between()
+        service = np.concatenate([self.tasks.service, [0.0, 0.0]])
+        if self.open_tour:
+            distance[:, 2 * m + 1] = 0.0
+        aboard = np.zeros(m, dtype=bool) if self.aboard is None else self.aboard
+        way_home = float(distance[2 * m, 2 * m + 1])
+        return Vehicle(
+            distance=distance,
+            duration=service[:, None] + distance / self.speed,
+            earliest=np.concatenate([self.tasks.earliest, [max(self.start_time, self.window[0]), 0.0]]),
+            latest=np.concatenate([self.tasks.latest, [math.inf, self.window[1]]]),
+            load=self.tasks.load,
+            capacity=self.capacity - self.initial_load,
+            limit=self.limit if self.left is None else self.left,
+            capable=self.capable,
+            aboard=aboard,
+            fixed=self.fixed if self.start is None else -way_home,
+            trips=self.trips,
+            limit_again=self.limit,
+            robot=self.robot,
+        )
 
-    @cached_property
+    @property
     def servable(self) -> npt.NDArray[np.int64]:
-        """Indices, increasing, of the tasks that this robot can do on a tour of their own."""
-        alone = self.alone(np.arange(len(self.tasks)))
-        fits = self.capable & (self.tasks.load <= self.capacity + SLACK) & (alone <= self.limit + SLACK)
-        return np.flatnonzero(fits)
+        """Indices, increasing, of the tasks that one of its routes could hold."""
+        return self.vehicle.servable
 
-    def alone(self, j: Any) -> Any:
-        """m, of the tour for task j alone; for indices (K,) it is (K,)."""
-        m, d = len(self.tasks), self.distance
-        return d[2 * m, j] + d[j, m + j] + d[m + j, 2 * m]
+    def _between(self) -> Mat:
+        """(2M + 2, 2M + 2) m: pickups, deliveries, start, end."""
+        m = len(self.tasks)
+        if self.distance is not None:
+            if self.start is not None or self.end is not None:
+                found, do = "a start or an end beside a matrix of distances", "Give points and no matrix, or none."
+                raise ConfigError(f"robot {self.robot}: start, end", found, "none: the matrix has no row for it", do)
+            nodes = [*range(2 * m + 1), 2 * m]
+            return self.distance[np.ix_(nodes, nodes)]
+        start = self.home if self.start is None else self.start
+        end = self.home if self.end is None else self.end
+        points = np.vstack([self.tasks.pickup, self.tasks.delivery, start, end])
+        return np.asarray(np.sqrt(((points[:, None] - points[None, :]) ** 2).sum(axis=2)))
 
 
 @dataclass(frozen=True, eq=False)
 class Instance:
-    """N robots, M goods; robot i flies a closed tour from home_i and back, or stays.
+    """N robots, M goods; robot i flies a closed tour from home_i and back, or to end_i, or where it likes, or stays.
 
-        min  sum_i length_i   s.t.  every good picked up and then delivered by one robot i,
-             load on board <= capacity_i,  length_i <= route_length_limit,  capability_ij
+        min  sum_i length_i + sum_{j refused} penalty_j
+        s.t. every good not refused picked up and then delivered by one robot i,
+             load on board + initial_load_i <= capacity_i,  each trip <= route_length_limit,  capability_ij,
+             service in its window, after the way and the service before it
 
-    home: (N, d) m, capacity: (N,), capability: (N, M) bool, d = 2 or 3.
+    home, end: (N, d) m, d = 2 or 3;  capacity, initial_load: (N,);  speed: (N,) m/s;  capability: (N, M) bool;
+    distance: (N + 2M, N + 2M) m, rows homes, pickups, deliveries, or (N, N + 2M, N + 2M), one a robot; None: Euclidean;
+    window: (N, 2) s, when robot i may leave home, and must be back;  recharge: most trips of a robot, each with the
+    whole route_length_limit;  fixed_cost: of each robot that leaves home;  objective: what is minimised, in order:
+    "total" as above, or "makespan", the time in s when the last robot is done, instead of the sum of lengths.
     """
 
     home: Mat
@@ -79,6 +176,22 @@ class Instance:
     tasks: Tasks
     route_length_limit: float = math.inf
     name: str = "instance"
+    end: Mat | None = None
+    open_tours: bool = False
+    distance: npt.NDArray[np.float64] | None = None
+    speed: Vec = field(default_factory=lambda: np.empty(0))
+    window: Mat = field(default_factory=lambda: np.empty((0, 2)))
+    initial_load: Vec = field(default_factory=lambda: np.empty(0))
+    fixed_cost: float = 0.0
+    recharge: int = 1
+    objective: tuple[str, ...] = (TOTAL,)
+
+    def __post_init__(self) -> None:
+        n = len(self.home)
+        defaults = {"speed": np.ones(n), "window": np.tile([0.0, math.inf], (n, 1)), "initial_load": np.zeros(n)}
+        for name, value in defaults.items():
+            if len(getattr(self, name)) == 0:
+                object.__setattr__(self, name, value)
 
     @classmethod
     def load(cls, path: str | Path) -> "Instance":
@@ -89,16 +202,34 @@ class Instance:
     def parse(cls, raw: dict[str, Any], where: str = "instance") -> "Instance":
         """From the JSON object `raw`; `where` is what errors call it."""
         fields = Fields(raw, where)
-        tasks = Tasks(fields.points("pickup"), fields.points("delivery"), fields.amounts("load"))
+        points = {key: fields.points(key) for key in ("home", "pickup", "delivery")}
+        load, capacity = fields.amounts("load"), fields.amounts("capacity")
+        pickup, delivery, home = (fields.windows(key) for key in ("pickup", "delivery", "home"))
+        stops = np.vstack([pickup, delivery])
+        stops[: len(pickup), 0] = np.maximum(pickup[:, 0], fields.times("release"))
         instance = cls(
-            home=fields.points("home"),
-            capacity=fields.amounts("capacity"),
+            home=points["home"],
+            capacity=capacity,
             capability=fields.mask("capability"),
-            tasks=tasks,
+            tasks=Tasks(
+                points["pickup"], points["delivery"], load, fields.service(), stops[:, 0].copy(), stops[:, 1].copy(),
+                fields.penalties("penalty"), fields.levels("priority"),
+            ),
             route_length_limit=fields.limit("route_length_limit"),
             name=where,
+            end=fields.ends("end"),
+            open_tours=fields.flag("open_tours"),
+            distance=fields.matrices("distance"),
+            speed=fields.speeds("speed"),
+            window=home,
+            initial_load=fields.part_of("initial_load", capacity),
+            fixed_cost=fields.cost("fixed_cost"),
+            recharge=fields.trips("recharge"),
+            objective=fields.objective("objective", OBJECTIVES),
         )
-        instance._require_servable()
+        instance = replace(instance, tasks=replace(instance.tasks, span=instance._span()))
+        instance._require_few_priorities()
+        require_servable(instance)
         return instance
 
     @property
@@ -116,41 +247,88 @@ class Instance:
             limit=self.route_length_limit,
             capable=self.capability[i],
             tasks=self.tasks,
+            end=None if self.end is None else self.end[i],
+            open_tour=self.open_tours,
+            distance=self._distance_of(i),
+            speed=float(self.speed[i]),
+            window=(float(self.window[i, 0]), float(self.window[i, 1])),
+            initial_load=float(self.initial_load[i]),
+            fixed=self.fixed_cost,
+            trips=self.recharge,
+            objective=self.objective,
         )
+
+    def kinds(self) -> list[tuple[int, ...]]:
+        """The robots, identical ones together, in the order of their ids."""
+        groups: dict[bytes, list[int]] = {}
+        for i in range(self.robots):
+            own = [self.home[i], self.capacity[i], self.capability[i], self.speed[i], self.window[i],
+                   self.initial_load[i]]  # fmt: skip
+            own += [] if self.end is None else [self.end[i]]
+            own += [] if self.distance is None else [self._distance_of(i)]
+            groups.setdefault(b"".join(np.asarray(value).tobytes() for value in own), []).append(i)
+        return [tuple(group) for group in groups.values()]
 
     def to_json(self) -> dict[str, Any]:
         """The JSON object that `parse` reads back."""
-        limit = None if math.isinf(self.route_length_limit) else self.route_length_limit
-        return {
+        tasks = self.tasks
+        raw: dict[str, Any] = {
             "home": self.home.tolist(),
-            "pickup": self.tasks.pickup.tolist(),
-            "delivery": self.tasks.delivery.tolist(),
-            "load": self.tasks.load.tolist(),
+            "pickup": tasks.pickup.tolist(),
+            "delivery": tasks.delivery.tolist(),
+            "load": tasks.load.tolist(),
             "capacity": self.capacity.tolist(),
-            "route_length_limit": limit,
+            "route_length_limit": _plain(self.route_length_limit),
             "capability": self.capability.tolist(),
         }
+        raw |= {"end": self.end.tolist()} if self.end is not None else {}
+        raw |= {"distance": self.distance.tolist()} if self.distance is not None else {}
+        return raw | {
+            "open_tours": self.open_tours,
+            "speed": self.speed.tolist(),
+            "service_time": _halves(tasks.service.tolist()),
+            "time_windows": _halves(_plain(np.column_stack([tasks.earliest, tasks.latest])))
+            | {"home": _plain(self.window)},
+            "initial_load": self.initial_load.tolist(),
+            "penalty": _plain(tasks.penalty),
+            "priority": tasks.priority.tolist(),
+            "fixed_cost": self.fixed_cost,
+            "recharge": self.recharge,
+            "objective": list(self.objective),
+        }
 
-    def _require_servable(self) -> None:
-        """Raise InstanceError for a good that no robot can bring home alone."""
-        served = np.zeros(len(self.tasks), dtype=bool)
-        for i in range(self.robots):
-            served[self.local(i).servable] = True
-        for j in np.flatnonzero(~served):
-            found, allowed, do = self._why_unservable(int(j))
-            raise InstanceError(f"{self.name}: task {j}", found, allowed, do)
+    def _distance_of(self, i: int) -> Mat | None:
+        """(2M + 1, 2M + 1) m: pickups, deliveries, home of robot i."""
+        if self.distance is None:
+            return None
+        nodes = [*range(self.robots, self.distance.shape[-1]), i]
+        own = self.distance[i] if self.distance.ndim == 3 else self.distance
+        return np.asarray(own[np.ix_(nodes, nodes)])
 
-    def _why_unservable(self, j: int) -> tuple[str, str, str]:
-        """The limit that keeps the last robot from task j alone: what was found, what is allowed, what to do."""
-        capable = [i for i in range(self.robots) if self.capability[i, j]]
-        if not capable:
-            return "no robot that is capable of it", "at least one", f"Look at column {j} of capability."
-        load = float(self.tasks.load[j])
-        carriers = [i for i in capable if load <= self.capacity[i] + SLACK]
-        if not carriers:
-            most = f"{max(self.capacity[i] for i in capable):g}, the largest capacity of the robots capable of it"
-            return f"load {load:g}", f"at most {most}", f"Look at load[{j}], capacity, and column {j} of capability."
-        shortest, robot = min((self.local(i).alone(j), i) for i in carriers)
-        found = f"a tour of {shortest:.6g} m for it alone, by robot {robot}, the shortest of those that can carry it"
-        allowed = f"at most {self.route_length_limit:g} m, the route_length_limit"
-        return found, allowed, f"Look at route_length_limit, home, pickup[{j}] and delivery[{j}]."
+    def _span(self) -> float:
+        """More than any plan without refusals costs: so many legs, each as long as the longest."""
+        legs = 3 * len(self.tasks) + 2 * self.robots
+        vehicles = [self.local(i).vehicle for i in range(self.robots)]
+        if self.objective[0] == TOTAL:
+            return legs * max(float(v.distance.max()) for v in vehicles) + self.robots * self.fixed_cost
+        return legs * max(float(v.duration.max()) + float(v.earliest.max()) for v in vehicles)
+
+    def _require_few_priorities(self) -> None:
+        refusal = self.tasks.refusal[np.isfinite(self.tasks.refusal)]
+        if len(refusal) and refusal.max() > MOST_WEIGHT * max(1.0, self.tasks.span):
+            found = f"{len(np.unique(self.tasks.priority))} levels over {len(refusal)} tasks"
+            allowed = f"so few that the weights stay below {MOST_WEIGHT:g} times the cost of a plan"
+            raise InstanceError(f"{self.name}: priority", found, allowed, "Use fewer levels.")
+
+
+def _plain(value: Any) -> Any:
+    """As JSON has it: lists, and null for what is infinite."""
+    if isinstance(value, np.ndarray | list):
+        return [_plain(part) for part in (value.tolist() if isinstance(value, np.ndarray) else value)]
+    return None if value == math.inf else value
+
+
+def _halves(values: list[Any]) -> dict[str, list[Any]]:
+    """Of stops: pickups, then deliveries."""
+    m = len(values) // 2
+    return {"pickup": values[:m], "delivery": values[m:]}

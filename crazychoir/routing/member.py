@@ -81,7 +81,7 @@ class Member:
     @cached_property
     def table(self) -> RouteTable:
         """All routes of this robot; made at the first use."""
-        return RouteTable(self.local, self.settings.most_labels)
+        return RouteTable(self.local.vehicle, self.settings.most_labels, self.local.objective)
 
     @cached_property
     def penalty(self) -> Vec:
@@ -106,8 +106,8 @@ class Member:
 
     def fingerprint(self, method: str) -> str:
         """Hash of all that the team must have in common."""
-        tasks, place = self.local.tasks, self.place
-        common = [tasks.pickup.tolist(), tasks.delivery.tolist(), tasks.load.tolist()]
+        local, place = self.local, self.place
+        common = [local.tasks.to_json(), local.objective]
         return sha256([common, method, asdict(self.settings), place.robots, place.diameter])
 
     def report(self, **news: object) -> None:
