@@ -24,8 +24,8 @@ class ConstraintsConsensus(Iteration):
 
         B_i <- basis of  min f(x)  s.t.  x in X_i, and the rows of B_i and of B_j for all j heard
 
-    A basis is the rows a'x <= b of an optimum that have a positive multiplier, at most n; it is all that travels. f(x_i)
-    never falls, and where no x_i violates what its agent hears, all are the optimum of the team's problem.
+    A basis is the rows a'x <= b of an optimum that have a positive multiplier, at most n; it is all that travels.
+    f(x_i) never falls, and where no x_i violates what its agent hears, all are the optimum of the team's problem.
     Static or time-varying graphs, directed too, (jointly, strongly) connected. No step size.
     f is strictly convex quadratic; to one that is not, as a linear one, TIE |x|^2 / 2 is added, with f scaled to length
     one: it makes the optimum unique, the one closest to 0, exactly so if TIE is small beside the multipliers.
