@@ -9,12 +9,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from in_step import run_in_step
-from quadratics import Quadratics
 
 from crazychoir.optimization.aggregative_tracking import AggregativeTracking
 from crazychoir.optimization.average import RunningAverage
 from crazychoir.optimization.block_subgradient import BlockSubgradientMethod
 from crazychoir.optimization.directed_gradient_tracking import DirectedGradientTracking
+from crazychoir.optimization.generate import random_quadratics
 from crazychoir.optimization.gradient import Samples
 from crazychoir.optimization.gradient_tracking import GradientTracking
 from crazychoir.optimization.mixing import columns, rows, team
@@ -31,7 +31,7 @@ from crazychoir.swarm.graph import (
     row_stochastic,
 )
 
-Q = Quadratics(6, 3, seed=1)
+Q = random_quadratics(6, 3, seed=1)
 GRAPH = erdos_renyi_connected(6, 0.5, 1)
 DIRECTED = erdos_renyi_connected(6, 0.4, 3, directed=True)
 CHANGING = GraphSequence.draw(GRAPH, 0.4, 5, 1)

@@ -5,7 +5,6 @@ import json
 import cvxpy
 import numpy as np
 import pytest
-from quadratics import Quadratics
 
 from crazychoir.errors import AgentFailed, ConfigError, SolverError
 from crazychoir.optimization.aggregative_tracking import AggregativeTracking
@@ -14,6 +13,7 @@ from crazychoir.optimization.block_consensus import BlockConsensus
 from crazychoir.optimization.block_subgradient import BlockSubgradientMethod
 from crazychoir.optimization.consensus import Consensus
 from crazychoir.optimization.directed_gradient_tracking import DirectedGradientTracking
+from crazychoir.optimization.generate import random_quadratics
 from crazychoir.optimization.gradient import Samples
 from crazychoir.optimization.gradient_tracking import GradientTracking
 from crazychoir.optimization.max_consensus import MaxConsensus
@@ -36,7 +36,7 @@ from crazychoir.swarm.graph import (
     row_stochastic,
 )
 
-Q = Quadratics(5, 2, seed=3)
+Q = random_quadratics(5, 2, seed=3)
 GRAPH = erdos_renyi_connected(5, 0.5, 2)
 DIRECTED = erdos_renyi_connected(5, 0.4, 1, directed=True)
 PUSH = columns(DIRECTED, column_stochastic)
