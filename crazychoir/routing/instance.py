@@ -1,6 +1,7 @@
 """A pickup-and-delivery instance, and the part of it that one robot sees."""
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -11,6 +12,7 @@ import numpy.typing as npt
 
 from crazychoir.errors import ConfigError, InstanceError
 from crazychoir.routing.instance_file import Fields, read
+from crazychoir.routing.plan import Plan, Route
 from crazychoir.routing.servable import require_servable
 from crazychoir.routing.vehicle import MAKESPAN, TOTAL, Vehicle
 from crazychoir.types import Mat, Vec
@@ -257,6 +259,13 @@ class Instance:
             trips=self.recharge,
             objective=self.objective,
         )
+
+    def plan(self, routes: Iterable[Route]) -> Plan:
+        """The plan of these routes, with what they leave undone."""
+        flown = tuple(routes)
+        refused = np.ones(len(self.tasks), dtype=bool)
+        refused[[j for route in flown for j in route.tasks if 0 <= j < len(refused)]] = False
+        return Plan(flown, math.fsum(self.tasks.penalty[refused]), self.fixed_cost, self.objective)
 
     def kinds(self) -> list[tuple[int, ...]]:
         """The robots, identical ones together, in the order of their ids."""
