@@ -134,6 +134,7 @@ class LocalProblem:
             trips=self.trips,
             limit_again=self.limit,
             robot=self.robot,
+            metric=self.distance is None,
         )
 
     @property
@@ -197,7 +198,7 @@ class Instance:
 
     @classmethod
     def load(cls, path: str | Path) -> "Instance":
-        """Read a JSON file; raise InstanceError naming file, key and index of what is wrong."""
+        """Read a JSON file, or one of Li and Lim; raise InstanceError naming file, key and index of what is wrong."""
         return cls.parse(read(path), str(path))
 
     @classmethod
@@ -317,7 +318,7 @@ class Instance:
     def _span(self) -> float:
         """More than any plan without refusals costs: so many legs, each as long as the longest."""
         legs = 3 * len(self.tasks) + 2 * self.robots
-        vehicles = [self.local(i).vehicle for i in range(self.robots)]
+        vehicles = [self.local(same[0]).vehicle for same in self.kinds()]
         if self.objective[0] == TOTAL:
             return legs * max(float(v.distance.max()) for v in vehicles) + self.robots * self.fixed_cost
         return legs * max(float(v.duration.max()) + float(v.earliest.max()) for v in vehicles)
