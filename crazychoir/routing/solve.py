@@ -9,7 +9,7 @@ from crazychoir.routing.checker import check
 from crazychoir.routing.instance import Instance
 from crazychoir.routing.member import Settings
 from crazychoir.routing.pickup_delivery import METHODS, PickupDelivery
-from crazychoir.routing.plan import Plan, Solution
+from crazychoir.routing.plan import Solution
 
 Graph = Mapping[int, Sequence[int]]
 
@@ -65,7 +65,7 @@ def joined(instance: Instance, solutions: Iterable[Solution]) -> Solution:
     Raises SolverError if the robots' digests differ, or if the routes are not those of the digest.
     """
     parts = list(solutions)
-    plan = Plan(tuple({route.robot: route for part in parts for route in part.routes}.values()))
+    plan = instance.plan({route.robot: route for part in parts for route in part.routes}.values())
     for digest in [part.plan_digest for part in parts]:
         if digest != plan.digest:
             raise SolverError("joining the robots' routes", f"digest {digest[:12]} announced, {plan.digest[:12]} found")
