@@ -6,12 +6,13 @@ from typing import Any
 from crazychoir.errors import ConfigError, SolverError
 from crazychoir.optimization.agreement import flood
 from crazychoir.optimization.program import Exchange, Program
-from crazychoir.routing.column_recovery import DISCLOSED, Assignment, ColumnRecovery
+from crazychoir.routing.column_recovery import DISCLOSED, ColumnRecovery
 from crazychoir.routing.instance import LocalProblem
 from crazychoir.routing.member import Member, Place, Progress, Settings
 from crazychoir.routing.plan import Route, Solution, digest_of
 from crazychoir.routing.pricing import shortest_route
 from crazychoir.routing.primal_decomposition import PriceRounds
+from crazychoir.routing.proof import Assignment
 from crazychoir.routing.resource_recovery import ResourceRecovery
 
 METHODS = ("resource-columns", "resource", "resource-argmax")
