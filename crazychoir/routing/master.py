@@ -1,5 +1,6 @@
 """The restricted master problem: set partitioning over the columns that are known of all robots."""
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 
@@ -11,6 +12,7 @@ from crazychoir.routing.columns import quiet_highs
 from crazychoir.routing.pricing import Column
 from crazychoir.types import Vec
 
+GOLDEN = 0.6180339887498949
 Key = tuple[int, tuple[int, ...]]
 Routes = dict[int, tuple[int, ...]]
 """Tasks of each robot, increasing."""
@@ -78,17 +80,19 @@ class Master:
         s.t. sum_{c serves j} x_c + v_j >= 1                     : pi_j >= 0
              sum_{c of i} x_c <= 1                               : sigma_i <= 0,    x >= 0, v >= 0
 
-    penalty: (M,) m, more than any price;  basis: columns of the last optimal basis, at most M + N.
+    penalty: (M,) m, more than any price;  spread: the right-hand sides are raised by up to this, each by another amount,
+    the same at all robots: then no optimal basis is degenerate, so prices are unique;  basis: columns of the last optimal basis, at most M + N.
     Raises SolverError if HiGHS does not reach the optimum.
     """
 
-    def __init__(self, penalty: Vec) -> None:
+    def __init__(self, penalty: Vec, spread: float = 0.0) -> None:
+        self._spread = spread
         self._highs, self._tasks = quiet_highs(), len(penalty)
         self._columns: list[tuple[int, Column]] = []
         self._index: dict[Key, int] = {}
         self._row: dict[int, int] = {}
         for j, price in enumerate(penalty):
-            self._highs.addRow(1.0, highspy.kHighsInf, 0, np.array([], np.int32), np.array([]))
+            self._highs.addRow(self._raised(j), highspy.kHighsInf, 0, np.array([], np.int32), np.array([]))
             self._highs.addCol(float(price), 0.0, highspy.kHighsInf, 1, np.array([j], np.int32), np.ones(1))
 
     def __len__(self) -> int:
@@ -117,8 +121,12 @@ class Master:
     def _row_of(self, robot: int) -> int:
         if robot not in self._row:
             self._row[robot] = self._tasks + len(self._row)
-            self._highs.addRow(-highspy.kHighsInf, 1.0, 0, np.array([], np.int32), np.array([]))
+            self._highs.addRow(-highspy.kHighsInf, self._raised(self._tasks + robot), 0, np.array([], np.int32), np.array([]))
         return self._row[robot]
+
+    def _raised(self, row: int) -> float:
+        """The right-hand side of a row: 1, and a share of `spread` (multiples of the golden ratio fill an interval)."""
+        return 1.0 + self._spread * ((row + 1) * GOLDEN % 1.0)
 
     def _append(self, row: int, columns: list[Column]) -> None:
         rows = [[*column.tasks, row] for column in columns]
@@ -129,14 +137,15 @@ class Master:
         self._highs.addCols(n, cost, np.zeros(n), free, len(index), starts, index, np.ones(len(index)))
 
     def relax(self) -> Relaxation:
-        """Its value and prices, with the columns added since."""
+        """Its value (that of its prices where the right-hand sides are 1) and prices, with the columns added since."""
         self._highs.run()
         status = self._highs.getModelStatus()
         if status != highspy.HighsModelStatus.kOptimal:
             raise SolverError("restricted master, relaxed", status.name)
         dual = np.array(self._highs.getSolution().row_dual)
         self._sigma = {robot: min(0.0, float(dual[row])) for robot, row in self._row.items()}
-        return Relaxation(self._highs.getObjectiveValue(), np.maximum(dual[: self._tasks], 0.0))
+        prices = np.maximum(dual[: self._tasks], 0.0)
+        return Relaxation(math.fsum([*prices, *self._sigma.values()]), prices)
 
     def sigma(self, robot: int) -> float:
         """sigma_i in m of the last relaxation, <= 0: what one more route of this robot would save."""

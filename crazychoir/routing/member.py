@@ -29,6 +29,7 @@ class Settings:
     exponent: float = 0.6
     penalty: float = 3.0
     tolerance: float = 1e-6
+    gossip_rounds: int = 200
     passes: int = 30
     batch: int = 20
     first_gap: float = 0.02
@@ -77,6 +78,7 @@ class Member:
     place: Place
     settings: Settings
     progress: Progress = field(default_factory=Progress)
+    kind: str = "start"
 
     @cached_property
     def table(self) -> RouteTable:
