@@ -1,5 +1,6 @@
 """Set partitioning with a certificate: the team agrees on one plan and proves how good it is."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,10 +18,14 @@ from crazychoir.routing.plan import sha256
 
 @dataclass(frozen=True)
 class Assignment:
-    """Who serves what: tasks of each robot that is known;  lower_bound in m, None if none is exact."""
+    """Who serves what: tasks of each robot that is known;  lower_bound in m, None if none is exact.
+
+    stops: nodes of each robot's route, where they are known; else it is the shortest one for its tasks.
+    """
 
     routes: Routes
     lower_bound: float | None
+    stops: Mapping[int, Sequence[int]] | None = None
 
 
 @dataclass(frozen=True)
@@ -40,7 +45,7 @@ class Proof:
     optimal; else double the gap and again. A partitioning of more than `small` columns is left to the `searchers`
     lowest ids, because it costs seconds and one answer is enough.
     Every decision that ends a loop is taken from flooded values, so all robots end in the same round.
-    pool: columns that are known to all;  best: a plan known to all.
+    pool: columns that are known to all;  best: a plan known to all;  prove: search until all is searched.
     Raises SolverError if there is no plan, or if a plan arrives damaged.
     """
 
@@ -53,6 +58,7 @@ class Proof:
         """Widen the gap until the plan's own gap is inside it."""
         settings = self._member.settings
         self._member.report(phase="plan")
+        self._member.kind = "columns"
         unit = max(1.0, abs(self._bound.value))
         proven, exhausted = self._bound.value, False
         gap = min(settings.first_gap * unit, self._own_gap(unit))
@@ -119,7 +125,8 @@ class Proof:
         if len(useful) > settings.small and self._i >= settings.searchers:
             return None
         known = None if self._best is None else self._best.routes
-        found = partition(useful, len(self._member.local.tasks), self._i, settings.nodes, known)
+        nodes = settings.proof_nodes if settings.prove else settings.nodes
+        found = partition(useful, len(self._member.local.tasks), self._i, nodes, known)
         self._infeasible = found.bound == np.inf
         if found.cost == np.inf:
             return None
