@@ -4,7 +4,7 @@ import hashlib
 import json
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
 from crazychoir.routing.vehicle import TOTAL
@@ -131,7 +131,8 @@ class Solution:
     cost: m;  lower_bound: m, no plan at all costs less (None: unknown, bound_exact is False then);  bound_exact: it is
     proven, by exact pricing of all routes, which does not say that it is tight: a plan is proven optimal where its cost
     is the bound, and `resource` and `resource-argmax` prove weaker ones than `resource-columns`;  disclosed: what the
-    robots told each other;  rounds: of communication;  routes: those that this robot knows.
+    robots told each other;  rounds: of communication;  routes: those that this robot knows;  bytes_by_kind: payloads that
+    it sent, by what they were about, without headers and without what was sent again.
     """
 
     cost: float
@@ -143,6 +144,7 @@ class Solution:
     rounds: int
     plan_digest: str
     routes: tuple[Route, ...]
+    bytes_by_kind: dict[str, int] = field(default_factory=dict)
 
     @property
     def plan(self) -> Plan:

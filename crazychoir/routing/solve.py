@@ -1,5 +1,6 @@
 """All robots of an instance in one plain loop: no clock, no network, the same messages."""
 
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -69,7 +70,10 @@ def joined(instance: Instance, solutions: Iterable[Solution]) -> Solution:
     for digest in [part.plan_digest for part in parts]:
         if digest != plan.digest:
             raise SolverError("joining the robots' routes", f"digest {digest[:12]} announced, {plan.digest[:12]} found")
-    return replace(parts[0], routes=plan.routes, feasible=not check(instance, plan))
+    sent = Counter[str]()
+    for part in parts:
+        sent.update(part.bytes_by_kind)
+    return replace(parts[0], routes=plan.routes, feasible=not check(instance, plan), bytes_by_kind=dict(sent))
 
 
 def diameter(graph: Graph) -> int:
