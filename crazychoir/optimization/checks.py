@@ -13,7 +13,8 @@ def require_team(agents: Mapping[int, Any], graph: Graph | GraphSequence) -> Non
     """Raise ConfigError unless there is one agent a node and, of what the agents say of themselves, all fits.
 
     `connected = True` of an algorithm: it needs a (jointly, strongly) connected graph;  `weights`: rows for exactly
-    those that the agent hears, `shares`: for exactly those that hear it;  `x`: of one shape, where it is an array.
+    those that the agent hears, `shares`: for exactly those that hear it;  `x`: of one shape, where it is an array and
+    not `common = False`.
     """
     if sorted(agents) != list(graph.ids):
         allowed = f"one for each node of the graph, {span(graph.ids)}"
@@ -26,7 +27,8 @@ def require_team(agents: Mapping[int, Any], graph: Graph | GraphSequence) -> Non
     if needing and not graph.is_connected:
         do = "Add edges, or draw with another probability."
         raise ConfigError(f"team: graph of {type(agents[needing[0]]).__name__}", _cut(graph), "a connected graph", do)
-    _require_one_shape({i: agents[i].x for i in needing if isinstance(getattr(agents[i], "x", None), np.ndarray)})
+    common = {i: agents[i].x for i in needing if getattr(agents[i], "common", hasattr(agents[i], "x"))}
+    _require_one_shape({i: x for i, x in common.items() if isinstance(x, np.ndarray)})
 
 
 def _require_fitting(i: int, agent: Any, graph: Graph | GraphSequence) -> None:

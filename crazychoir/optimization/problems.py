@@ -105,6 +105,10 @@ class CostCoupled:
         """What `argmin` uses: "closed form", "active set", "HiGHS" or "Clarabel"."""
         return self._program(penalty).name
 
+    def is_fast(self, penalty: float = 0.0) -> bool:
+        """Whether `argmin` takes microseconds: nothing to leave the event loop for."""
+        return self.solver(penalty) in ("closed form", "active set")
+
     def _solved(self, program: Program, p: Vec) -> Vec:
         found = program.solve(p)
         if isinstance(found, str):
@@ -157,6 +161,8 @@ class CommonCost(CostCoupled):
             if not ex.polyhedral([c], x):
                 allowed = f"linear (in)equalities of {x.name()}"
                 raise ConfigError(f"{self.where}: constraints[{r}]", str(c), allowed)
+        self.cost: Quadratic = self.form
+        self.polyhedron = Polyhedron.of(*ex.rows(self.constraints, x))
 
 
 class ConstraintCoupled:
@@ -202,6 +208,10 @@ class ConstraintCoupled:
     def jacobian(self, x: Vec) -> Mat:
         """(Sub)gradients (S, n) of g_i at x."""
         return ex.slope(self.coupling, self.x, np.asarray(x, float)) if self._affine is None else self._affine[0]
+
+    def is_fast(self) -> bool:
+        """Whether `argmin` takes microseconds: nothing to leave the event loop for."""
+        return self._affine is not None and self.local.is_fast()
 
     def argmin(self, prices: Vec) -> Vec:
         """argmin f_i(x) + mu'g_i(x) over X_i; prices: mu (S,) >= 0."""

@@ -1,6 +1,5 @@
 """All agents stop in one round, or each when it knows."""
 
-import random
 
 import numpy as np
 import pytest
@@ -28,7 +27,7 @@ def test_all_are_done_in_one_round_as_many_as_the_diameter_after_the_last_flag(g
 
 def test_flags_that_come_and_go_count_only_if_all_were_up_in_one_round():
     """s_i^D(k) = and_j flag_j(k - D), against that definition, on random flags."""
-    chance, graph = random.Random(3), erdos_renyi_connected(7, 0.3, 2)
+    chance, graph = np.random.default_rng(3), erdos_renyi_connected(7, 0.3, 2)
     d = graph.diameter()
     flags = {i: Flags(d, False) for i in graph.ids}
     ups = [dict.fromkeys(graph.ids, False)]
