@@ -16,7 +16,7 @@ import asyncio
 import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import lru_cache, partial
 from typing import Any, NamedTuple
 
 import msgspec
@@ -36,9 +36,9 @@ from crazychoir.swarm.graph import Graph
 from crazychoir.types import FullState
 
 log = logging.getLogger(__name__)
-PERIOD = 0.1
+PERIOD = 0.2
 """s between two looks at the neighbours' books, and two tellings of the own."""
-POLL = 0.02
+POLL = 0.05
 """s between two looks at what may have changed."""
 HORIZON = 1.5
 """s of its flight to which a robot is bound when a planning begins: about as long as one takes."""
@@ -188,8 +188,12 @@ class OnlinePDVRPGuidance(CFGuidance):
 
     async def _tell(self) -> None:
         others = [r for _, r in sorted(self.book.records.items()) if r.robot != self.id]
-        self._say(place=self._here(), seen=tuple((r.robot, r.incarnation, r.number) for r in others))
-        await self.send(self.book.wire(), self._links().neighbors(self.id), channel=BOOK)
+        seen, knows = tuple((r.robot, r.incarnation, r.number) for r in others), self.book.checksum
+        self._say(place=self._here(), seen=seen, knows=knows)
+        neighbors = self._links().neighbors(self.id)
+        records = [self.book.newest(j) for j in neighbors]
+        lacking = any(record is None or record.knows != knows for record in records)
+        await self.send(self.book.wire(tasks=lacking), neighbors, channel=BOOK)
 
     def _merge(self, heard: dict[int, Any]) -> None:
         before = self._key()
@@ -257,9 +261,7 @@ class OnlinePDVRPGuidance(CFGuidance):
 
     def _links(self, without: tuple[int, ...] = ()) -> Graph:
         """Who talks to whom, mended where those who are gone have left it in parts."""
-        graph = self.graph
-        ids = tuple(i for i in graph.ids if i not in without)
-        return mended(Graph.from_edges(ids, [arc for arc in graph.arcs if not {*arc} & {*without}]))
+        return mended(self.graph, without)
 
     def _count_quorum(self) -> bool:
         """Whether this part of the team is more than half of the team before, or the half with its lowest id."""
@@ -587,8 +589,11 @@ class OnlinePDVRPGuidance(CFGuidance):
         await self.sleep(POLL)
 
 
-def mended(graph: Graph) -> Graph:
-    """The graph, its parts joined in a row by their lowest ids: all compute the same."""
+@lru_cache(maxsize=64)
+def mended(graph: Graph, without: tuple[int, ...] = ()) -> Graph:
+    """The graph without some, its parts joined in a row by their lowest ids: all compute the same."""
+    ids = tuple(i for i in graph.ids if i not in without)
+    graph = Graph.from_edges(ids, [arc for arc in graph.arcs if arc[0] in ids and arc[1] in ids])
     lowest: list[int] = []
     seen: dict[int, None] = {}
     for i in graph.ids:

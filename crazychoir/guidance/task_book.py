@@ -7,6 +7,7 @@ alone writes what it has done with goods, in its own record; what has become of 
 from collections.abc import Collection, Iterable, Mapping
 from enum import Enum
 from typing import Annotated, Any, NamedTuple
+from zlib import crc32
 
 import msgspec
 from msgspec import Meta, Struct
@@ -47,7 +48,7 @@ class Record(Struct, frozen=True, order=True, array_like=True):
     """What a robot has last said of itself; it alone writes it, `number` counts its editions.
 
     place: (2,) m, where it is;  deeds: what it has done with goods, oldest first;  seen: [robot, incarnation, number] of
-    the others' records that it has;  run: [epoch, robots that are out, run], the newest planning that it takes part
+    the others' records that it has;  knows: checksum of the tasks that it knows;  run: [epoch, robots that are out, run], the newest planning that it takes part
     in;  landed, idle: on the ground, and waiting for nothing more;  out: it flies no more, its goods lie where it is;
     ended: the team has agreed to end.
     """
@@ -58,6 +59,7 @@ class Record(Struct, frozen=True, order=True, array_like=True):
     place: Place
     deeds: tuple[Deed, ...] = ()
     seen: tuple[tuple[Count, Count, Count], ...] = ()
+    knows: Count = 0
     run: tuple[Count, Count, Count] = (0, 0, 0)
     landed: bool = True
     idle: bool = False
@@ -92,11 +94,15 @@ class TaskBook:
     """Tasks by id, and the newest record of each robot and incarnation.
 
     `merge` is commutative, associative and idempotent: all who have heard the same news have equal books.
+    changes: counts news that may change what has become of a task.
     """
 
     def __init__(self, tasks: Iterable[Task] = (), records: Iterable[Record] = ()) -> None:
         self.tasks: dict[int, Task] = {}
         self.records: dict[tuple[int, int], Record] = {}
+        self.changes = 0
+        self._newest: dict[int, Record] = {}
+        self._standings: tuple[Any, dict[int, Standing]] = (None, {})
         for task in tasks:
             self.learn(task)
         for record in records:
@@ -108,6 +114,7 @@ class TaskBook:
         if known is not None and task <= known:
             return False
         self.tasks[task.id] = task
+        self.changes += 1
         return True
 
     def hear(self, record: Record) -> bool:
@@ -117,6 +124,11 @@ class TaskBook:
         if known is not None and (record.number, record) <= (known.number, known):
             return False
         self.records[key] = record
+        newest = self._newest.get(record.robot)
+        if newest is None or newest.incarnation <= record.incarnation:
+            self._newest[record.robot] = record
+        if known is None or known.deeds != record.deeds or known.out or record.out:
+            self.changes += 1
         return True
 
     def merge(self, other: "TaskBook") -> bool:
@@ -134,7 +146,7 @@ class TaskBook:
 
     def newest(self, i: int) -> Record | None:
         """The record of the newest incarnation of robot i."""
-        return max((r for r in self.records.values() if r.robot == i), key=lambda r: r.incarnation, default=None)
+        return self._newest.get(i)
 
     def alive(self, members: Collection[int]) -> dict[int, Record]:
         """Records of the members that still fly, by robot."""
@@ -158,6 +170,12 @@ class TaskBook:
 
         Goods belong to the robot that has picked them up last (of several, the lowest id) until it delivers them.
         """
+        key = self.changes, tuple(members), recover
+        if self._standings[0] != key:
+            self._standings = key, self._all_standings(members, recover)
+        return self._standings[1]
+
+    def _all_standings(self, members: Collection[int], recover: bool) -> dict[int, Standing]:
         carriers: dict[int, tuple[int, int, int]] = {}
         delivered: dict[int, int] = {}
         for (i, incarnation), record in sorted(self.records.items()):
@@ -192,17 +210,22 @@ class TaskBook:
 
     # On the wire ----------------------------------------------------------------------------------------------
 
-    def wire(self) -> list[Any]:
-        """As a message."""
-        values = [list(self.tasks.values()), list(self.records.values())]
-        plain: list[Any] = msgspec.to_builtins(values)
-        return plain
+    @property
+    def checksum(self) -> int:
+        """Of the tasks: equal for equal ones."""
+        return crc32(msgspec.msgpack.encode([task for _, task in sorted(self.tasks.items())]))
+
+    def wire(self, tasks: bool = True) -> bytes:
+        """As a message, with the tasks or the records alone."""
+        return msgspec.msgpack.encode([list(self.tasks.values()) if tasks else [], list(self.records.values())])
 
     @classmethod
-    def of(cls, wire: Any) -> "TaskBook":
+    def of(cls, wire: object) -> "TaskBook":
         """From a message; raises CodecError."""
         try:
-            tasks, records = msgspec.convert(wire, tuple[list[Task], list[Record]])
-        except msgspec.ValidationError as error:
+            return cls(*_READER.decode(wire))  # type: ignore[arg-type]  # what is no bytes raises
+        except (msgspec.MsgspecError, TypeError, ValueError, RecursionError) as error:
             raise CodecError(f"task book: {error}") from error
-        return cls(tasks, records)
+
+
+_READER = msgspec.msgpack.Decoder(tuple[list[Task], list[Record]])
