@@ -58,15 +58,15 @@ def instance(config: SwarmConfig) -> Instance:
 def drawn(config: SwarmConfig) -> Instance:
     """`tasks` goods (15) in the square, loads 1 or 2, capacities 2 to 4, each robot capable of three in four."""
     draw, n, m = np.random.default_rng(config.seed), len(config.ids), config.mission_options.get("tasks", 15)
-    points = draw.uniform(0.0, ROOM, size=(2 * m, 2)).round(2)
+    points = draw.uniform(0.0, ROOM, size=(2 * m, 2))
     capacity = draw.integers(2, 4, size=n, endpoint=True)
     mask = draw.random((n, m)) < 0.75
     mask[draw.integers(n, size=m), np.arange(m)] = True
     return Instance.parse(
         {
             "home": [list(config.drone(i).home[:2]) for i in config.ids],
-            "pickup": points[:m].tolist(),
-            "delivery": points[m:].tolist(),
+            "pickup": points[:m].round(2).tolist(),
+            "delivery": points[m:].round(2).tolist(),
             "load": draw.integers(1, 2, size=m, endpoint=True).astype(float).tolist(),
             "capacity": capacity.astype(float).tolist(),
             "capability": mask.tolist(),
@@ -112,10 +112,10 @@ def _appearing(config: SwarmConfig) -> list[dict[str, Any]]:
     if "appear" in options or "instance" in options:
         return list(options.get("appear", ()))
     draw, n = np.random.default_rng([config.seed, 1]), options.get("later", 5)
-    times, points = draw.uniform(3.0, 20.0, size=n).round(2), draw.uniform(0.0, ROOM, size=(n, 2, 2)).round(2)
+    times, points = draw.uniform(3.0, 20.0, size=n).tolist(), draw.uniform(0.0, ROOM, size=(n, 2, 2)).round(2)
     hears = draw.choice(config.ids, size=n).tolist()
     return [
-        {"t": float(t), "pickup": p[0].tolist(), "delivery": p[1].tolist(), "load": 1.0, "heard_by": [who]}
+        {"t": t, "pickup": p[0].tolist(), "delivery": p[1].tolist(), "load": 1.0, "heard_by": [who]}
         for t, p, who in zip(times, points, hears, strict=True)
     ]
 

@@ -99,7 +99,7 @@ class CFGuidance:
 
     async def asked(self, verb: str, arguments: dict[str, Any]) -> Any:
         """What an operator asks of this mission, beyond what every drone does; returns the answer, or raises Refused."""
-        raise Refused(f"drone {self.id}", f"no command {verb!r}")
+        raise Refused(f"drone {self.id}", f"this mission knows no command {verb!r}")
 
     @property
     def id(self) -> int:

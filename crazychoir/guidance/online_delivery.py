@@ -17,6 +17,7 @@ import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import msgspec
@@ -418,9 +419,10 @@ class OnlinePDVRPGuidance(CFGuidance):
 
     def _adopt(self, share: Share) -> None:
         """From now on this is the route: what it was bound to and has not done yet, then the new stops."""
+        self.book.merge(share.book)
         done = {(deed.task, deed.kind): None for deed in self._record.deeds}
         self.route = [s for s in [*self._planned_head, *share.stops] if (s.task, s.kind) not in done]
-        self.planning, self.unserved, self._mark = False, share.unserved, share.mark
+        self.planning, self.unserved, self._mark = False, share.unserved, mark(share.book)
         self._promised = self._now + self._seconds(self.route)
         if share.ended:
             self._say(ended=True)
@@ -605,7 +607,7 @@ def mended(graph: Graph, without: tuple[int, ...] = ()) -> Graph:
                 if j not in seen:
                     seen[j] = None
                     queue.extend(graph.neighbors(j))
-    links = zip(lowest, lowest[1:], strict=False)
+    links = pairwise(lowest)
     return Graph.from_edges(graph.ids, [*graph.arcs, *links])
 
 

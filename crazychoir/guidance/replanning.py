@@ -22,13 +22,13 @@ Mark = tuple[tuple[int, int, bool], ...]
 class Share:
     """What one robot has of a plan.
 
-    stops: after those that it was bound to;  unserved: tasks that nobody can serve;  mark: of the tasks planned for;
-    ended: nothing is left to do, and all have landed.
+    stops: after those that it was bound to;  unserved: tasks that nobody can serve;  book: what the plan was made with,
+    the same at all robots;  ended: nothing is left to do, and all have landed.
     """
 
     stops: tuple[Stop, ...]
     unserved: tuple[int, ...]
-    mark: Mark
+    book: TaskBook
     ended: bool
 
 
@@ -87,7 +87,7 @@ class Replanning(Program[Share]):
         return Share(
             stops,
             unserved=tuple(goods.tasks[n].id for n in left),
-            mark=mark(book),
+            book=book,
             ended=idle and len(left) == len(free),
         )
 

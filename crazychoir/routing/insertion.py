@@ -6,6 +6,7 @@ something takes the one that it is best at. Only bids travel. Not optimal: a pla
 
 import math
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 from crazychoir.optimization.agreement import highest_bids
 from crazychoir.optimization.program import Exchange
@@ -29,7 +30,7 @@ class Insertion:
         """m, from the start over the route to the end."""
         m, d = self.vehicle.tasks, self._d
         way = (2 * m, *route, 2 * m + 1)
-        return sum((d[v][w] for v, w in zip(way, way[1:], strict=False)), 0.0)
+        return sum((d[v][w] for v, w in pairwise(way)), 0.0)
 
     def loads(self, route: Nodes) -> list[float]:
         """On board at the start and after each stop."""
@@ -52,7 +53,7 @@ class Insertion:
         load, most = float(vehicle.load[j]), vehicle.capacity + SLACK
         best: tuple[float, int, int] | None = None
         if vehicle.aboard[j]:
-            extras = [d[v][m + j] + d[m + j][w] - d[v][w] for v, w in zip(way, way[1:], strict=False)]
+            extras = [d[v][m + j] + d[m + j][w] - d[v][w] for v, w in pairwise(way)]
             best = min((extra, b, b) for b, extra in enumerate(extras))
         elif vehicle.capable[j]:
             loads = self.loads(route)
