@@ -107,15 +107,15 @@ def _rest(task: Task) -> tuple[Any, ...]:
 
 
 def _appearing(config: SwarmConfig) -> list[dict[str, Any]]:
-    """What `appear` says; without an instance and without `appear`, `later` (5) tasks, each heard of by one robot."""
+    """What `appear` says; without it and without an instance, `later` (5) tasks, each heard of by three robots."""
     options = config.mission_options
     if "appear" in options or "instance" in options:
         return list(options.get("appear", ()))
     draw, n = np.random.default_rng([config.seed, 1]), options.get("later", 5)
-    times, points = draw.uniform(3.0, 20.0, size=n).tolist(), draw.uniform(0.0, ROOM, size=(n, 2, 2)).round(2)
-    hears = draw.choice(config.ids, size=n).tolist()
+    times, points = draw.uniform(3.0, 20.0, size=(n, 1)), draw.uniform(0.0, ROOM, size=(n, 2, 2))
+    hears = [draw.choice(config.ids, size=min(3, len(config.ids)), replace=False).tolist() for _ in range(n)]
     return [
-        {"t": t, "pickup": p[0].tolist(), "delivery": p[1].tolist(), "load": 1.0, "heard_by": [who]}
+        {"t": float(t[0]), "pickup": p[0].tolist(), "delivery": p[1].tolist(), "load": 1.0, "heard_by": who}
         for t, p, who in zip(times, points, hears, strict=True)
     ]
 

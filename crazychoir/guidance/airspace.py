@@ -1,5 +1,7 @@
-"""Separation in space, for drones whose routes change in flight: each flies at a level of its own, and rises and comes
-down over its own home only, which the ways of the others go round."""
+"""Separation in space, for drones whose routes change in flight.
+
+Each flies at a level of its own, and rises and comes down over its own home only: the ways of the others go round it.
+"""
 
 import heapq
 import math

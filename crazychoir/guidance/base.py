@@ -98,7 +98,7 @@ class CFGuidance:
         """The whole mission, from the ground to the ground."""
 
     async def asked(self, verb: str, arguments: dict[str, Any]) -> Any:
-        """What an operator asks of this mission, beyond what every drone does; returns the answer, or raises Refused."""
+        """What an operator asks of this mission alone; returns the answer, or raises Refused."""
         raise Refused(f"drone {self.id}", f"this mission knows no command {verb!r}")
 
     @property

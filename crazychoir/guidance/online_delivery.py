@@ -41,8 +41,8 @@ PERIOD = 0.2
 """s between two looks at the neighbours' books, and two tellings of the own."""
 POLL = 0.05
 """s between two looks at what may have changed."""
-HORIZON = 1.5
-"""s of its flight to which a robot is bound when a planning begins: about as long as one takes."""
+HORIZON = 3.0
+"""s of its flight to which a robot is bound when a planning begins: as long as one takes in which somebody is lost."""
 DEADLINE = 30.0
 """s for one round of a planning."""
 LATE = 5.0

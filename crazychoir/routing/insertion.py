@@ -86,7 +86,7 @@ class Insertion:
         return route
 
     def improved(self, route: Nodes) -> Nodes:
-        """The route after each of its tasks has been taken out and put where it costs least, until nothing is gained."""
+        """The route after each task in turn was taken out and put where it costs least, until nothing is gained."""
         m, free = self.vehicle.tasks, Insertion(_without_limit(self.vehicle))
         length, gained = free.length(route), True
         while gained:

@@ -30,6 +30,13 @@ def crash(agent: Agent, i: int) -> None:
     agent._guidances[i].abort("killed")
 
 
+def carried(agent: Agent, i: int) -> list[int]:
+    """Goods that drone i has picked up and, as far as the team has confirmed, not delivered."""
+    guidance = agent.drones[i].guidance
+    picked = [deed.task for deed in guidance._record.deeds if deed.kind == "pickup"]
+    return [j for j in picked if {"task": j, "kind": "delivery"} not in guidance.served]
+
+
 @dataclass
 class Outcome:
     """How a flight has ended.
@@ -64,8 +71,14 @@ def killed_at(config: SwarmConfig, kills: int, soonest: float = 3.0, latest: flo
     return dict(zip(who, draw.uniform(soonest, latest, size=kills).tolist(), strict=True))
 
 
-def fly_online(config: SwarmConfig, kills: dict[int, float], prepare: Any = None) -> Outcome:
-    """Fly it, killing drones; kills: {drone: s};  prepare: called with the agent, before it runs."""
+def fly_online(
+    config: SwarmConfig, kills: dict[int, float], prepare: Any = None, killed: dict[int, list[int]] | None = None
+) -> Outcome:
+    """Fly it, killing drones.
+
+    kills: {drone: s};  prepare: called with the agent, before it runs;  killed: what each drone carried that `prepare`
+    has killed.
+    """
     mission = load("online_delivery")
     mission.check(config, False)
 
@@ -73,11 +86,11 @@ def fly_online(config: SwarmConfig, kills: dict[int, float], prepare: Any = None
         agent = Agent(clock, config, mission, config.ids)
         score = Score(agent.bus, config.ids, {})
         agent.services.append(score)
-        aboard: dict[int, list[int]] = {}
+        aboard: dict[int, list[int]] = {} if killed is None else killed
 
         def kill(i: int) -> None:
             if not agent.drones[i].result:
-                aboard[i] = list(agent.drones[i].guidance._aboard())
+                aboard[i] = carried(agent, i)
                 crash(agent, i)
 
         for i, t in kills.items():
@@ -121,12 +134,12 @@ def faults(outcome: Outcome) -> Any:
     for j, task in tasks.items():
         fate = Fate(fates[j][0]) if j in fates else None
         able = [i for i in outcome.living if may(instance, i, task)]
-        carried = any(j in goods for goods in outcome.aboard.values())
+        gone = any(j in goods for goods in outcome.aboard.values())
         if fate is None:
             heard = [e.robots for e in mission.events(config) if e.task.id == j]
             if any(i in outcome.living for robots in heard for i in robots):
                 yield f"task {j} is not known"
-        elif fate is Fate.LOST and carried and not config.mission_options.get("recover"):
+        elif fate is Fate.LOST and gone and not config.mission_options.get("recover"):
             continue
         elif fate is Fate.DELIVERED:
             if not outcome.delivered.get(j) and fates[j][1] not in outcome.aboard:
@@ -141,10 +154,10 @@ def may(instance: Any, i: int, task: Any) -> bool:
     return bool(capable) and task.load <= instance.capacity[i]
 
 
-def drawn(seed: int, loss: float = 0.2, **options: Any) -> SwarmConfig:
+def drawn(seed: int, loss: float = 0.2, drones: int = 10, **options: Any) -> SwarmConfig:
     """The mission's own swarm with this seed."""
     mission = load("online_delivery")
-    return mission.swarm(None).replace(seed=seed, network={"loss": loss}, mission_options=options)
+    return mission.swarm(drones).replace(seed=seed, network={"loss": loss}, mission_options=options)
 
 
 def wilson(successes: int, n: int, z: float = 1.96) -> tuple[float, float]:
