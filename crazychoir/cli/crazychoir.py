@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from crazychoir.cli import look, param, plot, simulate, solve
+from crazychoir.cli import look, param, plot, simulate, solve, task
 from crazychoir.cli.show import (
     STDERR,
     Progress,
@@ -32,6 +32,7 @@ for command in (look.topics, look.echo, look.hz, look.status, look.impair, look.
 
 
 app.add_typer(param.app, name="param")
+app.add_typer(task.app, name="task")
 
 
 @app.command(add_help_option=False, context_settings={"allow_extra_args": True, "ignore_unknown_options": True})
