@@ -36,7 +36,7 @@ from crazychoir.worlds import owners
 
 log = logging.getLogger(__name__)
 VERSION = version("crazychoir")
-VERBS = ("land", "hold", "go", "impair", "param_get", "param_set", "ping")
+VERBS = ("land", "hold", "go", "impair", "param_get", "param_set", "task_add", "task_cancel", "ping")
 """What operators may ask of a drone."""
 
 
@@ -243,6 +243,10 @@ class Agent:
                 return drone.pilot.parameters.values(arguments.get("name"))
             case "param_set":
                 return drone.pilot.set_parameter(arguments["name"], arguments["value"])
+            case "task_add" | "task_cancel":
+                if not hasattr(drone.guidance, "member"):
+                    raise Refused(f"drone {drone.id}", "its mission has not begun")
+                return await drone.guidance.asked(verb, arguments)
             case "ping":
                 return drone.pilot.mode.value
             case _:

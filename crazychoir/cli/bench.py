@@ -3,6 +3,7 @@
 import json
 import sys
 from collections.abc import Callable
+from functools import partial
 from typing import Annotated, Any
 
 import typer
@@ -51,6 +52,23 @@ def tracking(as_json: JsonOption = False, quick: QuickOption = False) -> None:
     from crazychoir.cli import bench_tracking
 
     _show(lambda say: bench_tracking.run(quick, say), bench_tracking.table, as_json)
+
+
+@app.command()
+def routing(
+    as_json: JsonOption = False,
+    quick: QuickOption = False,
+    sizes: Annotated[str, typer.Option(help="Of tiny, small, middle, large, with commas.")] = "small,middle,large",
+    seeds: Annotated[int, typer.Option(min=1, help="Instances of each size.")] = 5,
+    graph: Annotated[str, typer.Option(help="Communication graph of the team.")] = "k-regular:4",
+    method: Annotated[str | None, typer.Option(help="Method of the team, instead of the default.")] = None,
+) -> None:
+    """Plans of pickups and deliveries: the team beside VROOM, OR-tools, MILP, auctions and DISROPT's rule."""
+    from crazychoir.cli import bench_routing
+
+    names = tuple(name.strip() for name in sizes.split(","))
+    measure = partial(bench_routing.run, names, seeds, graph=graph, method=method, quick=quick)
+    _show(lambda say: measure(say=say), bench_routing.table, as_json)
 
 
 @app.command(name="all")

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from crazychoir.cli import look, param, plot, solve
+from crazychoir.cli import look, param, plot, simulate, solve, task
 from crazychoir.cli.show import (
     STDERR,
     Progress,
@@ -25,12 +25,14 @@ if TYPE_CHECKING:
 
 app = typer.Typer(add_completion=False, no_args_is_help=True, help="Swarms that optimise and fly together.")
 app.command()(solve.solve)
+app.command()(simulate.simulate)
 app.command()(plot.plot)
 for command in (look.topics, look.echo, look.hz, look.status, look.impair, look.stop):
     app.command()(command)
 
 
 app.add_typer(param.app, name="param")
+app.add_typer(task.app, name="task")
 
 
 @app.command(add_help_option=False, context_settings={"allow_extra_args": True, "ignore_unknown_options": True})

@@ -12,7 +12,7 @@ import numpy as np
 
 from crazychoir.bus.topics import STATE
 from crazychoir.control.position import HEADROOM
-from crazychoir.errors import ConfigError, CrazyChoirError
+from crazychoir.errors import ConfigError, CrazyChoirError, Refused
 from crazychoir.guidance.hearing import Hearing, VelocitySum
 from crazychoir.planning.feasibility import Limits, check
 from crazychoir.planning.trajectory import Trajectory
@@ -97,6 +97,10 @@ class CFGuidance:
     @abstractmethod
     async def mission(self) -> dict[str, Any]:
         """The whole mission, from the ground to the ground."""
+
+    async def asked(self, verb: str, arguments: dict[str, Any]) -> Any:
+        """What an operator asks of this mission alone; returns the answer, or raises Refused."""
+        raise Refused(f"drone {self.id}", f"this mission knows no command {verb!r}")
 
     @property
     def id(self) -> int:

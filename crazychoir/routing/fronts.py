@@ -90,8 +90,8 @@ def grow_fronts(
 ) -> tuple[Words, Ints, Mat, Ints, Flags, Flags, bool]:  # fmt: skip
     """All labels that no other dominates, in breadth-first order.
 
-    Returns keys (n, 4), last (n,), state (n, 4): cost m, time s, left m, trips begun;  parent (n,);  again (n,): whether
-    a new trip began before its last stop;  dead (n,): dominated by a later one;  complete.
+    Returns keys (n, 4), last (n,), state (n, 4): cost m, time s, left m, trips begun;  parent (n,);  again (n,):
+    whether a new trip began before its last stop;  dead (n,): dominated by a later one;  complete.
     shortest, fastest (2m + 2, 2m + 2): lower bounds of distance and duration over any nodes;  by (4,): what counts;
     capacity, limits and latest with their slack;  the rest as in Vehicle and grow_labels.
     """

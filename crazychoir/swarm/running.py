@@ -2,8 +2,10 @@
 
 import contextlib
 import random
+import traceback
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Final
 
 from crazychoir.errors import AgentFailed, ConfigError, CrazyChoirError
@@ -151,8 +153,10 @@ class _Ended(Exception):
     @classmethod
     def at(cls, i: int, error: Exception) -> "_Ended":
         """Our own algorithm has raised this."""
-        failed = AgentFailed(i, f"{type(error).__name__}: {error}")
+        reason = f"{type(error).__name__}: {error}"
         if isinstance(error, CrazyChoirError):
-            return cls(failed, error)
+            return cls(AgentFailed(i, reason), error)
+        place = traceback.extract_tb(error.__traceback__)[-1]
+        failed = AgentFailed(i, f"{reason} ({Path(place.filename).name}:{place.lineno})")
         failed.__cause__ = error
         return cls(failed, failed)

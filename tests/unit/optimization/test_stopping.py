@@ -6,7 +6,7 @@ import pytest
 from in_step import run_in_step
 
 from crazychoir.errors import ConfigError
-from crazychoir.optimization.stopping import AsynchronousLogicAnd, Flags, LogicAnd, Settled, Until
+from crazychoir.optimization.stopping import AsynchronousLogicAnd, Flags, LogicAnd, Settled, Stoppable, Until
 from crazychoir.simulate import simulate
 from crazychoir.swarm.graph import GraphSequence, complete, erdos_renyi_connected, path, ring, star
 
@@ -106,3 +106,52 @@ def test_until_needs_to_know_whom_an_asynchronous_agent_hears():
     inner.asynchronous = True
     with pytest.raises(ConfigError, match="Until: neighbors"):
         Until(inner, Settled(0.1), 2)
+
+
+class Endless:
+    done, k = False, 0
+
+    def message(self):
+        return self.k
+
+    def step(self, heard):
+        self.k += 1
+
+
+@pytest.mark.parametrize("graph", [path(5), ring(6, directed=True), complete(3), path(1)])
+def test_who_stops_stops_all_in_one_round(graph):
+    agents = {i: Stoppable(Endless(), graph.diameter()) for i in graph.ids}
+    run_in_step(agents, graph, 7)
+    agents[0].stop()
+    run_in_step(agents, graph, 1)
+    agents[graph.ids[-1]].stop()
+    assert run_in_step(agents, graph) + 1 == max(graph.diameter(), 1)
+    assert {agent.algorithm.k for agent in agents.values()} == {7 + max(graph.diameter(), 1)}
+
+
+def test_who_stops_between_its_message_and_its_step_stops_all_in_one_round_too():
+    graph = path(4)
+    agents = {i: Stoppable(Endless(), 3) for i in graph.ids}
+
+    def watch(team):
+        if team[1].k == 10:
+            team[1].stop()
+
+    simulate(agents, graph, loss=0.4, record=(), watch=watch)
+    assert {agent.algorithm.k for agent in agents.values()} == {13}
+
+
+def test_who_stops_asynchronous_agents_ends_them_when_they_hear():
+    class Awake(Endless):
+        asynchronous = True
+
+    graph = path(5)
+    agents = {i: Stoppable(Awake(), 4) for i in graph.ids}
+
+    def watch(team):
+        if team[4].algorithm.k == 20:
+            team[4].stop()
+
+    simulate(agents, graph, loss=0.5, record=(), watch=watch, seed=1)
+    assert 20 <= agents[4].algorithm.k <= 21
+    assert all(agent.algorithm.k < 150 for agent in agents.values())

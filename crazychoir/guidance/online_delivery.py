@@ -1,0 +1,620 @@
+"""OnlinePDVRPGuidance: pickup and delivery while tasks come and go, and robots too. No drone stops to think.
+
+Four things at once, at each robot: it flies its route; it gossips its task book; it hears of new tasks; and it plans
+again with the team, in rounds, whenever tasks or team are others than those that its route was made for.
+
+Who may serve what. A plan gives each free task to one robot. From the first message of a planning until its own
+adoption of the new plan, a robot begins no pickup but those that it has named in that message (`bound`): so any two who
+could both think that a task is theirs have adopted the same plan. A stop counts from when the robot that stands there
+announces it, and the robot leaves only when more than half of the team are known to have heard so. A robot that is
+lost in between lies at that very place, and so do the goods: a pickup that nobody has heard of has not happened, a
+delivery that anybody has heard of has. A part of the team that is cut off, not more than half of those before, picks
+nothing up.
+"""
+
+import asyncio
+import logging
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache, partial
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import msgspec
+import numpy as np
+
+from crazychoir.errors import CodecError, CrazyChoirError, PeerLost, Refused, RosterChanged
+from crazychoir.guidance.airspace import way_round
+from crazychoir.guidance.base import CFGuidance, Interrupted, Member
+from crazychoir.guidance.replanning import Goods, Mark, Replanning, Share, mark
+from crazychoir.guidance.task_book import Deed, Fate, Place, Record, Task, TaskBook
+from crazychoir.math3d import Vec
+from crazychoir.planning.point_to_point import duration_for
+from crazychoir.routing.instance import LocalProblem
+from crazychoir.routing.plan import Stop
+from crazychoir.safety.guard import EDGE
+from crazychoir.swarm.graph import Graph
+from crazychoir.types import FullState
+
+log = logging.getLogger(__name__)
+PERIOD = 0.2
+"""s between two looks at the neighbours' books, and two tellings of the own."""
+POLL = 0.05
+"""s between two looks at what may have changed."""
+HORIZON = 3.0
+"""s of its flight to which a robot is bound when a planning begins: as long as one takes in which somebody is lost."""
+DEADLINE = 30.0
+"""s for one round of a planning."""
+LATE = 5.0
+"""s by which a robot is later than its plan said when the team plans again."""
+FAREWELL = 2.0
+"""s that a robot goes on telling that the team has ended, while others may not know."""
+REUNION = 30.0
+"""s on the ground after which a part of the team that is cut off ends its mission."""
+ADDED = 10_000
+"""Tasks from this id on were added in flight by an operator, at the robot of the last digits."""
+BOOK = "book"
+UNREACHED = "cut off from more than half of the team"
+
+
+class Event(NamedTuple):
+    """A task appears, or is cancelled, t s after GO; those who hear of it tell the others.
+
+    robots: who hear of it, empty: all who are there.
+    """
+
+    t: float
+    task: Task
+    robots: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True)
+class Options:
+    """What all robots of a mission have in common.
+
+    service_time: s at each stop;  recover: goods of a robot that is gone are fetched from where it was last;
+    until: s after GO before which nobody thinks that the mission is over;  levels: m above the ground, of each robot;
+    clearance: m from other robots' homes, in the plane.
+    """
+
+    levels: dict[int, float]
+    service_time: float = 1.0
+    recover: bool = False
+    until: float = 0.0
+    clearance: float = 0.4
+
+
+class OnlinePDVRPGuidance(CFGuidance):
+    """Robot i: its own home, capacity, limit and capability; the tasks that are known at the start; what it will hear.
+
+    own: this robot's part of the instance; its capability counts for the first `len(own.tasks)` tasks, all later ones
+    say themselves who may serve them.
+    """
+
+    def __init__(self, own: LocalProblem, tasks: Sequence[Task], events: Sequence[Event], options: Options) -> None:
+        self.own, self.options = own, options
+        self.events = tuple(sorted(events, key=lambda event: event.t))
+        self.book = TaskBook(tasks)
+        self.route: list[Stop] = []
+        self.served: list[dict[str, Any]] = []
+        self.unserved: tuple[int, ...] = ()
+        self.plannings: list[float] = []
+        self.longest_wait = self.flown = 0.0
+        self.planning = False
+        self.up = False
+        self.quorate = True
+        self.reason = ""
+        self._bound: dict[int, None] = {}
+        self._mark: Mark | None = None
+        self._promised = np.inf
+        self._serving_until = 0.0
+        self._team: tuple[int, ...] = ()
+
+    def bind(self, member: Member) -> None:
+        """Meet the drone."""
+        super().bind(member)
+        port = member.communicator.port
+        self._record = Record(self.id, port.incarnation, 1, self._here())
+        self.book.hear(self._record)
+        self._redirected = asyncio.Event()
+        self._rekeyed = asyncio.Event()
+        member.report = lambda: {"task": self._task()}
+
+    async def mission(self) -> dict[str, Any]:
+        """Fly, gossip, hear and plan, until the team agrees that nothing is left to do."""
+        try:
+            async with asyncio.TaskGroup() as group:
+                jobs = [group.create_task(job) for job in (self._gossip(), self._hear_of_tasks(), self._fly())]
+                await self._plan()
+                await self._say_farewell()
+                for job in jobs:
+                    job.cancel()
+        except BaseExceptionGroup as errors:
+            await self._last_news()
+            raise errors.exceptions[0] from errors
+        except BaseException:
+            await self._last_news()
+            raise
+        return self.outcome()
+
+    def outcome(self) -> dict[str, Any]:
+        """This drone's part of the report."""
+        standings = self.book.standings(self.graph.ids, self.options.recover)
+        return {
+            "served": self.served,
+            "tasks": {str(j): [s.fate.value, s.robot] for j, s in standings.items()},
+            "unserved": list(self.unserved),
+            "plannings_s": self.plannings,
+            "longest_wait_s": self.longest_wait,
+            **({"success": False, "reason": self.reason} if self.reason else {}),
+        }
+
+    def _task(self) -> str:
+        aboard, left = len(self._aboard()), len(self.route)
+        doing = "planning again, " if self.planning else ""
+        return f"{doing}{len(self.served)} stops done, {left} to do, {aboard} aboard"
+
+    # News -----------------------------------------------------------------------------------------------------
+
+    @property
+    def _now(self) -> float:
+        return self.member.clock.now()
+
+    @property
+    def _age(self) -> float:
+        """s since GO."""
+        return self.member.communicator.port.bus.impairment.age(self._now)
+
+    def _here(self) -> Place:
+        x, y = self.state.p[:2].tolist()
+        return float(x), float(y)
+
+    def _say(self, **changes: Any) -> int:
+        """Write a new edition of the own record; returns its number."""
+        self._record = msgspec.structs.replace(self._record, number=self._record.number + 1, **changes)
+        self.book.hear(self._record)
+        return self._record.number
+
+    async def _gossip(self) -> None:
+        """Merge what the neighbours know, tell them what is known here."""
+        while True:
+            try:
+                self._merge(await self.asynchronous_receive(self._links().neighbors(self.id), channel=BOOK))
+                await self._tell()
+            except RosterChanged:
+                self._rekeyed.set()
+            except CodecError as error:
+                log.warning("drone %d: %s", self.id, error)
+            await self.sleep(PERIOD)
+
+    async def _tell(self) -> None:
+        others = [r for _, r in sorted(self.book.records.items()) if r.robot != self.id]
+        seen, knows = tuple((r.robot, r.incarnation, r.number) for r in others), self.book.checksum
+        self._say(place=self._here(), seen=seen, knows=knows)
+        neighbors = self._links().neighbors(self.id)
+        records = [self.book.newest(j) for j in neighbors]
+        lacking = any(record is None or record.knows != knows for record in records)
+        await self.send(self.book.wire(tasks=lacking), neighbors, channel=BOOK)
+
+    def _merge(self, heard: dict[int, Any]) -> None:
+        before = self._key()
+        for wire in heard.values():
+            self.book.merge(TaskBook.of(wire))
+        if self._key() != before:
+            self._rekeyed.set()
+
+    async def _hear_of_tasks(self) -> None:
+        """Learn of each event when it is time."""
+        for event in self.events:
+            while self._age < event.t:
+                await self.sleep(min(max(event.t - self._age, POLL), 1.0))
+            if not event.robots or self.id in event.robots:
+                self.book.learn(event.task)
+
+    async def asked(self, verb: str, arguments: dict[str, Any]) -> Any:
+        """An operator adds a task, or cancels one: {"pickup", "delivery", "load", "robots"}, {"id"}."""
+        if verb == "task_add":
+            return self._added(arguments)
+        if verb == "task_cancel":
+            j = arguments.get("id")
+            if j not in self.book.tasks:
+                raise Refused(f"drone {self.id}", f"no task {j}; known: {', '.join(map(str, sorted(self.book.tasks)))}")
+            self.book.cancel(j)
+            return {"id": j}
+        return await super().asked(verb, arguments)
+
+    def _added(self, arguments: dict[str, Any]) -> dict[str, int]:
+        """Ids of added tasks differ by the robot that was asked: two operators may add at the same time."""
+        count = max((j // ADDED for j in self.book.tasks if j >= ADDED and j % ADDED == self.id), default=0) + 1
+        raw = {"load": 1.0, "robots": [], **arguments, "id": ADDED * count + self.id, "version": 1, "cancelled": False}
+        try:
+            task = msgspec.convert([raw.pop(name, None) for name in Task.__struct_fields__], Task)
+        except msgspec.ValidationError as error:
+            raise Refused(f"drone {self.id}", f"task: {error}") from error
+        if raw:
+            raise Refused(f"drone {self.id}", f"task: unknown {', '.join(sorted(raw))}")
+        self.book.learn(task)
+        return {"id": task.id}
+
+    async def _say_farewell(self) -> None:
+        """Stay until all know that the team has ended, or FAREWELL s are over."""
+        self._say(ended=True)
+        ends = self._now + FAREWELL
+        while self._now < ends and not all(r.ended for r in self.book.alive(self.graph.ids).values()):
+            await self.sleep(PERIOD)
+        await self.sleep(2 * PERIOD)
+
+    async def _last_news(self) -> None:
+        """Whatever has ended this mission: it flies no more, and the others should know."""
+        self._say(out=True)
+        for _ in range(5):
+            try:
+                await self._tell()
+            except RosterChanged:
+                continue
+            await self.sleep(PERIOD)
+
+    # The team -------------------------------------------------------------------------------------------------
+
+    def _key(self) -> tuple[int, tuple[int, ...]]:
+        """What a row of plannings holds for: the epoch, and who has said that it flies no more."""
+        return self.member.communicator.epoch, self.book.out(self.graph.ids)
+
+    def _links(self, without: tuple[int, ...] = ()) -> Graph:
+        """Who talks to whom, mended where those who are gone have left it in parts."""
+        return mended(self.graph, without)
+
+    def _count_quorum(self) -> bool:
+        """Whether this part of the team is more than half of the team before, or the half with its lowest id."""
+        members = self.graph.ids
+        team = self._team or members
+        stayed = [i for i in team if i in members]
+        quorate = 2 * len(stayed) > len(team) or (2 * len(stayed) == len(team) and team[0] in stayed)
+        if quorate:
+            self._team = members
+        return quorate
+
+    @property
+    def _ended(self) -> bool:
+        return any(record.ended for record in self.book.alive(self.graph.ids).values())
+
+    # Planning -------------------------------------------------------------------------------------------------
+
+    async def _plan(self) -> None:
+        """Plan at the start, when the team has changed, and whenever it is wanted; until the team has ended."""
+        while not self._ended:
+            key = self._key()
+            self._rekeyed.clear()
+            self.quorate = self._count_quorum()
+            if not self.quorate:
+                await self._cut_off(key)
+            elif self.id in key[1]:
+                await self.sleep(PERIOD)  # out: the others go on without
+            else:
+                try:
+                    await self._plannings(key)
+                except RosterChanged:
+                    continue
+
+    async def _plannings(self, key: tuple[int, tuple[int, ...]]) -> None:
+        """The plannings of one team, one after the other; all its robots begin each as soon as one has begun it."""
+        n = 0
+        while self._key() == key and not self._ended:
+            if n and not self._wanted(key, n):
+                await self.sleep(POLL)
+                continue
+            n += 1
+            began = self._now
+            self._say(run=(key[0], len(key[1]), n))
+            share = await self._planned(key)
+            if share is None:
+                return
+            self.plannings.append(self._now - began)
+            self._adopt(share)
+
+    def _wanted(self, key: tuple[int, tuple[int, ...]], n: int) -> bool:
+        """Whether somebody plans already, or there is reason to."""
+        alive = self.book.alive(self.graph.ids).values()
+        begun = any(r.run[:2] == (key[0], len(key[1])) and r.run[2] > n for r in alive)
+        return begun or mark(self.book) != self._mark or self._late() or all(r.idle for r in alive)
+
+    def _late(self) -> bool:
+        return bool(self.route) and self._now + self._seconds(self.route) > self._promised + LATE
+
+    async def _planned(self, key: tuple[int, tuple[int, ...]]) -> Share | None:
+        """One planning, together; None if the team has changed meanwhile."""
+        links = self._links(without=key[1])
+        head, start, ready = self._head()
+        aboard = self._aboard()
+        for stop in head:
+            if stop.kind == "pickup":
+                aboard[stop.task] = None
+            else:
+                aboard.pop(stop.task, None)
+        self.planning, self._bound = True, dict.fromkeys(stop.task for stop in head)
+        bound = tuple(j for j in self._bound if j not in aboard)
+
+        left = max(0.0, self.own.limit - self.flown - float(np.linalg.norm(start - self._here())))
+        problem = partial(self._problem, start=start, ready=ready, left=left)
+        diameter = max(1, links.diameter()) if len(links.ids) > 1 else 0
+        program = Replanning(
+            self.id, links.ids, diameter, self.book, bound, tuple(aboard), problem, self.options.recover
+        )
+        self._planned_head = head
+        channel = "-".join(["plan", *map(str, key[1])])
+        while not program.done:
+            heard = await self._exchange(program.message(), links.neighbors(self.id), channel, key)
+            if heard is None:
+                return None
+            await self.member.clock.compute(program.step, heard)
+        return program.result
+
+    async def _exchange(
+        self, message: Any, neighbors: tuple[int, ...], channel: str, key: tuple[int, tuple[int, ...]]
+    ) -> dict[int, Any] | None:
+        """One round with the neighbours; None if the team has changed meanwhile.
+
+        A neighbour that is lost is waited for until the team goes on without it.
+        """
+        ends = self._now + DEADLINE
+        while True:
+            exchange = asyncio.ensure_future(
+                self.neighbors_exchange(message, neighbors, neighbors, channel=channel, deadline=DEADLINE)
+            )
+            try:
+                await self._unless(exchange, self._rekeyed)
+                if exchange.done():
+                    return exchange.result()
+                if self._key() != key:
+                    return None
+                self._rekeyed.clear()
+            except PeerLost:
+                if self._now > ends:
+                    raise
+                await self.sleep(POLL)
+                if self._key() != key:
+                    return None
+            finally:
+                await _given_up(exchange)
+
+    async def _unless(self, task: "asyncio.Future[Any]", event: asyncio.Event) -> None:
+        """Wait for a task, or for an event."""
+        waits = asyncio.ensure_future(event.wait())
+        try:
+            await asyncio.wait({task, waits}, return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            await _given_up(waits)
+
+    def _head(self) -> tuple[list[Stop], Vec, float]:
+        """The stops to which this robot is bound, where it will be after them, and in how many s.
+
+        That is where it flies now, and what follows within the HORIZON. While a planning has not led to a plan, others
+        may have one: it is bound to nothing new.
+        """
+        head: list[Stop] = []
+        p, seconds = np.array(self._here()), max(0.0, self._serving_until - self._now)
+        for stop in self.route:
+            new = stop.kind == "pickup" and (self.planning or not self.quorate) and stop.task not in self._bound
+            if new or (head and seconds > HORIZON):
+                break
+            goal = self._place(stop)
+            seconds += self._leg(p, goal) + self.options.service_time
+            p = goal
+            head.append(stop)
+        return head, p, seconds
+
+    def _problem(self, goods: Goods, start: Vec, ready: float, left: float) -> LocalProblem:
+        """This robot's own problem: from where it will be, with what is aboard then, and m that are left."""
+        own, first = self.own, len(self.own.tasks)
+        may = [
+            bool(own.capable[task.id]) if task.id < first else not task.robots or self.id in task.robots
+            for task in goods.tasks
+        ]
+        free, mine = np.array(goods.free, dtype=bool), np.array(goods.mine, dtype=bool)
+        return replace(
+            own, tasks=goods.public(self.options.service_time), capable=np.array(may, dtype=bool) & (free | mine),
+            home=own.home[:2], start=start, start_time=ready, aboard=mine, left=left,
+            speed=self.member.config.flight.speed_limit,
+        )  # fmt: skip
+
+    def _adopt(self, share: Share) -> None:
+        """From now on this is the route: what it was bound to and has not done yet, then the new stops."""
+        self.book.merge(share.book)
+        done = {(deed.task, deed.kind): None for deed in self._record.deeds}
+        self.route = [s for s in [*self._planned_head, *share.stops] if (s.task, s.kind) not in done]
+        self.planning, self.unserved, self._mark = False, share.unserved, mark(share.book)
+        self._promised = self._now + self._seconds(self.route)
+        if share.ended:
+            self._say(ended=True)
+        self._redirected.set()
+
+    async def _cut_off(self, key: tuple[int, tuple[int, ...]]) -> None:
+        """Too few to decide: deliver what is aboard, go home; or, where others may fetch it, stay where one is."""
+        log.warning("drone %d: %s", self.id, UNREACHED)
+        if self.options.recover and self.up:
+            self.reason = UNREACHED
+            self._say(out=True)
+        self.route = [Stop(j, "delivery") for j in self._aboard()]
+        self._redirected.set()
+        since = self._now
+        while self._key() == key and not self._ended:
+            since = self._now if self.up else since
+            if self._now > since + REUNION:
+                raise Interrupted(f"drone {self.id}: {UNREACHED} for {REUNION:g} s")
+            await self.sleep(PERIOD)
+
+    # The route ------------------------------------------------------------------------------------------------
+
+    def _aboard(self) -> dict[int, None]:
+        """Tasks whose goods it carries, in the order of their pickups."""
+        found: dict[int, None] = {}
+        for deed in self._record.deeds:
+            if deed.kind == "pickup":
+                found[deed.task] = None
+            else:
+                found.pop(deed.task, None)
+        return found
+
+    def _place(self, stop: Stop) -> Vec:
+        """(2,) m, where a stop is."""
+        if stop.kind == "delivery":
+            return np.array(self.book.tasks[stop.task].delivery)
+        return np.array(self.book.standings(self.graph.ids, self.options.recover)[stop.task].pickup)
+
+    def _leg(self, a: Vec, b: Vec) -> float:
+        flight = self.member.config.flight
+        start, goal = FullState.at(np.array([*a, 0.0])), np.array([*b, 0.0])
+        return duration_for(start, goal, 0.0, flight.speed_limit, flight.acceleration_limit)
+
+    def _seconds(self, route: Sequence[Stop]) -> float:
+        """s that a route takes from here."""
+        p, total = np.array(self._here()), max(0.0, self._serving_until - self._now)
+        for stop in route:
+            goal = self._place(stop)
+            total, p = total + self._leg(p, goal) + self.options.service_time, goal
+        return total
+
+    def _next(self) -> Stop | None:
+        """The next stop; one whose goods are not there to be picked up is left out."""
+        while self.route:
+            stop = self.route[0]
+            if stop.kind == "delivery":
+                return stop
+            standing = self.book.standings(self.graph.ids, self.options.recover)[stop.task]
+            if standing.fate is Fate.OPEN:
+                return stop
+            self.route = [other for other in self.route if other.task != stop.task]
+        return None
+
+    # Flying ---------------------------------------------------------------------------------------------------
+
+    async def _fly(self) -> None:
+        """Stop by stop; without stops go home and wait on the ground. Who cannot fly on says so, and stays a talker."""
+        try:
+            while not self._record.out:
+                stop = self._next()
+                if stop is None:
+                    await self._rest()
+                elif await self._reach(stop):
+                    await self._serve(stop)
+            await self.land()
+        except CrazyChoirError as error:
+            log.warning("drone %d: %s", self.id, error)
+            self.reason = str(error)
+        self.up = False
+        self._say(out=True)
+
+    async def _reach(self, stop: Stop) -> bool:
+        """Fly to a stop; False if it is not the next one any more."""
+        if not self.up:
+            self.up = True
+            self._say(landed=False, idle=False)
+            await self.take_off(self.options.levels[self.id])
+        return await self._to(self._place(stop), lambda: self._next() == stop)
+
+    async def _to(self, goal: Vec, valid: Callable[[], bool]) -> bool:
+        """Fly to a place, round the homes of the others, as long as it is where to fly."""
+        config = self.member.config
+        homes = np.array([drone.home[:2] for drone in config.drones if drone.id != self.id])
+        low, high = np.array(config.fence.min[:2]) + EDGE, np.array(config.fence.max[:2]) - EDGE
+        z = config.flight.ground + self.options.levels[self.id]
+        for point in way_round(np.array(self._here()), goal, homes, self.options.clearance, low, high):
+            leg = asyncio.ensure_future(self.go_to([*point.tolist(), z]))
+            began = np.array(self._here())
+            try:
+                while not leg.done():
+                    self._redirected.clear()
+                    await self._unless(leg, self._redirected)
+                    if not valid():
+                        return False
+                leg.result()
+            finally:
+                await _given_up(leg)
+                self.flown += float(np.linalg.norm(self._here() - began))
+        return True
+
+    async def _serve(self, stop: Stop) -> None:
+        """Announce the stop, serve it, and leave when the team knows."""
+        if not await self._permitted(stop):
+            return
+        self.route.remove(stop)
+        self._serving_until = self._now + self.options.service_time
+        number = self._announce(stop)
+        await self.sleep(self.options.service_time)
+        if await self._known(number, stop):
+            self.served.append({"task": stop.task, "kind": stop.kind})
+
+    def _announce(self, stop: Stop) -> int:
+        standing = self.book.standings(self.graph.ids, self.options.recover)[stop.task]
+        deed = Deed(stop.task, stop.kind, standing.generation + (stop.kind == "pickup"))
+        return self._say(deeds=(*self._record.deeds, deed), place=self._here())
+
+    async def _permitted(self, stop: Stop) -> bool:
+        """Wait, above the stop, while it may be given to somebody else; False if it is not the next one any more."""
+        since = self._now
+        while self._next() == stop:
+            allowed = self.quorate and (not self.planning or stop.task in self._bound)
+            if stop.kind == "delivery" or allowed:
+                return True
+            await self.sleep(POLL)
+            self._waited(since)
+        return False
+
+    async def _known(self, number: int, stop: Stop) -> bool:
+        """Wait until more than half of the team have heard of a stop; False for a pickup that is taken back."""
+        since, me = self._now, self._record.incarnation
+        while True:
+            team = self.graph.ids
+            if self.book.witnesses(self.id, me, number, team) >= len(self.book.alive(team)) // 2:
+                return True
+            if not self.quorate:
+                if stop.kind == "pickup":
+                    self._say(deeds=tuple(d for d in self._record.deeds if (d.task, d.kind) != (stop.task, stop.kind)))
+                return stop.kind == "delivery"
+            await self.sleep(POLL)
+            self._waited(since)
+
+    def _waited(self, since: float) -> None:
+        self.longest_wait = max(self.longest_wait, self._now - since)
+
+    async def _rest(self) -> None:
+        """Go home, land, wait for something to do."""
+        if self.up:
+            if not await self._to(self.own.home[:2], lambda: self._next() is None):
+                return
+            await self.land()
+            self.up = False
+            self._say(landed=True)
+        idle = self._age >= self.options.until and not self.route
+        if idle != self._record.idle:
+            self._say(idle=idle)
+        await self.sleep(POLL)
+
+
+@lru_cache(maxsize=64)
+def mended(graph: Graph, without: tuple[int, ...] = ()) -> Graph:
+    """The graph without some, its parts joined in a row by their lowest ids: all compute the same."""
+    ids = tuple(i for i in graph.ids if i not in without)
+    graph = Graph.from_edges(ids, [arc for arc in graph.arcs if arc[0] in ids and arc[1] in ids])
+    lowest: list[int] = []
+    seen: dict[int, None] = {}
+    for i in graph.ids:
+        if i not in seen:
+            lowest.append(i)
+            queue = [i]
+            while queue:
+                j = queue.pop()
+                if j not in seen:
+                    seen[j] = None
+                    queue.extend(graph.neighbors(j))
+    links = pairwise(lowest)
+    return Graph.from_edges(graph.ids, [*graph.arcs, *links])
+
+
+async def _given_up(task: "asyncio.Future[Any]") -> None:
+    """Cancel what nobody waits for any more, and let it end."""
+    if not task.done():
+        task.cancel()
+        await asyncio.wait({task})
+    if not task.cancelled():
+        task.exception()

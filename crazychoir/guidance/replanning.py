@@ -1,0 +1,123 @@
+"""One planning of a team in flight, as rounds: agree on what is known, share out what is free, from where all are."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from crazychoir.errors import CodecError
+from crazychoir.guidance.task_book import Fate, Place, Task, TaskBook
+from crazychoir.optimization.agreement import flood
+from crazychoir.optimization.program import Exchange, Program
+from crazychoir.routing.auction import auction
+from crazychoir.routing.instance import LocalProblem, Tasks
+from crazychoir.routing.plan import Stop
+
+Mark = tuple[tuple[int, int, bool], ...]
+"""The tasks that a plan was made for: (id, version, cancelled) of each."""
+
+
+@dataclass(frozen=True)
+class Share:
+    """What one robot has of a plan.
+
+    stops: after those that it was bound to;  unserved: tasks that nobody can serve;  book: what the plan was made with,
+    the same at all robots;  ended: nothing is left to do, and all have landed.
+    """
+
+    stops: tuple[Stop, ...]
+    unserved: tuple[int, ...]
+    book: TaskBook
+    ended: bool
+
+
+@dataclass(frozen=True)
+class Goods:
+    """The tasks of one planning, in the order of their ids: free ones, and those aboard a robot that goes on with them.
+
+    pickup: (2,) m of each, where it lies;  mine: whether it is aboard this robot at its start;  free: to be shared out.
+    """
+
+    tasks: tuple[Task, ...]
+    pickup: tuple[Place, ...]
+    mine: tuple[bool, ...]
+    free: tuple[bool, ...]
+
+    def public(self, service: float) -> Tasks:
+        """As the solvers have them."""
+        return Tasks(
+            np.array(self.pickup, dtype=float).reshape(-1, 2),
+            np.array([task.delivery for task in self.tasks], dtype=float).reshape(-1, 2),
+            np.array([task.load for task in self.tasks], dtype=float),
+            np.full(2 * len(self.tasks), service),
+        )
+
+
+class Replanning(Program[Share]):
+    """A Round: all robots of `members` end it in the same round, each with its share of one plan.
+
+        flood of books and bonds  ->  auction of the free tasks
+
+    book: what this robot knows;  bound: tasks that it is about to serve, or to deliver, before its start; nobody else
+    gets them;  carried: tasks that are aboard at its start;  problem: this robot's problem of these goods;  neighbors,
+    diameter: of the connected graph of the members;  recover: see TaskBook.standings.
+    What robots know is theirs as of the first round: what they hear later is for the next planning.
+    """
+
+    def __init__(
+        self, robot: int, members: tuple[int, ...], diameter: int, book: TaskBook, bound: tuple[int, ...],
+        carried: tuple[int, ...], problem: Callable[[Goods], LocalProblem], recover: bool,
+    ) -> None:  # fmt: skip
+        self.robot, self.members, self.diameter, self.recover = robot, members, diameter, recover
+        self._mine = [book.wire(), list(bound), list(carried)]
+        self._problem = problem
+        super().__init__()
+
+    def run(self) -> Exchange[Share]:
+        """Agree, then share out."""
+        said = yield from flood(self.robot, self._mine, self.diameter)
+        book, bound, carried = _merged(said)
+        goods = self._goods(book, bound, carried)
+        free = [n for n, is_free in enumerate(goods.free) if is_free]
+        local, m = self._problem(goods), len(goods.tasks)
+        route, left = yield from auction(self.robot, local.vehicle, free, self.diameter)
+        stops = tuple(Stop(goods.tasks[v % m].id, "pickup" if v < m else "delivery") for v in route)
+        idle = all(record.idle for record in book.alive(self.members).values())
+        return Share(
+            stops,
+            unserved=tuple(goods.tasks[n].id for n in left),
+            book=book,
+            ended=idle and len(left) == len(free),
+        )
+
+    def _goods(self, book: TaskBook, bound: dict[int, None], carried: dict[int, int]) -> Goods:
+        standings = book.standings(self.members, self.recover)
+        free = [j for j, s in standings.items() if s.fate is Fate.OPEN and j not in bound and j not in carried]
+        ids = sorted([*free, *carried])
+        return Goods(
+            tuple(book.tasks[j] for j in ids),
+            tuple(standings[j].pickup for j in ids),
+            mine=tuple(carried.get(j) == self.robot for j in ids),
+            free=tuple(j not in carried for j in ids),
+        )
+
+
+def mark(book: TaskBook) -> Mark:
+    """What a plan made with this book was made for."""
+    return tuple((task.id, task.version, task.cancelled) for _, task in sorted(book.tasks.items()))
+
+
+def _merged(said: dict[int, Any]) -> tuple[TaskBook, dict[int, None], dict[int, int]]:
+    """What all know together: the book, the bound tasks, and who carries which; raises CodecError."""
+    book, bound, carried = TaskBook(), dict[int, None](), dict[int, int]()
+    for i, value in said.items():
+        try:
+            wire, bonds, aboard = value
+            book.merge(TaskBook.of(wire))
+            bound.update(dict.fromkeys(map(int, bonds)))
+            for j in map(int, aboard):
+                carried.setdefault(j, i)
+        except (TypeError, ValueError) as error:
+            raise CodecError(f"planning: robot {i} says what is no book and no bonds: {error}") from error
+    return book, bound, carried

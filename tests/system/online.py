@@ -1,0 +1,170 @@
+"""Flights of the online mission in virtual time in which drones are killed, and who has been served what."""
+
+import asyncio
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from crazychoir.agent import Agent
+from crazychoir.guidance.mission import load
+from crazychoir.guidance.task_book import Fate
+from crazychoir.launch.score import Score
+from crazychoir.runtime.clock import run_virtual
+from crazychoir.swarm.config import SwarmConfig
+
+LONGEST = 300.0
+"""s of virtual time after which a mission hangs."""
+
+
+def crash(agent: Agent, i: int) -> None:
+    """Drone i's program ends without a word, as by kill -9, and its body has no thrust any more.
+
+    From now on nobody hears anything of it but where its body is, and it hears nothing.
+    """
+    drone = agent.drones[i]
+    port, send = drone.port, drone.port.send
+    port.send = lambda topic, *args, **named: send(topic, *args, **named) if topic.of_body else None
+    agent.bus.close(i)
+    drone.pilot.cut("killed")
+    agent._guidances[i].abort("killed")
+
+
+def carried(agent: Agent, i: int) -> list[int]:
+    """Goods that drone i has picked up and, as far as the team has confirmed, not delivered."""
+    guidance = agent.drones[i].guidance
+    picked = [deed.task for deed in guidance._record.deeds if deed.kind == "pickup"]
+    return [j for j in picked if {"task": j, "kind": "delivery"} not in guidance.served]
+
+
+@dataclass
+class Outcome:
+    """How a flight has ended.
+
+    results: of each drone;  aboard: what each killed one carried when it was killed;  delivered: by whom, each task;
+    reasons: what is wrong with it, sentence by sentence.
+    """
+
+    config: SwarmConfig
+    results: dict[int, dict[str, Any]]
+    aboard: dict[int, list[int]]
+    delivered: dict[int, list[int]]
+    simulated: float
+    min_separation: float
+    touching: dict[tuple[int, int], float]
+    reasons: list[str]
+
+    @property
+    def living(self) -> list[int]:
+        return [i for i in self.config.ids if i not in self.aboard]
+
+    @property
+    def fates(self) -> dict[int, list[Any]]:
+        """What the lowest living drone says of each task."""
+        return {int(j): value for j, value in self.results[self.living[0]]["tasks"].items()}
+
+
+def killed_at(config: SwarmConfig, kills: int, soonest: float = 3.0, latest: float = 30.0) -> dict[int, float]:
+    """So many drones and times in s after the start, from the seed."""
+    draw = np.random.default_rng([config.seed, 2])
+    who = draw.choice(config.ids, size=kills, replace=False).tolist()
+    return dict(zip(who, draw.uniform(soonest, latest, size=kills).tolist(), strict=True))
+
+
+def fly_online(
+    config: SwarmConfig, kills: dict[int, float], prepare: Any = None, killed: dict[int, list[int]] | None = None
+) -> Outcome:
+    """Fly it, killing drones.
+
+    kills: {drone: s};  prepare: called with the agent, before it runs;  killed: what each drone carried that `prepare`
+    has killed.
+    """
+    mission = load("online_delivery")
+    mission.check(config, False)
+
+    async def main(clock: Any) -> Outcome:
+        agent = Agent(clock, config, mission, config.ids)
+        score = Score(agent.bus, config.ids, {})
+        agent.services.append(score)
+        aboard: dict[int, list[int]] = {} if killed is None else killed
+
+        def kill(i: int) -> None:
+            if not agent.drones[i].result:
+                aboard[i] = carried(agent, i)
+                crash(agent, i)
+
+        for i, t in kills.items():
+            clock.call_at(round(t * 1e9), kill, i)
+        if prepare is not None:
+            prepare(agent)
+        async with asyncio.timeout(LONGEST):
+            results = await agent.run()
+        delivered: dict[int, list[int]] = {}
+        for i in config.ids:
+            guidance = agent.drones[i].guidance
+            for stop in guidance.served:
+                if stop["kind"] == "delivery":
+                    delivered.setdefault(stop["task"], []).append(i)
+        return Outcome(
+            config, results, aboard, delivered, clock.now(), score.min_separation, dict(score.touching), []
+        )
+
+    outcome = run_virtual(main)
+    outcome.reasons = list(faults(outcome))
+    return outcome
+
+
+def faults(outcome: Outcome) -> Any:
+    """What is wrong: a living drone that failed, other stories, goods twice or not delivered, drones that touch."""
+    config, mission = outcome.config, load("online_delivery")
+    instance, tasks = mission.instance(config), {task.id: task for task in mission.known(config)}
+    tasks |= {event.task.id: event.task for event in mission.events(config) if not event.task.cancelled}
+    for i in outcome.living:
+        if not outcome.results[i].get("success"):
+            yield f"drone {i}: {outcome.results[i].get('reason')}"
+            return
+        if outcome.results[i]["tasks"] != outcome.results[outcome.living[0]]["tasks"]:
+            yield f"drone {i} tells of other ends than drone {outcome.living[0]}"
+    for (i, j), gap in outcome.touching.items():
+        yield f"drones {i} and {j} came within {gap:.3f} m"
+    for j, by in outcome.delivered.items():
+        if len(by) != 1:
+            yield f"task {j} was delivered by {by}"
+    fates = outcome.fates
+    for j, task in tasks.items():
+        fate = Fate(fates[j][0]) if j in fates else None
+        able = [i for i in outcome.living if may(instance, i, task)]
+        gone = any(j in goods for goods in outcome.aboard.values())
+        if fate is None:
+            heard = [e.robots for e in mission.events(config) if e.task.id == j]
+            if any(i in outcome.living for robots in heard for i in robots):
+                yield f"task {j} is not known"
+        elif fate is Fate.LOST and gone and not config.mission_options.get("recover"):
+            continue
+        elif fate is Fate.DELIVERED:
+            if not outcome.delivered.get(j) and fates[j][1] not in outcome.aboard:
+                yield f"task {j} is said to be delivered, and nobody has"
+        elif fate is not Fate.CANCELLED and able:
+            yield f"task {j} is {fate.value}, though drones {able} could serve it"
+
+
+def may(instance: Any, i: int, task: Any) -> bool:
+    """Whether drone i could serve a task alone."""
+    capable = instance.capability[i][task.id] if task.id < len(instance.tasks) else not task.robots or i in task.robots
+    return bool(capable) and task.load <= instance.capacity[i]
+
+
+def drawn(seed: int, loss: float = 0.2, drones: int = 10, **options: Any) -> SwarmConfig:
+    """The mission's own swarm with this seed."""
+    mission = load("online_delivery")
+    return mission.swarm(drones).replace(seed=seed, network={"loss": loss}, mission_options=options)
+
+
+def wilson(successes: int, n: int, z: float = 1.96) -> tuple[float, float]:
+    """The 95 % interval of a probability of which `successes` of n were seen (Wilson 1927).
+
+    (p + z^2 / 2n -+ z sqrt(p (1 - p) / n + z^2 / 4n^2)) / (1 + z^2 / n)
+    """
+    p, q = successes / n, z * z / n
+    middle, half = p + q / 2, z * ((p * (1 - p) + q / 4) / n) ** 0.5
+    return (middle - half) / (1 + q), (middle + half) / (1 + q)

@@ -1,0 +1,204 @@
+"""Pickup and delivery while tasks and drones come and go: in virtual time, and over processes with kill -9."""
+
+import asyncio
+
+import pytest
+from system.online import carried, crash, drawn, fly_online, killed_at, wilson
+
+from crazychoir.bus.commands import Commander
+from crazychoir.bus.local import OBSERVER
+from crazychoir.guidance.task_book import Fate
+
+pytestmark = pytest.mark.system
+SECONDS = 1e9
+
+
+def whole(seed, kills=2, loss=0.2, **options):
+    config = drawn(seed, loss, **options)
+    return fly_online(config, killed_at(config, kills))
+
+
+@pytest.mark.parametrize("seed", [1000, 1001, 1002])
+def test_all_that_the_living_can_serve_is_served_though_two_are_killed(seed):
+    outcome = whole(seed)
+    assert outcome.reasons == []
+    assert len(outcome.fates) == 20
+    assert max(result.get("longest_wait_s", 0.0) for result in outcome.results.values()) < 2.0
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(14_400)
+def test_all_that_the_living_can_serve_is_served_over_200_seeds():
+    """Ten drones, 15 tasks, five more appear, two drones are killed, 20 % of all messages are lost."""
+    failed, waits, plannings = {}, [], []
+    for seed in range(200):
+        outcome = whole(seed)
+        failed |= {seed: outcome.reasons} if outcome.reasons else {}
+        waits.append(max(outcome.results[i].get("longest_wait_s", 0.0) for i in outcome.living))
+        plannings += [s for i in outcome.living for s in outcome.results[i].get("plannings_s", [])]
+    low, high = wilson(200 - len(failed), 200)
+    print(f"success {200 - len(failed)} of 200, Wilson 95 % [{low:.3f}, {high:.3f}]; planning: median "  # noqa: T201
+          f"{sorted(plannings)[len(plannings) // 2]:.2f} s, longest {max(plannings):.2f} s; "
+          f"longest wait in the air {max(waits):.2f} s")  # fmt: skip
+    assert failed == {}
+
+
+# A drone that is killed at a stop ------------------------------------------------------------------------------
+
+
+def killed_at_stop(kind, after, **options):
+    """Five drones, four tasks; the first that announces a stop of this kind is killed so many s later."""
+    config = drawn(3, 0.2, drones=5, tasks=4, later=0, **options)
+    victims = []
+
+    def prepare(agent):
+        def watched(drone):
+            announce = drone.guidance._announce
+
+            def announced(stop):
+                number = announce(stop)
+                if stop.kind == kind and not victims:
+                    victims.append((drone.id, stop.task))
+                    now_ns = agent.clock.now_ns()
+                    agent.clock.call_at(now_ns + round(after * SECONDS), kill, drone.id)
+                return number
+
+            drone.guidance._announce = announced
+
+        def kill(i):
+            killed[i] = carried(agent, i)
+            crash(agent, i)
+
+        for drone in agent.drones.values():
+            watched(drone)
+
+    killed = {}
+    outcome = fly_online(config, {}, prepare, killed)
+    (_, task), = victims
+    return outcome, task
+
+
+@pytest.mark.parametrize("recover", [False, True])
+@pytest.mark.parametrize("after", [0.0, 0.1, 0.25, 0.5, 0.9, 1.3])
+def test_goods_are_not_picked_up_before_anybody_has_heard_of_it(after, recover):
+    outcome, task = killed_at_stop("pickup", after, recover=recover)
+    assert outcome.reasons == []
+    fate = Fate(outcome.fates[task][0])
+    if recover or after == 0.0:
+        assert fate is Fate.DELIVERED
+    elif after >= 0.9:
+        assert fate is Fate.LOST, "it had left with them"
+    else:
+        assert fate in (Fate.DELIVERED, Fate.LOST)
+
+
+@pytest.mark.parametrize("recover", [False, True])
+@pytest.mark.parametrize("after", [0.0, 0.1, 0.25, 0.5, 0.9, 1.3])
+def test_goods_are_not_delivered_twice_though_who_has_delivered_them_is_killed(after, recover):
+    outcome, task = killed_at_stop("delivery", after, recover=recover)
+    assert outcome.reasons == []
+    fate, robot = outcome.fates[task]
+    assert fate == "delivered" or (after < 0.5 and fate == "lost")
+    if after >= 0.9:
+        assert robot in outcome.aboard
+
+
+# Tasks that come and go ----------------------------------------------------------------------------------------
+
+
+def test_a_cancelled_task_is_not_picked_up_and_one_that_is_aboard_is_delivered():
+    config = drawn(4, 0.2, drones=5, tasks=6, later=0, cancel=[{"t": 1.0, "task": j} for j in range(5)])
+    outcome = fly_online(config, {})
+    assert outcome.reasons == []
+    assert [outcome.fates[j][0] for j in range(5)] == ["cancelled"] * 5
+    assert outcome.fates[5][0] == "delivered"
+    late = fly_online(drawn(4, 0.2, drones=5, tasks=6, later=0, cancel=[{"t": 12.0, "task": j} for j in range(6)]), {})
+    assert late.reasons == []
+    fates = [fate for fate, _ in late.fates.values()]
+    assert "delivered" in fates, "what was aboard by then"
+    assert "cancelled" in fates
+
+
+def test_an_operator_adds_a_task_and_cancels_one():
+    config, said = drawn(5, 0.3, drones=4, tasks=4, later=0, until=12.0), {}
+
+    def prepare(agent):
+        async def operate():
+            commander = Commander(agent.bus.port(OBSERVER + 7))
+            while agent.clock.now() < 4.0:
+                await agent.clock.sleep(0.5)
+            task = {"pickup": [1.0, 1.0], "delivery": [3.0, 3.0]}
+            said["added"] = await commander.request(2, "task_add", **task)
+            said["no place"] = await commander.request(2, "task_add", pickup=[1.0], delivery=[3.0, 3.0])
+            said["no such"] = await commander.request(1, "task_cancel", id=77)
+            other = await commander.request(1, "task_add", **task)
+            said["cancelled"] = await commander.request(3, "task_cancel", id=0)
+            said["other"] = other
+
+        agent.operator = asyncio.ensure_future(operate())
+
+    outcome = fly_online(config, {}, prepare)
+    assert [said[what].kind for what in ("added", "other", "cancelled", "no place", "no such")] == [
+        "done", "done", "done", "refused", "refused",
+    ]  # fmt: skip
+    assert "pickup" in said["no place"].detail or "length 2" in said["no place"].detail
+    ids = {said["added"].detail["id"], said["other"].detail["id"]}
+    assert len(ids) == 2
+    assert {outcome.fates[j][0] for j in ids} == {"delivered"}
+    assert outcome.fates[0][0] in ("cancelled", "delivered")
+    assert all(result["success"] for result in outcome.results.values())
+
+
+# Drones that fall behind, fail, are cut off --------------------------------------------------------------------
+
+
+def test_others_take_over_from_a_drone_that_is_held_on_its_way():
+    config, held = drawn(6, 0.0, drones=4, tasks=8, later=0), []
+
+    def prepare(agent):
+        def hold():
+            busy = max(agent.ids, key=lambda i: len(agent.drones[i].guidance.route))
+            held.append((busy, len(agent.drones[busy].guidance.route)))
+            agent.drones[busy].pilot.hold(True)
+            agent.clock.call_at(agent.clock.now_ns() + round(25 * SECONDS), agent.drones[busy].pilot.hold, False)
+
+        agent.clock.call_at(round(8 * SECONDS), hold)
+
+    outcome = fly_online(config, {}, prepare)
+    assert outcome.reasons == []
+    (i, left), = held
+    assert left > 2
+    assert sum(i in by for by in outcome.delivered.values()) < 8 - left // 2
+
+
+def test_a_drone_that_is_landed_by_its_operator_leaves_its_tasks_to_the_others():
+    config, landed = drawn(7, 0.2, drones=5, tasks=6, later=0, recover=True), []
+
+    def prepare(agent):
+        def land():
+            busy = max(agent.ids, key=lambda i: len(agent.drones[i].guidance.route))
+            landed.append(busy)
+            agent.drones[busy].pilot.land("landing on command")
+            agent._guidances[busy].abort("landed on command")
+
+        agent.clock.call_at(round(9 * SECONDS), land)
+
+    outcome = fly_online(config, {}, prepare)
+    others = [i for i in outcome.config.ids if i != landed[0]]
+    assert all(outcome.results[i]["success"] for i in others), outcome.results
+    assert {fate for fate, _ in outcome.results[others[0]]["tasks"].values()} == {"delivered"}
+    assert all(len(by) == 1 for by in outcome.delivered.values())
+
+
+@pytest.mark.parametrize("recover", [False, True])
+@pytest.mark.parametrize("who", [0, 3])
+def test_a_drone_that_is_cut_off_and_comes_back_serves_nothing_that_others_serve(who, recover):
+    config = drawn(8, 0.2, drones=5, tasks=8, later=0, recover=recover, until=40.0)
+    config = config.replace(network={"loss": 0.2, "partitions": [{"at": 6.0, "until": 18.0, "groups": [[who]]}]})
+    outcome = fly_online(config, {})
+    others = [i for i in config.ids if i != who]
+    assert all(outcome.results[i]["success"] for i in others), outcome.results
+    fates = outcome.results[others[0]]["tasks"]
+    assert all(outcome.results[i]["tasks"] == fates for i in others)
+    assert {fate for fate, _ in fates.values()} == {"delivered"}
+    assert all(len(by) == 1 for by in outcome.delivered.values()), outcome.delivered
