@@ -17,8 +17,6 @@ from crazychoir.optimization.program import Exchange, Program
 from crazychoir.optimization.step_size import StepSize
 from crazychoir.types import Vec
 
-SEARCHERS = 2
-"""Agents, of the lowest ids, that combine the options of all: one answer is enough, a second one can be better."""
 PASSES = 20
 """Of asking for options at new prices, and of varying what was chosen, at most."""
 VARIATIONS = (-1.0, -0.5, -0.25, 0.25, 0.5, 1.0)
@@ -180,7 +178,7 @@ class PrimalDecompositionMILP(Program[MixedIntegerSolution]):
 
     def _choose(self, options: Options, pool: Pool) -> Exchange[None]:
         """Stage 2, second half: one option an agent."""
-        offer = pool.best(self._i) if self._i in pool.agents[:SEARCHERS] else None
+        offer = pool.best(self._i) if self._i == pool.agents[0] else None  # one answer is enough
         agreed = yield from best_offer(offer, self._diameter)
         if agreed is None:
             raise SolverError(self._where, "no choice of options within the nodes of a search")

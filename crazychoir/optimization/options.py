@@ -14,6 +14,8 @@ from crazychoir.types import Vec
 
 NODES = 1_000
 """Of the branch and bound that combines them."""
+ENOUGH = 1e-6
+"""The gap at which it ends."""
 DEAR = 10.0
 """What a unit that is exceeded costs, in sums of all costs."""
 
@@ -65,7 +67,7 @@ class Pool:
         highs, count = self._model(searcher)
         binary = np.arange(count, dtype=np.int32)
         highs.changeColsIntegrality(count, binary, np.full(count, int(highspy.HighsVarType.kInteger), np.uint8))
-        highs.setOptionValue("mip_rel_gap", 0.0)
+        highs.setOptionValue("mip_rel_gap", ENOUGH)
         highs.setOptionValue("mip_max_nodes", NODES)
         highs.run()
         if highs.getInfo().primal_solution_status != int(highspy.SolutionStatus.kSolutionStatusFeasible):
