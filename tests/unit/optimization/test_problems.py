@@ -151,7 +151,7 @@ BAD_MODELS = {
     "a matrix": (lambda: CostCoupled(3, cp.Variable((2, 2)), 0), r"agent 3: .* shape \(2, 2\); allowed: a scalar"),
     "integers": (lambda: CostCoupled(3, cp.Variable(2, integer=True), 0), r"agent 3: .* attributes \['integer'\]"),
     "other integers": (
-        lambda: CostCoupled(3, X, X[0], [X <= cp.Variable(name="k", boolean=True)]),
+        lambda: CostCoupled(3, X, X[0], [cp.Variable(name="k", boolean=True) >= X]),
         "agent 3: k: found an integer variable",
     ),
     "an empty parameter": (lambda: CostCoupled(3, X, cp.Parameter(name="a") * X[0]), "parameter a: found no value"),
