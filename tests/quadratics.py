@@ -1,21 +1,35 @@
-"""Quadratic costs of a team, and their common optimum."""
+"""Random problems with a common variable, of the class of dual decomposition, and their optimum by cvxpy."""
 
+import json
+
+import cvxpy as cp
 import numpy as np
 
+from crazychoir.optimization.problems import CostCoupled
 
-class Quadratics:
-    """f_i(x) = 1/2 x'P_i x + q_i'x, P_i positive definite; the minimum of their sum is at `optimum`."""
 
-    def __init__(self, agents, n=2, seed=0):
-        chance = np.random.default_rng(seed)
-        roots = chance.normal(size=(agents, n, n))
-        self.p = roots @ roots.transpose(0, 2, 1) + 0.5 * np.eye(n)
-        self.q = chance.normal(size=(agents, n)) * 2.0
-        self.optimum = -np.linalg.solve(self.p.sum(axis=0), self.q.sum(axis=0))
-        self.smoothness = np.linalg.eigvalsh(self.p).max()
+def costs(count, n, seed):
+    """P_i (n, n), positive definite, and q_i (n,)."""
+    draw = np.random.default_rng(seed)
+    L, q = draw.normal(size=(count, n, n)), 2 * draw.normal(size=(count, n))
+    return [(a @ a.T + np.eye(n), b) for a, b in zip(L, q, strict=True)]
 
-    def gradient(self, i):
-        return lambda x: self.p[i] @ x + self.q[i]
 
-    def cost(self, x):
-        return 0.5 * x @ self.p.sum(axis=0) @ x + self.q.sum(axis=0) @ x
+def problems(data, bound=1.0):
+    """min sum_i x'P_i x + q_i'x, |x_k| <= bound: one a pair (P_i, q_i)."""
+    x = cp.Variable(len(data[0][1]))
+    return [CostCoupled(i, x, cp.quad_form(x, P) + q @ x, [x <= bound, x >= -bound]) for i, (P, q) in enumerate(data)]
+
+
+def optimum(parts):
+    """(n,) of all together, by cvxpy."""
+    x = parts[0].x
+    problem = cp.Problem(cp.Minimize(sum(part.objective for part in parts)), [c for p in parts for c in p.constraints])
+    problem.solve(solver=cp.CLARABEL)
+    return np.atleast_1d(x.value).copy()
+
+
+def recorded(folder, name):
+    """A recorded run: its data, and the problems it was of."""
+    data = json.loads((folder / f"{name}.json").read_text())
+    return data, problems([(np.array(P), np.array(q)) for P, q in zip(data["P"], data["q"], strict=True)])

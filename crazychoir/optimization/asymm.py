@@ -50,7 +50,7 @@ class ASYMM:
     def __init__(
         self, i: int, neighbors: Iterable[int], diameter: int, x: ArrayLike, objective: Smooth, *,
         equalities: Smooth | None = None, inequalities: Smooth | None = None, epochs: int = 25, penalty: float = 1.0,
-        tolerance: float = 0.1, growth: float = 2.0, shrink: float = 0.75, sharpen: float = 0.5,
+        tolerance: float = 0.1, growth: float = 2.0, shrink: float = 0.5, sharpen: float = 0.5,
     ) -> None:  # fmt: skip
         for name, value, most in (("penalty", penalty, MOST_PENALTY), ("tolerance", tolerance, np.inf)):
             if not 0.0 < value <= most:

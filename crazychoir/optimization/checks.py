@@ -13,9 +13,8 @@ def require_team(agents: Mapping[int, Any], graph: Graph | GraphSequence) -> Non
     """Raise ConfigError unless there is one agent a node and, of what the agents say of themselves, all fits.
 
     `connected = True` of an algorithm: it needs a (jointly, strongly) connected graph;  `undirected = True`: one where
-    who hears is heard;  `weights`: rows for exactly
-    those that the agent hears, `shares`: for exactly those that hear it;  `x`: of one shape, where it is an array and
-    not `common = False`.
+    who hears is heard;  `weights`: rows for exactly those that the agent hears, `shares`: for exactly those that hear
+    it;  `x`: of one shape, where it is an array and not `common = False`.
     """
     if sorted(agents) != list(graph.ids):
         allowed = f"one for each node of the graph, {span(graph.ids)}"

@@ -7,6 +7,7 @@ import numpy as np
 
 from crazychoir.errors import ConfigError, SolverError
 from crazychoir.optimization.iteration import Iteration
+from crazychoir.optimization.linear import LinearProgram
 from crazychoir.optimization.problems import CommonCost
 from crazychoir.optimization.quadratic import Polyhedron, QuadraticProgram, positive
 from crazychoir.types import Mat, Vec
@@ -106,12 +107,18 @@ class ConstraintsConsensus(Iteration):
         return np.ascontiguousarray(both[: self.problem.n])
 
     def _why(self, status: str, rows: Mat) -> str:
-        if status != "infeasible" or not len(self.basis):
+        """Of rows that exclude each other, the one that is missed when all together are missed by the least."""
+        if status != "infeasible":
             return status
-        excess = rows[:, :-1] @ self.x - rows[:, -1]
-        r = int(np.argmax(excess))
+        m, n = len(rows), self.problem.n
+        elastic = np.hstack([rows[:, :-1], -np.eye(m)]), rows[:, -1]
+        bounds = np.r_[np.full(n, -np.inf), np.zeros(m)], np.full(n + m, np.inf)
+        missed = LinearProgram(np.r_[np.zeros(n), np.ones(m)], elastic, bounds=bounds).solve(np.zeros(n + m))
+        if isinstance(missed, str):
+            return status
+        r = int(np.argmax(missed[n:]))
         row = " ".join(f"{a:+.4g} x[{k}]" for k, a in enumerate(rows[r, :-1]) if a)
-        return f"infeasible: row {row} <= {rows[r, -1]:.4g} is {excess[r]:.4g} from where the others allow"
+        return f"infeasible: row {row} <= {rows[r, -1]:.4g}: violated by {missed[n + r]:.4g}, at best"
 
 
 def _strictly_convex(problem: CommonCost) -> tuple[Mat, Vec]:

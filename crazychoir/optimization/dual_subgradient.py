@@ -26,6 +26,8 @@ class DualSubgradient(Mixing):
     Source: Falsone, Margellos, Garatti & Prandini 2017, Automatica 84, 149-158.
     """
 
+    common = False
+
     def __init__(
         self, problem: ConstraintCoupled, weights: Rows, step: float | StepSize, rounds: int | None = None
     ) -> None:

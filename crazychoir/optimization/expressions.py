@@ -1,6 +1,7 @@
 """What a cvxpy expression says: checked, and read into matrices where it is affine or quadratic."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -96,10 +97,20 @@ def only(expression: Any, x: cp.Variable) -> bool:
     return all(variable.id == x.id for variable in expression.variables())
 
 
+@contextmanager
+def _placed(x: cp.Variable, point: Vec) -> Iterator[None]:
+    """With the variable's value at a point, and then where the user had it."""
+    before = x.value
+    x.save_value(point.reshape(x.shape))
+    try:
+        yield
+    finally:
+        x.save_value(before)
+
+
 def at(expression: cp.Expression, x: cp.Variable, point: Vec) -> Vec:
     """Its values (S,) at x = point."""
-    x.save_value(point.reshape(x.shape))
-    with np.errstate(all="ignore"):
+    with _placed(x, point), np.errstate(all="ignore"):
         return _dense(expression.value).reshape(-1, order="F")
 
 
@@ -107,7 +118,8 @@ def slope(expression: cp.Expression, x: cp.Variable, point: Vec) -> Mat:
     """A (sub)gradient (S, n) of each of its entries at x = point; nan outside of its domain."""
     if not np.isfinite(at(expression, x, point)).all():  # of a sum, cvxpy fails to say so
         return np.full((expression.size, x.size), np.nan)
-    found = expression.grad
+    with _placed(x, point):
+        found = expression.grad
     if x not in found:
         return np.zeros((expression.size, x.size))
     if found[x] is None:
