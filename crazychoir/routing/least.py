@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from crazychoir.routing.labels import Ints, Words
+from crazychoir.routing.labels import Flags, Ints, Words
 from crazychoir.routing.priced import grow_priced
 from crazychoir.routing.pricing import Column, shortest_route
 from crazychoir.routing.vehicle import SLACK, Vehicle
@@ -34,11 +34,26 @@ def least_reduced_cost(vehicle: Vehicle, prices: Vec, most: int = MOST_LABELS, w
     prices: (M,) m, -inf forbids a task;  most: labels;  width: of the quick search. With most = 0 it is all there is.
     """
     problem = _Problem(vehicle, prices)
-    value, rows, exact = problem.search(problem.nothing, most=width * 2 * len(prices) + 1, width=width)
-    if most and not exact:
-        best, more, exact = problem.search(value, most, most)
-        value, rows = min(best, value), rows + more
-    return Least(value, problem.columns(rows), exact)
+    quick = problem.search(problem.nothing, width * 2 * len(prices) + 1, width)
+    found = [quick]
+    if most and not quick.exact:
+        found.append(problem.search(quick.value, most, most))
+    sets = problem.sets([route for search in found for route in search.routes])
+    columns = [Column(shortest_route(vehicle, tasks)[1] + vehicle.fixed, tasks) for tasks in list(sets)[:MOST_COLUMNS]]
+    columns.sort(key=lambda c: (c.length - float(prices[list(c.tasks)].sum()), c))
+    return Least(found[-1].value, columns, found[-1].exact)
+
+
+def columns_below(vehicle: Vehicle, prices: Vec, below: float, most: int = MOST_LABELS) -> Least:
+    """All columns with a reduced cost less than `below`, by (length, tasks): what a proof of optimality needs of a robot.
+
+    A bound of the routes' reduced costs cuts labels, so that a part of those of a table is made.
+    """
+    problem = _Problem(vehicle, prices)
+    search = problem.search(below, most, most, every=True)
+    columns = [Column(vehicle.length(nodes) + vehicle.fixed, tasks) for tasks, nodes in problem.sets(search.routes).items()]
+    value = min([problem.nothing, *(cost for cost, _ in search.routes)])
+    return Least(value, sorted(columns), search.exact)
 
 
 def relaxed_reduced_cost(
@@ -51,16 +66,24 @@ def relaxed_reduced_cost(
     Source: the ng-route relaxation of Baldacci, Mingozzi & Roberti 2011, Operations Research 59(5).
     """
     problem = _Problem(vehicle, prices, near)
-    value, _, exact = problem.search(min(below, problem.nothing), most, most)
-    return value if exact else -np.inf
+    search = problem.search(min(below, problem.nothing), most, most)
+    return search.value if search.exact else -np.inf
+
+
+class _Search(NamedTuple):
+    """What the kernel found: the least reduced cost, routes as (reduced cost, nodes), the least first, exact."""
+
+    value: float
+    routes: list[tuple[float, list[int]]]
+    exact: bool
 
 
 class _Problem:
     """A vehicle with those of its tasks that have a price, as the kernel takes it."""
 
     def __init__(self, vehicle: Vehicle, prices: Vec, near: int | None = None) -> None:
-        self._whole, self._prices = vehicle, prices
-        self._chosen = np.array([j for j in vehicle.servable if vehicle.aboard[j] or prices[j] > -np.inf], dtype=np.int64)
+        able = [j for j in vehicle.servable if vehicle.aboard[j] or prices[j] > -np.inf]
+        self._whole, self._chosen = vehicle, np.array(able, dtype=np.int64)
         self._vehicle = vehicle.only(self._chosen)
         self._price = np.asarray(prices[self._chosen], dtype=float)
         self._memory = _memory(self._vehicle, len(self._chosen) if near is None else near)
@@ -70,39 +93,39 @@ class _Problem:
         """The reduced cost of no route: 0, or inf for a robot that has goods to deliver."""
         return np.inf if self._whole.aboard.any() else 0.0
 
-    def search(self, below: float, most: int, width: int) -> tuple[float, list[tuple[float, list[int]]], bool]:
-        """The least reduced cost, if less than `below`; the routes found, as reduced cost and tasks; exact."""
+    def search(self, below: float, most: int, width: int, every: bool = False) -> _Search:
+        """The best routes with a reduced cost less than `below`, or the best of each set of tasks."""
         v = self._vehicle
         into = _into(v)
         limited, many = bool(np.isfinite(v.farthest)), v.trips > 1
         with np.errstate(divide="ignore", invalid="ignore"):
-            worth = self._price / (into[: v.tasks] + into[v.tasks : 2 * v.tasks])
-        best, ends, costs, last, parent, exact = grow_priced(
+            worth = np.nan_to_num(self._price / (into[: v.tasks] + into[v.tasks : 2 * v.tasks]))
+        best, ends, costs, last, parent, again, exact = grow_priced(
             v.distance, v.duration, v.shortest, v.fastest, v.earliest, v.latest + SLACK, v.load, v.aboard,
-            self._price, into, np.argsort(-np.nan_to_num(worth), kind="stable"), self._memory,
-            np.array([True, v.timed, limited, many]), v.capacity + SLACK, v.limit + SLACK, v.limit_again + SLACK, v.trips,
-            below - v.fixed, most, width,
+            self._price, into, np.argsort(-worth, kind="stable"), self._memory, np.array([True, v.timed, limited, many]),
+            v.capacity + SLACK, v.limit + SLACK, v.limit_again + SLACK, v.trips, below - v.fixed, every, most, width,
         )  # fmt: skip
-        order = np.argsort(costs, kind="stable")[: 10 * MOST_COLUMNS]
-        found = [(float(costs[r]) + v.fixed, self._tasks(int(ends[r]), last, parent)) for r in order]
-        return min(below, best + v.fixed), found, bool(exact)
+        order = np.argsort(costs, kind="stable")[: None if every else 10 * MOST_COLUMNS]
+        routes = [(float(costs[r]) + v.fixed, self._nodes(int(ends[r]), last, parent, again)) for r in order]
+        return _Search(min(below, best + v.fixed), routes, bool(exact))
 
-    def columns(self, rows: list[tuple[float, list[int]]]) -> list[Column]:
-        """The best sets, each with its shortest route."""
-        sets = dict.fromkeys(tuple(tasks) for cost, tasks in sorted(rows) if cost < 0.0)
-        columns = []
-        for tasks in list(sets)[:MOST_COLUMNS]:
-            length = shortest_route(self._whole, tasks)[1] + self._whole.fixed
-            columns.append((length - float(self._prices[list(tasks)].sum()), Column(length, tasks)))
-        return [column for _, column in sorted(columns)]
+    def sets(self, routes: list[tuple[float, list[int]]]) -> dict[tuple[int, ...], list[int]]:
+        """The sets of tasks with the nodes of their best route, the least reduced cost first."""
+        m = self._whole.tasks
+        best: dict[tuple[int, ...], list[int]] = {}
+        for _, nodes in sorted(routes):
+            best.setdefault(tuple(sorted(v - m for v in nodes if m <= v < 2 * m)), nodes)
+        return best
 
-    def _tasks(self, label: int, last: Ints, parent: Ints) -> list[int]:
-        m, tasks = self._vehicle.tasks, [int(self._chosen[j]) for j in np.flatnonzero(self._vehicle.aboard)]
+    def _nodes(self, label: int, last: Ints, parent: Ints, again: Flags) -> list[int]:
+        m, nodes = self._whole.tasks, []
         while label > 0:
-            if last[label] < m:
-                tasks.append(int(self._chosen[last[label]]))
+            at = int(last[label])
+            nodes.append(int(self._chosen[at]) if at < len(self._chosen) else m + int(self._chosen[at - len(self._chosen)]))
+            if again[label]:
+                nodes.append(2 * m + 1)
             label = int(parent[label])
-        return sorted(tasks)
+        return nodes[::-1]
 
 
 def _into(v: Vehicle) -> Vec:

@@ -43,10 +43,10 @@ def _enter(table: Ints, gone: Words, state: Mat, level: Ints, chain: Ints, dead:
 
 @kernel()
 def _rehashed(size: int, keys: Words, last: Ints, head: Flags, count: int) -> Ints:
-    table, zero = np.full(size, -1, dtype=np.int64), np.uint64(0)
+    table = np.full(size, -1, dtype=np.int64)
     for i in range(count):
         if head[i]:
-            table[slot_of(table, keys, last, zero, zero, keys[i, 2], keys[i, 3], last[i])] = i
+            table[slot_of(table, keys, last, keys[i, 0], keys[i, 1], keys[i, 2], keys[i, 3], last[i])] = i
     return table
 
 
@@ -91,19 +91,19 @@ def _promise(
 
 
 @kernel()
-def _thin(promise: Vec, dead: Flags, first: int, count: int, width: int) -> bool:
+def _thin(guide: Vec, dead: Flags, first: int, count: int, width: int) -> bool:
     """Of the labels from `first` on, let the `width` most promising live; returns whether one went."""
     alive = np.zeros(count - first)
     n = 0
     for i in range(first, count):
         if not dead[i]:
-            alive[n] = promise[i]
+            alive[n] = guide[i]
             n += 1
     if n <= width:
         return False
     most = np.sort(alive[:n])[width - 1]
     for i in range(first, count):
-        if promise[i] > most:
+        if guide[i] > most:
             dead[i] = True
     return True
 
@@ -112,36 +112,38 @@ def _thin(promise: Vec, dead: Flags, first: int, count: int, width: int) -> bool
 def grow_priced(
     distance: Mat, duration: Mat, shortest: Mat, fastest: Mat, earliest: Vec, latest: Vec, load: Vec, aboard: Flags,
     prices: Vec, into: Vec, order: Ints, memory: Words, by: Flags, capacity: float, limit: float, limit_again: float,
-    trips: int, best: float, most: int, width: int,
-) -> tuple[float, Ints, Vec, Ints, Ints, bool]:  # fmt: skip
+    trips: int, best: float, every: bool, most: int, width: int,
+) -> tuple[float, Ints, Vec, Ints, Ints, Flags, bool]:  # fmt: skip
     """The least reduced cost of a route that is not empty, and less than `best`; without the fixed cost.
+
+    every: find the best route of each set of tasks with a reduced cost less than `best` instead.
 
     prices: (m,);  into: (2m + 2,) m, the shortest way into each node;  order: (m,) tasks, those first whose price is
     high for their way;  memory: (m, 2) words: the tasks that are remembered as done at a stop of task k, all of them
     for routes without repetition;  most: labels;  width: most labels of the same number of stops.
-    Returns that cost, the labels (n,) that end a route and what it costs (n,), last and parent of all labels, exact:
-    whether none was left out for their number. The rest as in grow_fronts.
+    Returns that cost, the labels (n,) that end a route and what it costs (n,), last, parent and again of all labels,
+    exact: whether none was left out for their number. The rest as in grow_fronts.
     """
     m, room, end = len(load), 1024, 2 * len(load) + 1
     zero = np.uint64(0)
     keys, last, parent = np.zeros((room, 4), np.uint64), np.zeros(room, np.int64), np.full(room, -1, np.int64)
     gone, level = np.zeros((room, 2), np.uint64), np.zeros(room, np.int64)
     state, held, table = np.zeros((room, 4)), np.zeros(room), np.full(4 * room, -1, np.int64)
-    chain, dead, head, promise = np.full(room, -1, np.int64), np.zeros(room, np.bool_), np.zeros(room, np.bool_), (
-        np.zeros(room)
-    )
+    chain, dead, head = np.full(room, -1, np.int64), np.zeros(room, np.bool_), np.zeros(room, np.bool_)
+    guide, again = np.zeros(room), np.zeros(room, np.bool_)
     ends, worths, on, found = np.zeros(room, np.int64), np.zeros(room), np.zeros(m, np.int64), 0
     due = np.zeros(m, np.int64)
     begin(keys, held, load, aboard)
     gone[0, 0], gone[0, 1] = keys[0, 0], keys[0, 1]
+    keys[0, 0], keys[0, 1] = (keys[0, 0], keys[0, 1]) if every else (zero, zero)
     last[0], state[0, TIME], state[0, LEFT], state[0, TRIP] = 2 * m, earliest[2 * m], limit, 1.0
     for j in range(m):
         if aboard[j]:
             state[0, COST] -= prices[j]
-    count, i, first, exact = 1, 0, 1, True
+    count, i, first, exact, below = 1, 0, 1, True, best
     while i < count:
         if i == first:  # a new number of stops begins
-            exact = not _thin(promise, dead, first, count, width) and exact
+            exact = not _thin(guide, dead, first, count, width) and exact
             first = count
         goods = 0 if dead[i] else listed(keys, i, 2, m, on)
         ways = 2 if goods == 0 and state[i, TRIP] < trips else 1
@@ -163,8 +165,10 @@ def grow_priced(
             time = max(time + duration[at, stop], earliest[stop])
             if not in_time(stop, on, goods, m, time, left, latest, shortest, fastest):
                 continue
-            _, _, o0, o1 = after(keys, i, stop, m)
-            keys[count, 2], keys[count, 3] = o0, o1
+            p0, p1, o0, o1 = after(keys, i, stop, m)
+            if not every:  # what is picked up does not tell labels apart
+                p0, p1 = zero, zero
+            keys[count, 0], keys[count, 1], keys[count, 2], keys[count, 3] = p0, p1, o0, o1
             bit = ONE << np.uint64(j & 63)
             gone[count, 0] = (gone[i, 0] & memory[j, 0]) | o0 | (bit if j < 64 else zero)
             gone[count, 1] = (gone[i, 1] & memory[j, 1]) | o1 | (bit if j >= 64 else zero)
@@ -177,33 +181,36 @@ def grow_priced(
                 due[waiting] = j
                 waiting += 1
             follow = trips - trip
-            promise[count] = cost + _promise(
+            promise = cost + _promise(
                 gone, count, stop, due, waiting, time, np.inf if follow > 0 else left,
                 left + (follow * limit_again if follow > 0 else 0.0), latest, shortest, fastest, into, prices, order,
             )  # fmt: skip
-            if promise[count] >= best:
+            if promise >= best:
                 continue
             if count >= most:
                 exact = False
                 continue
-            last[count], parent[count], dead[count], level[count] = stop, i, False, level[i] + 1
+            last[count], parent[count], again[count], dead[count], level[count] = stop, i, anew, False, level[i] + 1
+            guide[count] = cost + shortest[stop, end]
+            for n in range(waiting):
+                guide[count] = max(guide[count], cost + shortest[stop, m + due[n]] + shortest[m + due[n], end])
             state[count, COST], state[count, TIME], state[count, LEFT], state[count, TRIP] = cost, time, left, trip
             held[count] = held[i] + (load[stop] if stop < m else -load[stop - m])
-            k = slot_of(table, keys, last, zero, zero, o0, o1, stop)
+            k = slot_of(table, keys, last, p0, p1, o0, o1, stop)
             head[count] = table[k] < 0
             if not _enter(table, gone, state, level, chain, dead, k, count, by):
                 continue
             total, finish = cost + distance[stop, end], max(time + duration[stop, end], earliest[end])
-            if waiting == 0 and distance[stop, end] <= left and finish <= latest[end]:
+            if waiting == 0 and total < below and distance[stop, end] <= left and finish <= latest[end]:
                 ends[found], worths[found], found = count, total, found + 1
-                best = min(best, total)
+                best = best if every else min(best, total)
             count += 1
             if count == len(last):
                 keys, last, parent, state = doubled(keys), doubled(last), doubled(parent), doubled(state)
                 held, chain, dead, head = doubled(held), doubled(chain), doubled(dead), doubled(head)
-                gone, level, promise = doubled(gone), doubled(level), doubled(promise)
+                gone, level, guide, again = doubled(gone), doubled(level), doubled(guide), doubled(again)
                 ends, worths = doubled(ends), doubled(worths)
                 table = _rehashed(2 * len(table), keys, last, head, count)
         i += 1
-    return best, ends[:found], worths[:found], last[:count], parent[:count], exact
+    return best, ends[:found], worths[:found], last[:count], parent[:count], again[:count], exact
 
