@@ -10,7 +10,7 @@ from crazychoir.errors import CodecError
 from crazychoir.guidance.task_book import Fate, Place, Task, TaskBook
 from crazychoir.optimization.agreement import flood
 from crazychoir.optimization.program import Exchange, Program
-from crazychoir.routing.insertion import auction
+from crazychoir.routing.auction import auction
 from crazychoir.routing.instance import LocalProblem, Tasks
 from crazychoir.routing.plan import Stop
 
