@@ -126,6 +126,8 @@ class Agent:
         link, harm = self._body(i, chosen.sender.kind)
         seen_at = config.source(POSE, i) if i in self.owned else i
         pilot = Pilot(port, link, config.flight, fence, rate, chosen, seen, seen_at)
+        if i in self._remotes:
+            self._remotes[i].found_flying = pilot.take_over
         supervisor = self._supervisor(i)
         guidance = self.mission.guidance(i, config)
         drone = Drone(i, port, barrier, communicator, pilot, guidance, supervisor, harm)

@@ -10,6 +10,8 @@
     ├── RosterChanged(RuntimeError)        the team is another one now, and this algorithm cannot go on across that
     ├── Refused(RuntimeError)              somebody said no: a command, a swarm, a start check
     ├── SolverError(RuntimeError)          an optimisation problem could not be solved: agent, status
+    ├── AgentFailed(RuntimeError)          an agent of a distributed algorithm has failed, and with it the team
+    ├── ProcessFailed(RuntimeError)        a process that solves or measures has failed, ended, or says nothing
     ├── Hung(RuntimeError)                 the watchdog interrupted code that kept the event loop
     ├── Deadlock(RuntimeError)             virtual time: everybody waits and no timer is set
     └── Livelock(RuntimeError)             virtual time: the clock stands still
@@ -105,6 +107,22 @@ class SolverError(CrazyChoirError, RuntimeError):
     def __init__(self, where: str, status: str) -> None:
         self.where, self.status = where, status
         super().__init__(f"{where}: the solver ended with status {status}")
+
+
+class AgentFailed(CrazyChoirError, RuntimeError):
+    """A distributed algorithm has ended at all agents because it failed at one; `agent` is which, `reason` is why."""
+
+    def __init__(self, agent: int, reason: str) -> None:
+        self.agent, self.reason = agent, reason
+        super().__init__(f"agent {agent} has failed, and with it the team: {reason}")
+
+
+class ProcessFailed(CrazyChoirError, RuntimeError):
+    """A process that was started to solve or to measure has failed; `who` says which, `reason` why."""
+
+    def __init__(self, who: str, reason: str) -> None:
+        self.who, self.reason = who, reason
+        super().__init__(f"{who}: {reason}")
 
 
 class Hung(CrazyChoirError, RuntimeError):

@@ -31,17 +31,17 @@ memory = numba.float64[::1]
 table = numba.float64[:, ::1]
 
 
-def kernel(*arguments: Any) -> Callable[[Law], Law]:
+def kernel(*arguments: Any, **options: bool) -> Callable[[Law], Law]:
     """Compile a law for these argument types when its module is imported; after the first time, from the disk.
 
     Fixed types on purpose: another kind of array raises TypeError at once instead of compiling for a second in flight.
-    Without arguments: a piece of other kernels, compiled with them.
+    Without arguments: a piece of other kernels, compiled with them. options: of numba, as nogil and forceinline.
     """
 
     def compiled(law: Law) -> Law:
         # Nobody calls a law by its address: a tenth of the time to compile goes into what would allow it.
         njit: Any = numba.njit
-        dispatcher = njit(error_model="numpy", no_cfunc_wrapper=True)(law)
+        dispatcher = njit(error_model="numpy", no_cfunc_wrapper=True, **options)(law)
         if dispatcher is law:  # with NUMBA_DISABLE_JIT
             return law
         dispatcher._cache = Kept(law, arguments, sorted(dispatcher.targetoptions.items()))

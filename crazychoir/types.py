@@ -194,10 +194,18 @@ class Status(Wire, frozen=True, array_like=True, gc=False):
 class Body(Wire, frozen=True, array_like=True, gc=False):
     """How a drone's simulated body is.
 
-    harm: what has broken it, empty if nothing has.
+    harm: what has broken it, empty if nothing has;  flying: it is in the air, flown there by commands.
     """
 
     harm: str = ""
+    flying: bool = False
+
+
+class Failure(Wire, frozen=True, array_like=True, gc=False):
+    """What an algorithm that has failed at `agent` sends in place of its message: the reason."""
+
+    agent: int
+    reason: str
 
 
 Reference = Acceleration | FullState | Goto

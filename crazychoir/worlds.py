@@ -74,6 +74,9 @@ class WorldProcess(Actor):
         self.owners = owners(self.bus, config, config.owned, base=BODIES)
         self.latencies_ns: deque[int] = deque(maxlen=KEPT)
         self.bodies = [body for owner in self.owners for body in self._bodies(owner)]
+        bodies = {body.drone: body for body in self.bodies}
+        for owner in self.owners:
+            owner.flying = lambda i: bodies[i].flying
         self.failure = ""
         self._ending: str | None = None
         self._patient_until = 0.0

@@ -7,17 +7,12 @@ import contextlib
 import importlib.util
 import json
 import os
-import queue
 import secrets
 import shutil
-import signal
 import socket
 import statistics
-import subprocess
 import sys
-import threading
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -25,6 +20,7 @@ from typing import Any
 from rich.table import Table
 from rich.text import Text
 
+from crazychoir.launch.group import Group
 from crazychoir.swarm.graph import Graph, k_regular, ring
 
 GRAPHS: dict[str, Callable[[int], Graph]] = {"ring": ring, "4-regular": lambda n: k_regular(n, 4)}
@@ -141,8 +137,10 @@ def _measure(row: Row, seconds: float) -> None:
     commands = _mpi_command(row, common) if row.module == "peers_mpi4py" else _commands(row, common)
     answers = row.agents if row.module == "peers_mpi4py" else len(commands)
     try:
-        with _Group(commands) as group:
-            found = group.measure(answers, seconds)
+        with Group(commands) as group:
+            list(group.answers(answers, START_DEADLINE, "do not find each other"))
+            group.tell("go")
+            found = [answer for _, answer in group.answers(answers, WARM + seconds + 20.0, "do not answer")]
     except (TimeoutError, OSError) as error:
         row.note = f"failed: {error}"
         return
@@ -183,60 +181,3 @@ def _free_ports(count: int) -> list[int]:
     with contextlib.ExitStack() as stack:
         sockets = [stack.enter_context(socket.create_server(("127.0.0.1", 0))) for _ in range(count)]
         return [one.getsockname()[1] for one in sockets]
-
-
-class _Group:
-    """The processes of one measurement; all are gone at the end."""
-
-    def __init__(self, commands: list[list[str]]) -> None:
-        self._commands = commands
-        self._processes: list[subprocess.Popen[str]] = []
-        self._lines: queue.SimpleQueue[str] = queue.SimpleQueue()
-
-    def __enter__(self) -> "_Group":
-        pipe = subprocess.PIPE
-        for command in self._commands:
-            process = subprocess.Popen(
-                command, stdin=pipe, stdout=pipe, stderr=subprocess.DEVNULL, text=True, start_new_session=True
-            )
-            self._processes.append(process)
-            threading.Thread(target=self._read, args=(process,), daemon=True).start()
-        return self
-
-    def _read(self, process: "subprocess.Popen[str]") -> None:
-        with contextlib.suppress(ValueError, OSError):
-            for line in process.stdout or ():
-                if line.startswith("{"):
-                    self._lines.put(line)
-        self._lines.put("")
-
-    def measure(self, answers: int, seconds: float) -> list[dict[str, Any]]:
-        """Wait for all, say go, collect; raises TimeoutError."""
-        list(self._answers(answers, START_DEADLINE, "do not find each other"))
-        for process in self._processes:
-            if process.stdin is not None:
-                process.stdin.write("go\n")
-                process.stdin.flush()
-        return list(self._answers(answers, WARM + seconds + 20.0, "do not answer"))
-
-    def _answers(self, count: int, patience: float, complaint: str) -> Iterator[dict[str, Any]]:
-        ends = time.perf_counter() + patience
-        for done in range(count):
-            try:
-                line = self._lines.get(timeout=max(0.0, ends - time.perf_counter()))
-            except queue.Empty:
-                raise TimeoutError(f"{count - done} of {count} processes {complaint} in {patience:g} s") from None
-            if not line:
-                raise TimeoutError("a process has ended before its answer")
-            yield json.loads(line)
-
-    def __exit__(self, *exception: object) -> None:
-        for process in self._processes:
-            with contextlib.suppress(ProcessLookupError):
-                os.killpg(process.pid, signal.SIGKILL)
-        for process in self._processes:
-            process.wait(5.0)
-            for stream in (process.stdin, process.stdout):
-                if stream is not None:
-                    with contextlib.suppress(OSError):
-                        stream.close()

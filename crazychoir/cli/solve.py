@@ -11,6 +11,7 @@ from crazychoir.cli.show import STDERR, Progress, fail, set_up_logging, write_js
 from crazychoir.errors import CrazyChoirError
 
 if TYPE_CHECKING:
+    from crazychoir.launch.team import Progress as TeamProgress
     from crazychoir.routing.instance import Instance
     from crazychoir.solving import Team
 
@@ -25,6 +26,9 @@ def solve(
         str, typer.Option(help="Communication graph: ring, path, complete, star, k-regular:4, ...")
     ] = "ring",
     seed: Annotated[int, typer.Option(help="Seed of the simulated network.")] = 0,
+    processes: Annotated[
+        int | None, typer.Option(help="Real time, over Zenoh: the robots in so many processes; else virtual time.")
+    ] = None,
     picture: Annotated[Path | None, typer.Option(help="Where to draw the routes (PNG).")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object, nothing else.")] = False,
 ) -> None:
@@ -37,13 +41,19 @@ def solve(
     lower_bound: m; no plan costs less. bound_exact: that is proven. A plan that costs its lower_bound is optimal.
     """
     set_up_logging()
-    from crazychoir.routing.instance import Instance  # kernels and solvers: 1 s that --help does not need
+    from crazychoir.launch.team import solve_in_processes  # kernels and solvers: 1 s that --help does not need
+    from crazychoir.routing.instance import Instance
     from crazychoir.solving import solve_here
 
     try:
         problem = Instance.load(instance)
-        with Progress(_progress_table, enabled=not as_json) as progress:
-            result = solve_here(problem, method=method, loss=loss, graph=graph, seed=seed, watch=progress)
+        options: dict[str, Any] = {"method": method, "loss": loss, "graph": graph, "seed": seed}
+        if processes is None:
+            with Progress(_team_table, enabled=not as_json) as shown:
+                result = solve_here(problem, watch=shown, **options)
+        else:
+            with Progress(_progress_table, enabled=not as_json) as progress:
+                result = solve_in_processes(problem, processes, watch=None if as_json else progress, **options)
         if picture is not None:
             _draw(problem, result, picture)
     except CrazyChoirError as error:
@@ -63,19 +73,25 @@ def _draw(problem: "Instance", result: dict[str, Any], path: Path) -> None:
     draw_routes(problem, Plan(tuple(Route.from_json(route) for route in result["routes"])), path)
 
 
-def _progress_table(team: "Team") -> Table:
+def _team_table(team: "Team") -> Table:
+    progress = {i: agent.progress for i, agent in team.items()}
+    return _progress_table({i: (p.phase, p.round, p.cost) for i, p in progress.items()})
+
+
+def _progress_table(progress: "TeamProgress") -> Table:
     """One row a robot: phase, round, cost."""
     table = Table("robot", "phase", "round", "cost")
-    for i, agent in team.items():
-        cost = "" if agent.progress.cost is None else f"{agent.progress.cost:.3f}"
-        table.add_row(str(i), agent.progress.phase, str(agent.progress.round), cost)
+    for i, (phase, k, cost) in progress.items():
+        table.add_row(str(i), phase, str(k), "" if cost is None else f"{cost:.3f}")
     return table
 
 
 def _tables(result: dict[str, Any]) -> Group:
     figures = Table("figure", "value", title="plan" if result["feasible"] else "[red]not feasible[/]")
     for key in ("cost", "lower_bound", "bound_exact", "method", "disclosed", "rounds", "messages", "bytes", "wall_s",
-                "critical_path_s", "plan_digest"):  # fmt: skip
+                "startup_s", "cpu_s", "critical_path_s", "plan_digest"):  # fmt: skip
+        if key not in result:
+            continue
         value = result[key]
         figures.add_row(key, f"{value:.6g}" if isinstance(value, float) else str(value))
     routes = Table("robot", "length m", "stops")

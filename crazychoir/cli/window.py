@@ -5,7 +5,7 @@ from collections.abc import Awaitable, Callable, Iterable, Mapping
 from typing import Any
 
 from crazychoir.bus.commands import DONE, Answer, Commander
-from crazychoir.bus.local import OBSERVER
+from crazychoir.bus.local import BODIES, OBSERVER
 from crazychoir.bus.topics import Topic
 from crazychoir.bus.zenoh import ZenohLink
 from crazychoir.cli.chosen import choose, running_swarm
@@ -72,8 +72,24 @@ class Window:
         return await self._ask(lambda i: self._request(i, verb, arguments), drones)
 
     async def emergency_stop(self, clear: bool) -> Answers:
-        """Stop every drone of the swarm, or clear the stop."""
-        return await self._ask(lambda i: self._stop(i, clear))
+        """Stop every drone of the swarm, or clear the stop; and every body that a world's owner has, by itself.
+
+        So a drone falls whose agent is gone, or hangs: it has not obeyed, and it is said that its body has.
+        """
+        targets = [BODIES + i for i in self.config.owned]
+        bodies = asyncio.ensure_future(self.commander.emergency_stop(targets, clear, DISCOVERY))
+        try:
+            answers = await self._ask(lambda i: self._stop(i, clear))
+            missing = await bodies
+        finally:
+            bodies.cancel()
+        for i in self.config.owned:
+            obeyed, said = answers[i]
+            silent = BODIES + i in missing
+            if silent or not obeyed:
+                body = "its world's owner does not answer" if silent else "its body has obeyed"
+                answers[i] = (False, f"{said}; {body}")
+        return answers
 
     async def _request(self, i: int, verb: str, arguments: Mapping[str, Any]) -> tuple[bool, Any]:
         try:

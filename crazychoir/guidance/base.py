@@ -20,10 +20,11 @@ from crazychoir.runtime.clock import SECOND, Clock, wake
 from crazychoir.runtime.mailbox import Call
 from crazychoir.runtime.watchdog import Watchdog
 from crazychoir.safety.pilot import Mode, Pilot
-from crazychoir.swarm.communicator import Communicator, run_rounds
+from crazychoir.swarm.communicator import Communicator
 from crazychoir.swarm.config import SwarmConfig
 from crazychoir.swarm.graph import Graph
 from crazychoir.swarm.round import Round
+from crazychoir.swarm.running import Pace, run_algorithm
 from crazychoir.types import Acceleration, FullState, Goto, Heard, Point, Reference, State, Vec
 
 log = logging.getLogger(__name__)
@@ -124,14 +125,20 @@ class CFGuidance:
     asynchronous_receive = Verb(Communicator.asynchronous_receive)
     neighbors_exchange = Verb(Communicator.neighbors_exchange)
 
-    async def optimize(self, algorithm: Round, channel: str = "optimize", deadline: float | None = None) -> None:
+    async def optimize(
+        self, algorithm: Round, channel: str = "optimize", deadline: float | None = None, pace: Pace | None = None
+    ) -> None:
         """Run a distributed algorithm to its end, together with the neighbours, and end the channel.
 
         deadline: s for each round, None for 60 s. All drones must be done in the same round: who is done earlier ends
-        the channel, and who waits for it then gets ChannelEnded.
+        the channel, and who waits for it then gets ChannelEnded. One with `asynchronous = True` is woken at its `pace`,
+        steps with the latest of each neighbour, and waits for nobody.
+        Where it fails at one drone it ends at all, with the error there and AgentFailed elsewhere.
         """
-        await run_rounds(self.member.communicator, algorithm, channel=channel, deadline=deadline)
-        await self.member.communicator.close(channel)
+        communicator = self.member.communicator
+        await run_algorithm(communicator, algorithm, channel=channel, deadline=deadline, pace=pace)
+        if not getattr(algorithm, "asynchronous", False):
+            await communicator.close(channel)
 
     async def rendezvous(self, channel: str = "rendezvous") -> None:
         """Go on only when the whole team is here: as many empty rounds as the graph's diameter."""

@@ -6,7 +6,11 @@ distance between two agents of the graph, and end in the same round at every age
 
 from typing import Any
 
+import numpy as np
+
+from crazychoir.errors import ConfigError
 from crazychoir.optimization.program import Exchange
+from crazychoir.types import Vec
 
 
 def flood(robot: int, value: Any, diameter: int) -> Exchange[dict[int, Any]]:
@@ -45,3 +49,19 @@ def highest_bids(bids: dict[int, list[Any]], diameter: int) -> Exchange[dict[int
                 if task not in best or (amount, -robot) > (best[task][0], -best[task][1]):
                     best[task] = [amount, robot]
     return {task: best[task] for task in sorted(best)}
+
+
+def greatest(values: Vec, diameter: int) -> Exchange[Vec]:
+    """The greatest of each entry over all agents (max-consensus), also where the graph changes from round to round."""
+    for _ in range(diameter):
+        heard = yield values
+        values = np.maximum.reduce([values, *(np.asarray(other) for other in heard.values())])
+    return values
+
+
+def same_everywhere(value: Any, where: str, name: str) -> Exchange[None]:
+    """One round: ConfigError if a neighbour has another `value`, a number or a list; `where` says who asks."""
+    heard = yield value
+    for j, other in heard.items():
+        if other != value:
+            raise ConfigError(f"{where}: {name} of agent {j}", other, f"{value}, the same at all agents")

@@ -77,7 +77,8 @@ float64 yaw  # rad
 float64 duration  # s""",
     "crazychoir_msgs/Body": """\
 std_msgs/Header header
-string harm  # what has broken it""",
+string harm  # what has broken it
+bool flying  # in the air, flown there by commands""",
     "crazychoir_msgs/Status": """\
 std_msgs/Header header
 string phase
@@ -224,7 +225,7 @@ MESSAGES: dict[Any, Message] = {
     FRPY: Message("crazychoir_msgs/FRPY", lambda command: command.flat.tolist()),
     Vel: Message("crazychoir_msgs/Vel", lambda command: command.flat.tolist()),
     XYZ: Message("crazychoir_msgs/XYZ", lambda command: (command.verb, *command.flat.tolist())),
-    Body: Message("crazychoir_msgs/Body", lambda body: (body.harm,)),
+    Body: Message("crazychoir_msgs/Body", lambda body: (body.harm, body.flying)),
     Status: Message("crazychoir_msgs/Status", lambda status: [getattr(status, n) for n in status.__struct_fields__]),
     str: Message("std_msgs/String", lambda line: (line,)),
     dict: Message("crazychoir_msgs/Value", lambda value: (in_json(value),)),

@@ -12,10 +12,9 @@ import numpy.typing as npt
 from crazychoir.errors import ConfigError, InstanceError
 from crazychoir.routing.instance_file import Fields, read
 from crazychoir.routing.servable import require_servable
-from crazychoir.routing.vehicle import Vehicle
+from crazychoir.routing.vehicle import MAKESPAN, TOTAL, Vehicle
 from crazychoir.types import Mat, Vec
 
-TOTAL, MAKESPAN = "total", "makespan"
 MOST_WEIGHT = 1e6
 """Of a refusal, in costs of plans: above it a solver's tolerances are as large as a route."""
 OBJECTIVES = ((TOTAL,), (MAKESPAN,), (TOTAL, MAKESPAN), (MAKESPAN, TOTAL))

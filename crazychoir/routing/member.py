@@ -81,7 +81,7 @@ class Member:
     @cached_property
     def table(self) -> RouteTable:
         """All routes of this robot; made at the first use."""
-        return RouteTable(self.local, self.settings.most_labels)
+        return RouteTable(self.local.vehicle, self.settings.most_labels, self.local.objective)
 
     @cached_property
     def penalty(self) -> Vec:

@@ -95,7 +95,9 @@ class PickupDelivery(Program[Solution]):
         """Flood lengths and hashes of the routes, then the plan's hash; all must be equal."""
         member, place = self._member, self._member.place
         member.report(phase="confirm", violation=0.0)
-        nodes, length = shortest_route(member.local, assignment.routes.get(place.robot, ()))
+        nodes, length = shortest_route(
+            member.local.vehicle, assignment.routes.get(place.robot, ()), member.local.objective
+        )
         route = Route.from_nodes(place.robot, nodes, len(member.local.tasks), length)
         known = yield from flood(place.robot, [length, route.digest if nodes else ""], place.diameter)
         cost = sum((float(value) for value, _ in known.values()), 0.0)

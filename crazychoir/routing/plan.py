@@ -110,6 +110,12 @@ class Solution:
         raw = {k: v for k, v in self.__dict__.items() if k != "routes"}
         return raw | {"disclosed": list(self.disclosed), "routes": [route.to_json() for route in self.routes]}
 
+    @classmethod
+    def from_json(cls, raw: dict[str, Any]) -> "Solution":
+        """What `to_json` wrote."""
+        routes = tuple(Route.from_json(route) for route in raw["routes"])
+        return cls(**(raw | {"disclosed": tuple(raw["disclosed"]), "routes": routes}))
+
 
 def digest_of(routes: dict[int, str]) -> str:
     """The plan's digest from the digests of the routes of the robots that fly."""

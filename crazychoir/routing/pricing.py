@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from crazychoir.errors import InstanceError, SolverError
-from crazychoir.routing.instance import LocalProblem
-from crazychoir.routing.labels import MOST_TASKS, Ints, Problem, Words, grow_labels, reduced_costs
-from crazychoir.routing.vehicle import SLACK
+from crazychoir.routing.labels import MOST_TASKS, Ints, Words, reduced_costs
+from crazychoir.routing.setting import FinalLabels, bits_of, final_labels
+from crazychoir.routing.vehicle import MAKESPAN, TOTAL, Vehicle
 from crazychoir.types import Vec
 
 MOST_LABELS = 4_000_000
@@ -16,7 +16,10 @@ MOST_LABELS = 4_000_000
 
 @dataclass(frozen=True, order=True)
 class Column:
-    """A set of tasks that one robot can serve, with the length in m of its shortest closed tour."""
+    """A set of tasks that one robot can serve, and what its best route adds to the first objective.
+
+    length: m, with the fixed cost of leaving; or, where the makespan comes first, the time in s when it is done.
+    """
 
     length: float
     tasks: tuple[int, ...]
@@ -28,24 +31,29 @@ class RouteTable:
         reduced cost of c at prices pi:   length_c - sum_{j in c} pi_j
 
     The labels behind it are exact: their key is (picked set, set on board, last stop), they are cut only by
-    capacity and by the shortest way home. `complete` is False if there were more than `most` labels: then
+    capacity, windows and lower bounds of the way home. `complete` is False if there were more than `most` labels: then
     columns of many tasks are missing, and no bound follows from a price.
-    Columns are in the order (length, tasks); the idle column, no task and length 0, is the first.
+    length: (n,), of the first objective;  second: (n,), of the other one, for the shortest, or soonest, route of the
+    set: of those with the least `length` it has the least `second`; nan where time decides nothing.
+    Columns are in the order (length, tasks), but the idle column, no task and length 0, is the first; a robot with
+    goods aboard has none, and all its columns hold those goods.
     Raises InstanceError if the robot could serve more than MOST_TASKS tasks.
     """
 
-    def __init__(self, local: LocalProblem, most: int = MOST_LABELS) -> None:
-        servable = local.servable
-        problem = _restricted(local, servable)
-        keys, last, length, _, self.complete = grow_labels(problem, most)
-        home = (keys[:, 2] == 0) & (keys[:, 3] == 0)
-        total = length[home] + problem[0][last[home], 2 * len(servable)]
-        sets, total = _shortest_of_each(keys[home, :2], total)
-        members = [servable[_bits(row)] for row in sets]
-        order = sorted(range(len(members)), key=lambda c: (total[c], tuple(members[c])))
-        self.length: Vec = total[order]
-        self.start: Ints = np.concatenate([[0], np.cumsum([len(members[c]) for c in order])]).astype(np.int64)
-        self.task: Ints = np.concatenate([members[c] for c in order]).astype(np.int64)
+    def __init__(self, vehicle: Vehicle, most: int = MOST_LABELS, objective: tuple[str, ...] = (TOTAL,)) -> None:
+        servable = vehicle.servable
+        labels = final_labels(_restricted(vehicle, servable), most, objective)
+        self.complete = labels.complete
+        first, second = _amounts(labels, objective, vehicle.fixed)
+        best = _best_of_each(labels.picked, first, second)
+        members = [tuple(servable[bits_of(row)].tolist()) for row in labels.picked[best]]
+        order = sorted(range(len(best)), key=lambda c: (first[best[c]], members[c]))
+        idle = [] if vehicle.aboard.any() else [()]
+        sets = [*idle, *(members[c] for c in order)]
+        self.length: Vec = np.concatenate([np.zeros(len(idle)), first[best][order]])
+        self.second: Vec = np.concatenate([np.zeros(len(idle)), second[best][order]])
+        self.start: Ints = np.cumsum([0, *map(len, sets)], dtype=np.int64)
+        self.task: Ints = np.array([j for tasks in sets for j in tasks], dtype=np.int64)
         self._where: dict[tuple[int, ...], int] | None = None
 
     def __len__(self) -> int:
@@ -78,54 +86,51 @@ class RouteTable:
         return None if c is None else self.column(c)
 
 
-def shortest_route(local: LocalProblem, tasks: Sequence[int]) -> tuple[list[int], float]:
-    """Stops and length in m of the shortest tour of `local` serving exactly `tasks`.
+def shortest_route(
+    vehicle: Vehicle, tasks: Sequence[int], objective: tuple[str, ...] = (TOTAL,), most: int = MOST_LABELS
+) -> tuple[list[int], float]:
+    """Nodes and length in m of the best route of `vehicle` that serves exactly `tasks`: the shortest, or the soonest.
 
-    A stop is j for the pickup of task j and M + j for its delivery; home is left out.
-    Raises SolverError if no tour within capacity and limit serves them.
+    A node is j for the pickup of task j, M + j for its delivery, and 2M + 1 for a stop at the end between two trips;
+    start and end are left out. Exact.
+    Raises SolverError if no route within its limits serves them, or if there are more than `most` labels.
     """
     chosen = np.array(sorted(tasks), dtype=np.int64)
-    if not len(chosen):
+    if not len(chosen) and not vehicle.aboard.any():
         return [], 0.0
-    problem = _restricted(local, chosen)
-    keys, last, length, parent, _ = grow_labels(problem, np.iinfo(np.int64).max)
-    everything = (1 << len(chosen)) - 1
-    target = np.array([everything & (1 << 64) - 1, everything >> 64, 0, 0], dtype=np.uint64)
-    full = np.flatnonzero((keys == target).all(axis=1))
-    if not len(full) or not local.capable[chosen].all():
-        raise SolverError(f"robot {local.robot}: a tour of tasks {chosen.tolist()}", "infeasible")
-    total = length[full] + problem[0][last[full], 2 * len(chosen)]
-    label = int(full[np.argmin(total)])
-    return _stops(label, last, parent, chosen, len(local.tasks)), float(total.min())
+    where = f"robot {vehicle.robot}: a tour of tasks {chosen.tolist()}"
+    left = np.setdiff1d(np.flatnonzero(vehicle.aboard), chosen)
+    if len(left) or not (vehicle.capable | vehicle.aboard)[chosen].all():
+        raise SolverError(where, f"infeasible: it carries {left.tolist()}" if len(left) else "infeasible")
+    labels = final_labels(_restricted(vehicle, chosen), most, objective)
+    full = np.flatnonzero(labels.count == len(chosen))
+    if not len(full):
+        raise SolverError(where, "infeasible" if labels.complete else f"more than {most} labels")
+    first, second = _amounts(labels, objective, 0.0)
+    best = int(full[np.lexsort((second[full], first[full]))[0]])
+    return labels.route(best, chosen, vehicle.tasks), float(labels.length[best])
 
 
-def _stops(label: int, last: Ints, parent: Ints, chosen: Ints, m: int) -> list[int]:
-    stops = []
-    while parent[label] >= 0:
-        at = int(last[label])
-        stops.append(int(chosen[at]) if at < len(chosen) else m + int(chosen[at - len(chosen)]))
-        label = int(parent[label])
-    return stops[::-1]
-
-
-def _restricted(local: LocalProblem, chosen: Ints) -> Problem:
-    """Distances, loads, capacity and limit for the tasks `chosen` alone; InstanceError if no set can hold them."""
+def _restricted(vehicle: Vehicle, chosen: Ints) -> Vehicle:
+    """With the tasks `chosen` alone; InstanceError if no set can hold them."""
     if len(chosen) > MOST_TASKS:
-        where, do = f"robot {local.robot}: tasks that it could serve", "Narrow capability or route_length_limit."
+        where, do = f"robot {vehicle.robot}: tasks that it could serve", "Narrow capability or route_length_limit."
         raise InstanceError(where, len(chosen), f"at most {MOST_TASKS}", do)
-    m = len(local.tasks)
-    nodes = np.concatenate([chosen, m + chosen, [2 * m]])
-    distance = np.ascontiguousarray(local.vehicle.distance[np.ix_(nodes, nodes)])
-    return distance, local.tasks.load[chosen], local.capacity + SLACK, local.limit + SLACK
+    return vehicle.only(chosen)
 
 
-def _shortest_of_each(sets: Words, total: Vec) -> tuple[Words, Vec]:
-    order = np.lexsort((total, sets[:, 0], sets[:, 1]))
-    sets, total = sets[order], total[order]
-    first = np.concatenate([[True], (sets[1:] != sets[:-1]).any(axis=1)])
-    return sets[first], total[first]
+def _amounts(labels: FinalLabels, objective: tuple[str, ...], fixed: float) -> tuple[Vec, Vec]:
+    """(n,) of the first objective and of the other one; the latter is 0 where only one is known."""
+    cost = labels.length + fixed
+    if objective[0] == MAKESPAN:
+        return labels.finish, cost
+    return cost, labels.finish
 
 
-def _bits(words: Words) -> list[int]:
-    value = int(words[0]) | int(words[1]) << 64
-    return [b for b in range(value.bit_length()) if value >> b & 1]
+def _best_of_each(picked: Words, first: Vec, second: Vec) -> Ints:
+    """Of each set but the empty one, the label that is best."""
+    order = np.lexsort((second, first, picked[:, 0], picked[:, 1]))
+    order = order[picked[order].any(axis=1)]
+    new = np.ones(len(order), dtype=bool)
+    new[1:] = (picked[order[1:]] != picked[order[:-1]]).any(axis=1)
+    return order[new]

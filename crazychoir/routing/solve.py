@@ -41,18 +41,22 @@ def team(
     span = diameter(graph)
     if sorted(graph) != list(range(instance.robots)):
         raise ConfigError("graph", sorted(graph), f"the robots 0 to {instance.robots - 1} of {instance.name}")
-    return {
-        i: PickupDelivery(
-            instance.local(i),
-            neighbors=sorted(graph[i]),
-            n=instance.robots,
-            diameter=span,
-            degree_of={j: len(graph[j]) for j in graph[i]},
-            method=method,
-            settings=settings,
-        )
-        for i in range(instance.robots)
-    }
+    return {i: member(instance, graph, i, span, method, settings) for i in range(instance.robots)}
+
+
+def member(
+    instance: Instance, graph: Graph, i: int, span: int, method: str = METHODS[0], settings: Settings | None = None
+) -> PickupDelivery:
+    """Robot i of the team, with its own part of the instance; span: the diameter of the graph."""
+    return PickupDelivery(
+        instance.local(i),
+        neighbors=sorted(graph[i]),
+        n=instance.robots,
+        diameter=span,
+        degree_of={j: len(graph[j]) for j in graph[i]},
+        method=method,
+        settings=settings,
+    )
 
 
 def joined(instance: Instance, solutions: Iterable[Solution]) -> Solution:

@@ -11,6 +11,8 @@ import numpy.typing as npt
 
 from crazychoir.types import Mat, Vec
 
+TOTAL, MAKESPAN = "total", "makespan"
+"""What a team minimises: the sum of costs in m, or the time in s when the last robot is done."""
 SLACK = 1e-9
 """Loads, lengths and times may exceed their limits by this much: rounding of a sum, not a licence."""
 

@@ -157,6 +157,7 @@ class Pilot(Actor):
         self._cut_for = ""
         self._said = Throttle()
         self._braked = 0  # how often, in this flight
+        self._takes_over = False
         self._idle, self._level = self.controls.sender.idle, self.controls.sender.steady(platform.weight)
         self._run: asyncio.Future[None] | None = None
 
@@ -404,6 +405,10 @@ class Pilot(Actor):
             self._say("land", reason)
         return self._descend()
 
+    def take_over(self) -> None:
+        """The drone is in the air, and another agent has brought it there: land it from where it is first seen."""
+        self._takes_over = True
+
     def cut(self, reason: str) -> None:
         """Stop the motors, for good."""
         self.mode = Mode.CUT
@@ -433,6 +438,9 @@ class Pilot(Actor):
     # The chain ------------------------------------------------------------------------------------------------
 
     def _command(self, state: State, now: float) -> Command | None:
+        if self._takes_over and self.mode is Mode.GROUND:
+            self._takes_over, self.mode = False, HOVER
+            self.land("found in the air, where another agent has flown it: landing")
         mode = self.mode
         if mode is FOLLOW:
             verdict = self.guard.check(now, state, state.age, (self._ticked_ns - self._reference_ns) / SECOND)

@@ -1,5 +1,6 @@
 """The owner of a simulated world: steps it, looks at it with simulated cameras, and hands poses to the drones."""
 
+from collections.abc import Callable
 from typing import Protocol
 
 from crazychoir.bus.local import Bus
@@ -53,6 +54,8 @@ class WorldOwner(Actor):
         self._tick = 0
         self.looked_ns = 0
         """When the cameras last looked, by the bus's clock."""
+        self.flying: Callable[[int], bool] = lambda i: False
+        """Whether commands of another process have brought drone i into the air."""
 
     def link(self, i: int, kind: str) -> Link:
         """The way to drone i, as long as its commands take; ConfigError for a kind that its world does not fly."""
@@ -90,7 +93,7 @@ class WorldOwner(Actor):
                 port.publish(TRUTH, world.state(i), late)
         if self._tick % self._body_every == 0:
             for i, port in self._ports.items():
-                port.publish(BODY, Body(world.harm(i)), late)
+                port.publish(BODY, Body(world.harm(i), self.flying(i)), late)
 
     def _advance(self) -> None:
         for link in self._delayed.values():

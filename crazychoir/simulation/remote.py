@@ -8,14 +8,15 @@ from typing import Any
 import numpy as np
 
 from crazychoir.bus.codec import encode
+from crazychoir.bus.commands import CommandServer
 from crazychoir.bus.local import BODIES, Port
 from crazychoir.bus.topics import BODY, COMMAND, CUT
-from crazychoir.errors import CodecError
+from crazychoir.errors import CodecError, Refused
 from crazychoir.math3d import yaw_of
 from crazychoir.planning.point_to_point import PEAK_SPEED
 from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import SECOND, Clock
-from crazychoir.runtime.mailbox import Latest
+from crazychoir.runtime.mailbox import Call, Latest
 from crazychoir.simulation.world import KINDS, Link, World
 from crazychoir.swarm.tables import Flight
 from crazychoir.types import FPQR, FRPY, XYZ, Body, Command, FullState, Vel
@@ -41,16 +42,26 @@ class RemoteLink:
 
     def __init__(self, port: Port) -> None:
         self.port, self._body = port, BODIES + port.address
-        self._cut = False
+        self._cut = self._heard = False
+        self.found_flying: Callable[[], None] = lambda: None
+        """Called once if the body is in the air before this link has sent anything: an agent before us flew it."""
         self._condition: Latest[Body] = Latest(port.bus.clock, f"drone {port.address} body", BODY.max_age)
         port.bus.subscribe(BODY, self._body, port.address, self._condition)
+        port.bus.subscribe(BODY, self._body, port.address, Call(port.bus.clock, self._begin, "body"))
+
+    def _begin(self, body: Body, age: float) -> None:
+        """Somebody says how it is: from now on commands leave."""
+        if not self._heard:
+            self._heard = True
+            if body.flying:
+                self.found_flying()
 
     def send(self, command: Command) -> None:
-        """On its way."""
+        """On its way; not before it is known whether the body flies already: the first command stops its motors."""
         if self._cut:
             self.cut()
-            return
-        self.port.send(COMMAND, (self._body,), encode(command))
+        elif self._heard:
+            self.port.send(COMMAND, (self._body,), encode(command))
 
     def cut(self) -> None:
         """Stop the motors for good."""
@@ -99,6 +110,8 @@ class OwnerWatch(Actor):
 class RemoteBody:
     """The other end: the body of one drone obeys what comes at its port from that drone, and nobody else.
 
+    But an emergency stop counts from any operator, whether the drone's agent is there or not.
+
     link: of the world, for commands of this kind;  obeyed: called after each command that was;  flight: how one that is
     left alone lands.
     """
@@ -116,11 +129,17 @@ class RemoteBody:
         self._idle = self._was_cut = False
         port.handlers[COMMAND.number] = self._commanded
         port.handlers[CUT.number] = self._cut
+        CommandServer(port, self._execute, self._stop)
 
     @property
     def silence(self) -> float:
         """s since the last command; infinite before the first."""
         return math.inf if self._commanded_ns is None else (self._clock.now_ns() - self._commanded_ns) / SECOND
+
+    @property
+    def flying(self) -> bool:
+        """Whether commands have brought it into the air."""
+        return self._commanded_ns is not None and not self._was_cut and not self.world.resting(self.drone)
 
     def look(self) -> None:
         """Nobody flies it any more: its motors stop, unless it has firmware that knows what to do, or lands it."""
@@ -166,8 +185,17 @@ class RemoteBody:
 
     def _cut(self, source: int, payload: bytes, number: int, channel: str, flags: int, age: float) -> None:
         if source == self.drone:
-            self._commanded_ns, self._was_cut = self._clock.now_ns(), True
+            self._commanded_ns = self._clock.now_ns()
+            self._stop(True)
+
+    def _stop(self, on: bool) -> None:
+        """Motors off for good: where the stop is cleared, they stay off until the world is started again."""
+        if on:
+            self._was_cut = True
             self.link.cut()
+
+    async def _execute(self, verb: str, arguments: dict[str, Any]) -> Any:
+        raise Refused(f"body of drone {self.drone}", f"{verb!r} is its agent's; only an emergency stop counts here")
 
 
 def _whole(command: Any) -> bool:

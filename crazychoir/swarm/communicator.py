@@ -9,7 +9,6 @@ from crazychoir.bus.topics import ROUND
 from crazychoir.errors import CodecError, PeerLost, RoundTimeout
 from crazychoir.runtime.clock import SECOND, wake
 from crazychoir.swarm.channel import HISTORY, MAX_RTO, MIN_RTO, Channel
-from crazychoir.swarm.round import Round
 from crazychoir.swarm.rounds import AHEAD, CREDIT, CREDIT_EVERY, DATA, FIN, FIN_TOO, PUSH, REPEAT, Rounds
 from crazychoir.types import PerNeighbor
 
@@ -233,27 +232,3 @@ class Communicator(Rounds):
         except CodecError:
             self.port.counters.malformed += 1
             raise
-
-
-async def run_rounds(
-    communicator: Communicator,
-    algorithm: Round,
-    *,
-    channel: str = "main",
-    deadline: float | None = None,
-    policy: Policy = "raise",
-) -> None:
-    """Run a pure algorithm to its end, which must be the same round at all; the channel stays open.
-
-    `heavy = True` in an algorithm steps away from the event loop; `joinable = True` goes on across epochs.
-    """
-    heavy = getattr(algorithm, "heavy", False)
-    communicator.open(channel, getattr(algorithm, "joinable", False))
-    clock = communicator.port.bus.clock
-    while not algorithm.done:
-        message = algorithm.message()
-        heard = await communicator.neighbors_exchange(message, channel=channel, deadline=deadline, policy=policy)
-        if heavy:
-            await clock.compute(algorithm.step, heard)
-        else:
-            algorithm.step(heard)

@@ -10,6 +10,9 @@ class Round(Protocol):
     The runtime repeats, for k = 0, 1, ...: send `message()` to the out-neighbours, wait for the
     message of round k of every in-neighbour, call `step(heard)`; until `done`.
     All agents of a connected team must become `done` in the same round.
+
+    One with `asynchronous = True` is instead woken by itself, again and again: `step` gets the latest message of each
+    neighbour that has been heard, then `message()` is sent once, and may be lost. Each ends when it is `done` itself.
     """
 
     @property

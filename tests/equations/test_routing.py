@@ -24,7 +24,7 @@ def instance():
 
 @pytest.fixture(scope="module")
 def tables(instance):
-    return [RouteTable(instance.local(i)) for i in range(N)]
+    return [RouteTable(instance.local(i).vehicle) for i in range(N)]
 
 
 @pytest.fixture(scope="module")

@@ -407,12 +407,20 @@ async def test_who_is_killed_at_the_start_ends_the_wait_of_the_others(four, comp
 
 
 @pytest.mark.timeout(240)
-@pytest.mark.parametrize("program", ["run", "agent"])
-async def test_an_interrupted_flight_lands_then_ends_and_leaves_nobody_behind(four, tmp_path, compiled, program):
-    async with flown_by(program, *four, tmp_path) as (flying, team):
+async def test_an_interrupted_flight_lands_then_ends_and_leaves_nobody_behind(four, tmp_path, compiled):
+    async with asyncio.TaskGroup() as group:
+        for program in ("run", "agent"):
+            folder = tmp_path / program
+            folder.mkdir()
+            group.create_task(interrupt(program, written(folder / "four.json", apart(four[1], 2)), folder))
+
+
+async def interrupt(program, swarm, folder):
+    """Ctrl-C in the air."""
+    async with flown_by(program, *swarm, folder) as (flying, team):
         children = children_of(flying.process.pid)
         assert len(children) == (2 if program == "run" else 0)
-        said = await look("status", "--swarm", four[0], "--json")
+        said = await look("status", "--swarm", swarm[0], "--json")
         assert set(said.json) == {"0", "1", "2", "3"}, "the file that was flown finds who flies it"
         flying.signal(signal.SIGINT)
         ended = await flying.end(60.0)

@@ -11,9 +11,10 @@ from crazychoir.bus.local import Bus
 from crazychoir.bus.rules import Partition, Rule
 from crazychoir.runtime.clock import Clock, run_virtual, run_wall
 from crazychoir.swarm import graph as graphs
-from crazychoir.swarm.communicator import Communicator, run_rounds
+from crazychoir.swarm.communicator import Communicator
 from crazychoir.swarm.graph import Graph, metropolis
 from crazychoir.swarm.roster import Barrier
+from crazychoir.swarm.running import run_algorithm
 
 pytestmark = pytest.mark.system
 LOSSY = [Rule({"loss": 0.5, "delay": 0.001, "jitter": 0.004, "duplicate": 0.2, "reorder": 0.2, "reorder_delay": 0.01})]
@@ -53,7 +54,7 @@ def mission(graph: Graph, impairment: Impairment, rounds: int) -> Any:
             communicator.follow(barrier)
             await barrier.go()
             algorithm = Consensus(barrier.id, graph, rounds)
-            await run_rounds(communicator, algorithm)
+            await run_algorithm(communicator, algorithm)
             await communicator.close()
             return algorithm.x.tobytes()
 
@@ -100,7 +101,7 @@ def test_a_good_network_in_real_time_needs_no_resends():
         agents = [Consensus(i, graph, 200) for i in graph.ids]
         for agent in agents:
             agent.heavy = False  # type: ignore[misc]
-        await asyncio.gather(*(run_rounds(c, agent) for c, agent in zip(team, agents, strict=True)))
+        await asyncio.gather(*(run_algorithm(c, agent) for c, agent in zip(team, agents, strict=True)))
         resent.extend(c.port.counters.resent for c in team)
         return [agent.x.tobytes() for agent in agents]
 

@@ -1,13 +1,9 @@
 """Virtual time: the same run is the same run, whatever the machine does and the network loses."""
 
-import json
 import multiprocessing
 
 import pytest
-from system.agents import BRISK
-from system.commands import fly, run
-
-from crazychoir.guidance.mission import load
+from system.commands import call, run
 
 pytestmark = pytest.mark.system
 
@@ -61,12 +57,9 @@ def test_the_plan_does_not_depend_on_what_is_lost(usual, loss):
 
 
 @pytest.mark.real_time
-def test_six_processes_make_the_plan_of_one(usual, tmp_path, compiled):
-    config = load("pickup_delivery").swarm(None)
-    options = {**json.loads(config.dumps())["mission_options"], "service_time": 0.2}
-    real = fly(config.replace(seed=1, network={"loss": 0.2}, flight=BRISK, mission_options=options), tmp_path)
-    assert real["plan_digest"] == usual["plan_digest"]
-    assert real["success"], real["reasons"]
-    assert real["messages"]["lost"] == pytest.approx(0.2 * real["messages"]["sent"], rel=0.1)
-    assert real["digest"] is None
-    assert real["real_time_factor"] == 1.0
+def test_six_processes_make_the_plan_of_one(usual, repository):
+    demo = repository / "agents" / "data" / "lab6.json"
+    said = call("crazychoir", "solve", demo, "--processes", 6, "--loss", 0.2, "--json")
+    assert said.code == 0, said.err
+    assert said.json["plan_digest"] == usual["plan_digest"]
+    assert said.json["lost"] == pytest.approx(0.2 * said.json["messages"], rel=0.1)

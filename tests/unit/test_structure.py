@@ -13,7 +13,7 @@ import pytest
 from source_rules import CLOCKS, STOPWATCHES, forbidden_clocks, set_iterations
 
 CONTRACTS = ("house", "zenoh", "cflib", "mujoco", "solvers", "pure")
-REPORTS_DURATIONS = ("cli", "launch", "solving.py")
+REPORTS_DURATIONS = ("cli", "launch", "simulate.py", "solving.py")
 ORDERED_ROOMS = ("runtime", "bus", "swarm")
 
 

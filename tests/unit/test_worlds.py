@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from crazychoir.agent import Agent
+from crazychoir.bus.commands import REFUSED, Commander
 from crazychoir.bus.local import BODIES, OBSERVER
 from crazychoir.bus.topics import TRUTH
 from crazychoir.errors import ConfigError, Refused
@@ -209,6 +210,61 @@ def test_a_cut_reaches_the_body():
     results, _ = fly(swarm(), meanwhile=meanwhile)
     assert all(speed < -1.0 for speed in fell.values()), fell
     assert all("emergency stop" in result["reason"] for result in results.values()), results
+
+
+def test_an_emergency_stop_reaches_the_body_whatever_its_agent_goes_on_to_send():
+    seen = {}
+
+    async def meanwhile(clock, world, agent, wires):
+        operator = Commander(world.bus.port(OBSERVER + 1))
+        await clock.sleep(2.5)
+        refused = await operator.request(BODIES, "land")
+        seen.update(refused=refused.kind, missing=await operator.emergency_stop([BODIES], deadline=1.0))
+        await clock.sleep(0.2)
+        seen.update({i: world.owners[0].world.state(i).v[2] for i in (0, 1)})
+
+    results, _ = fly(swarm(), meanwhile=meanwhile)
+    assert (seen["refused"], seen["missing"]) == (REFUSED, [])
+    assert seen[0] < -1.0 < -0.1 < seen[1], "drone 0 falls, drone 1 flies on"
+    assert [result["success"] for result in results.values()] == [False, True]
+
+
+@pytest.mark.parametrize("sender", ["fpqr", "xyz"])
+def test_an_agent_that_is_started_again_lands_a_drone_that_is_in_the_air(sender):
+    drones = [{"id": i, "home": [float(i), 0.0, 0.0], "uri": MOTORS} for i in range(2)]
+    flight = BRISK | {"speed_limit": 0.9}
+    tables = {"drones": drones, "flight": flight, "control": {"sender": sender}} if sender == "xyz" else {}
+    config = swarm(**tables)
+
+    async def main(clock):
+        world = WorldProcess(clock, config, "world", "here", 1)
+        agents = [Agent(clock, config, ENDLESS, config.ids, incarnation=n, alone=False) for n in (1, 2)]
+        serving = asyncio.create_task(world.serve())
+        wires = wired(agents[0].bus, world.bus)
+        flying = asyncio.create_task(agents[0].run())
+        await clock.sleep(3.0)
+        height = world.owners[0].world.state(0).p[2]
+        for wire in wires:
+            wire.torn = True
+        flying.cancel()
+        wired(agents[1].bus, world.bus)
+        again = asyncio.create_task(agents[1].run())
+        await clock.sleep(0.1)
+        notes = [drone.pilot.note for drone in agents[1].drones.values()]
+        speeds = []
+        while any(drone.pilot.mode.value == "landing" for drone in agents[1].drones.values()):
+            await clock.sleep(0.05)
+            speeds.append(world.owners[0].world.state(0).v[2])
+        for task in (flying, again, serving):
+            task.cancel()
+        await asyncio.gather(flying, again, serving, return_exceptions=True)
+        return height, notes, min(speeds), world.report()
+
+    height, notes, sinks, report = run_virtual(main)
+    assert height > 0.4
+    assert notes == ["found in the air, where another agent has flown it: landing"] * 2
+    assert sinks > -1.3, "it falls"
+    assert report["crashed"] == []
 
 
 def test_a_pose_is_as_old_as_its_way_was_long():

@@ -9,7 +9,7 @@ import numpy as np
 from crazychoir.bus.codec import decode, encode
 from crazychoir.bus.frames import Envelope, Frame, decode_frame, encode_frame
 from crazychoir.errors import CodecError
-from crazychoir.types import FPQR, Acceleration, FullState, Goto, Pose, State, Status
+from crazychoir.types import FPQR, Acceleration, Failure, FullState, Goto, Pose, State, Status
 
 VALUES: tuple[Any, ...] = (
     None,
@@ -32,6 +32,7 @@ VALUES: tuple[Any, ...] = (
     Goto(np.ones(3), 0.1, 2.0),
     FPQR(np.ones(4)),
     Status("flying", task="ring", suspect=[3], note="ü"),
+    Failure(3, "x = nan"),
 )
 ATTACKS = (
     *(bytes([head]) + b"\xff\xff\xff\xff" for head in (0xDB, 0xDD, 0xDF, 0xC6, 0xC9)),  # str, array, map, bin, ext 32

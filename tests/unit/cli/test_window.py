@@ -6,11 +6,11 @@ from functools import partial
 import pytest
 
 from crazychoir.bus.commands import CommandServer
-from crazychoir.bus.local import OBSERVER, Bus
+from crazychoir.bus.local import BODIES, OBSERVER, Bus
 from crazychoir.cli.window import DISCOVERY, Window
 from crazychoir.errors import ConfigError, Refused
 from crazychoir.runtime.clock import run_virtual
-from crazychoir.swarm.config import default_swarm
+from crazychoir.swarm.config import SwarmConfig, default_swarm
 
 
 @dataclass
@@ -108,6 +108,26 @@ def test_who_refuses_says_why():
     assert impaired[0] == (True, {"loss": 0.3})
     assert swarm.verbs == [(0, "land"), (1, "land"), (0, "impair"), (1, "impair")]
     assert seconds < 0.2
+
+
+@pytest.mark.parametrize("owner", [True, False])
+def test_bodies_in_the_world_of_an_owner_are_stopped_by_themselves(owner):
+    drones = [{"id": i, "home": [float(i), 0.0, 0.0]} for i in range(2)]
+
+    async def scene(swarm):
+        swarm.window.config = SwarmConfig.of({"name": "a", "drones": drones, "world": {"owned": True}})
+        swarm.comes(0)
+        for i in (0, 1) if owner else ():
+            CommandServer(swarm.bus.port(BODIES + i), swarm.execute, partial(swarm.stop, BODIES + i))
+        return await swarm.window.emergency_stop(clear=False)
+
+    swarm, said, _ = play(scene)
+    if owner:
+        assert said == {0: (True, "acknowledged"), 1: (False, "absent; its body has obeyed")}
+        assert [at for i in (0, 1) for at, _ in swarm.stops[BODIES + i]] == pytest.approx([0.0, 0.0], abs=0.02)
+    else:
+        silent = "its world's owner does not answer"
+        assert said == {0: (False, f"acknowledged; {silent}"), 1: (False, f"absent; {silent}")}
 
 
 def test_without_anybody_there_is_no_swarm():

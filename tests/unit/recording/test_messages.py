@@ -118,7 +118,7 @@ def test_status(suspect):
 
 @pytest.mark.parametrize("harm", ["", "größe"])
 def test_body(harm):
-    assert sent(Body(harm)) == {"header": HEADER, "harm": harm}
+    assert sent(Body(harm, True)) == {"header": HEADER, "harm": harm, "flying": True}
 
 
 def test_log_line():

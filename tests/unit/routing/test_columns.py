@@ -28,7 +28,7 @@ def over_all_columns(table, y):
 
 @pytest.fixture
 def table():
-    return RouteTable(random_instance(1, 6, seed=11, route_length_limit=35.0).local(0))
+    return RouteTable(random_instance(1, 6, seed=11, route_length_limit=35.0).local(0).vehicle)
 
 
 def test_column_generation_reaches_the_value_over_all_columns(table):
@@ -50,7 +50,7 @@ def test_no_demand_costs_nothing(table):
 
 
 def test_full_demand_within_reach_uses_the_one_tour():
-    table = RouteTable(random_instance(1, 4, seed=3).local(0))
+    table = RouteTable(random_instance(1, 4, seed=3).local(0).vehicle)
     solution = ColumnProgram(table, np.full(4, 100.0)).solve(np.ones(4))
     assert [c.tasks for c in solution.active] == [(0, 1, 2, 3)]
     assert solution.value == pytest.approx(table.find([0, 1, 2, 3]).length)
@@ -60,7 +60,7 @@ def test_what_a_robot_cannot_do_stays_unserved_at_the_penalty():
     raw = random_instance(2, 3, seed=1).to_json()
     raw["capability"] = [[True] * 3, [True, False, True]]
     raw["capacity"] = [9.0, 9.0]
-    program = ColumnProgram(RouteTable(Instance.parse(raw).local(1)), np.full(3, PENALTY))
+    program = ColumnProgram(RouteTable(Instance.parse(raw).local(1).vehicle), np.full(3, PENALTY))
     solution = program.solve(np.array([0.0, 0.25, 0.0]))
     assert (solution.mu[1], solution.violation[1]) == (PENALTY, 0.25)
     assert solution.value == pytest.approx(0.25 * PENALTY)
@@ -70,6 +70,6 @@ def test_what_a_robot_cannot_do_stays_unserved_at_the_penalty():
 def test_a_robot_without_any_task_prices_at_the_penalty():
     raw = random_instance(2, 3, seed=1).to_json()
     raw["capability"], raw["capacity"] = [[True] * 3, [False] * 3], [9.0, 9.0]
-    solution = ColumnProgram(RouteTable(Instance.parse(raw).local(1)), np.full(3, PENALTY)).solve(np.full(3, 0.5))
+    solution = ColumnProgram(RouteTable(Instance.parse(raw).local(1).vehicle), np.full(3, PENALTY)).solve(np.full(3, 0.5))
     assert solution.mu.tolist() == [PENALTY] * 3
     assert solution.value == pytest.approx(1.5 * PENALTY)

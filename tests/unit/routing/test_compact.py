@@ -22,7 +22,7 @@ def test_arcs_and_columns_have_the_same_optimum(robots, tasks, seed, options):
     instance = random_instance(robots, tasks, seed, **options)
     plan = solve_compact(instance)
     assert check(instance, plan) == []
-    tables = [RouteTable(instance.local(i)) for i in range(robots)]
+    tables = [RouteTable(instance.local(i).vehicle) for i in range(robots)]
     columns = [(i, table.column(c)) for i, table in enumerate(tables) for c in range(1, len(table))]
     assert partition(columns, tasks, seed=0, nodes=10_000).cost == pytest.approx(plan.cost, abs=1e-6)
 

@@ -127,7 +127,7 @@ def test_any_common_prices_give_a_lower_bound(raw, prices):
     if instance is None or (optimum := least_cost(instance)) is None:
         return
     pi = np.array(prices[: len(instance.tasks)])
-    tables = [RouteTable(instance.local(i)) for i in range(instance.robots)]
+    tables = [RouteTable(instance.local(i).vehicle) for i in range(instance.robots)]
     assert all(table.complete and table.least(pi) <= 0.0 for table in tables)
     assert pi.sum() + sum(table.least(pi) for table in tables) <= optimum + TOLERANCE
     pool = Pool(len(pi))
@@ -143,7 +143,7 @@ def test_every_column_of_a_table_is_a_tour_and_with_it_each_part_of_it(raw):
     """Claims rely on it: who wins a part of what it claimed can serve that part."""
     instance = instance_of(raw)
     for i in range(instance.robots if instance else 0):
-        table = RouteTable(instance.local(i))
+        table = RouteTable(instance.local(i).vehicle)
         for c in range(len(table)):
             tasks = table.column(c).tasks
             for left_out in tasks:
@@ -195,13 +195,13 @@ def test_a_robot_within_reach_of_more_tasks_than_a_set_holds_says_so():
         solve_in_loop(Instance.parse(raw), {0: []})
     all_but_one = [[False] + [True] * 128, [True] * 129]
     most = Instance.parse(raw | {"home": [[0.0, 0.0]] * 2, "capacity": [1.0, 1.0], "capability": all_but_one})
-    table = RouteTable(most.local(0), most=2000)
+    table = RouteTable(most.local(0).vehicle, most=2000)
     assert [table.find([j]).tasks for j in (1, 64, 65, 128)] == [(1,), (64,), (65,), (128,)]
 
 
 def test_a_search_that_ends_early_does_not_claim_that_there_is_no_plan():
     instance = random_instance(3, 5, seed=4)
-    tables = [RouteTable(instance.local(i)) for i in range(3)]
+    tables = [RouteTable(instance.local(i).vehicle) for i in range(3)]
     columns = [(i, table.column(c)) for i, table in enumerate(tables) for c in range(1, len(table))]
     lonely = [(i, column) for i, column in columns if 0 not in column.tasks]
     assert partition(lonely, 5, seed=0, nodes=100).bound == np.inf

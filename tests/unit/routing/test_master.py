@@ -12,7 +12,7 @@ from crazychoir.routing.pricing import Column, RouteTable
 def columns():
     """All columns of three robots."""
     instance = random_instance(3, 4, seed=8, capable=0.7, route_length_limit=40.0)
-    tables = [RouteTable(instance.local(i)) for i in range(3)]
+    tables = [RouteTable(instance.local(i).vehicle) for i in range(3)]
     return [(i, tables[i].column(c)) for i in range(3) for c in range(1, len(tables[i]))]
 
 

@@ -157,7 +157,7 @@ WEAK = Settings(price_rounds=3, batch=2, first_gap=0.002, most_shared=20)
 def test_where_the_relaxation_has_a_gap_the_widening_finds_what_enumeration_finds(graph, seed, settings):
     robots, tasks, limit = 3 + seed % 4, 6 + seed % 5, (25, 32, 45)[seed // 3 % 3]
     instance = random_instance(robots, tasks, seed, capable=(1, 0.8, 0.5)[seed % 3], route_length_limit=limit)
-    tables = [RouteTable(instance.local(i)) for i in range(robots)]
+    tables = [RouteTable(instance.local(i).vehicle) for i in range(robots)]
     columns = [(i, table.column(c)) for i, table in enumerate(tables) for c in range(1, len(table))]
     best = partition(columns, tasks, seed=0, nodes=10_000)
     solution = solve_in_loop(instance, graph("ring", robots), settings=settings)

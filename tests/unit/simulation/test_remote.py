@@ -31,7 +31,7 @@ def listening(monkeypatch):
 class Pair:
     """Drone 3 and its body in the air, on one bus."""
 
-    def __init__(self, clock, timeout=SILENCE):
+    def __init__(self, clock, timeout=SILENCE, heard=True):
         self.clock, bus = clock, Bus(clock)
         self.drone, self.there = bus.port(3), bus.port(BODIES + 3)
         self.world = CFIntegrator((3,), np.array([[0.0, 0.0, 2.0]]))
@@ -40,6 +40,8 @@ class Pair:
         link = self.world.link(3, "fpqr")
         self.body = RemoteBody(self.there, self.world, link, "fpqr", lambda: self.obeyed.append(clock.now()))
         self.link = RemoteLink(self.drone)
+        if heard:
+            self.there.publish(BODY, Body())
 
     @property
     def thrust(self):
@@ -55,6 +57,30 @@ async def test_a_command_arrives(clock):
     assert pair.obeyed == [0.0]
     await clock.sleep(0.2)
     assert pair.body.silence == pytest.approx(0.2)
+
+
+@virtual
+async def test_nothing_is_sent_before_it_is_known_whether_the_body_flies(clock):
+    for flying in (True, False):
+        pair, found = Pair(clock, heard=False), []
+        pair.link.found_flying = lambda found=found: found.append(True)
+        pair.link.send(FPQR(np.zeros(4)))
+        assert pair.obeyed == []
+        for _ in range(2):
+            pair.there.publish(BODY, Body(flying=flying))
+        assert found == [True] * flying
+        pair.link.send(FPQR(np.zeros(4)))
+        assert pair.obeyed == [0.0]
+
+
+@virtual
+async def test_a_body_flies_when_commands_have_brought_it_into_the_air(clock):
+    pair = Pair(clock)
+    assert not pair.body.flying, "nobody has flown it"
+    pair.link.send(FPQR(np.zeros(4)))
+    assert pair.body.flying
+    pair.link.cut()
+    assert not pair.body.flying
 
 
 @virtual
@@ -149,6 +175,7 @@ async def test_a_drone_whose_planner_would_fly_on_for_good_is_landed(clock):
     world = CrazyflieWorld((3,), np.zeros((1, 3)), np.array([2.0]))
     body = RemoteBody(there, world, world.link(3, "xyz"), "xyz")
     link = RemoteLink(drone)
+    there.publish(BODY, Body())
 
     async def live(seconds, command=None):
         for k in range(round(seconds / world.dt)):
@@ -173,7 +200,7 @@ async def test_a_drone_whose_planner_would_fly_on_for_good_is_landed(clock):
 
 @virtual
 async def test_a_drone_says_what_has_broken_its_body_or_that_it_hears_nothing(clock):
-    pair = Pair(clock)
+    pair = Pair(clock, heard=False)
     assert pair.link.harm() == "nothing was ever heard of its world's owner (crazychoir-world)"
     pair.there.publish(BODY, Body())
     assert pair.link.harm() == ""

@@ -16,9 +16,10 @@ from crazychoir.errors import ChannelEnded, CodecError, ConfigError, PeerLost, R
 from crazychoir.runtime.clock import Clock, run_virtual, run_wall
 from crazychoir.swarm import graph as graphs
 from crazychoir.swarm.channel import HISTORY
-from crazychoir.swarm.communicator import AHEAD, DATA, Communicator, run_rounds
+from crazychoir.swarm.communicator import AHEAD, DATA, Communicator
 from crazychoir.swarm.graph import Graph, GraphSequence, metropolis
 from crazychoir.swarm.rounds import CREDIT, FIN_TOO, KIND_BITS, MAX_CHANNELS, MAX_EARLY, MAX_EARLY_BYTES, MAX_ROUND
+from crazychoir.swarm.running import run_algorithm
 from crazychoir.types import PerNeighbor
 
 BAD = {"delay": 0.003, "jitter": 0.02, "duplicate": 0.3, "reorder": 0.3, "reorder_delay": 0.04}
@@ -781,10 +782,10 @@ class Counting:
         self.heard.append(heard)
 
 
-def test_run_rounds_drives_a_pure_algorithm():
+def test_run_algorithm_drives_a_pure_algorithm():
     async def agent(c: Communicator) -> list[dict[int, int]]:
         algorithm = Counting(20)
-        await run_rounds(c, algorithm, channel="count")
+        await run_algorithm(c, algorithm, channel="count")
         await c.close("count")
         assert c.open("count").joinable
         return algorithm.heard
@@ -797,7 +798,7 @@ def test_a_joinable_channel_goes_on_without_those_who_leave():
         algorithm = Counting(4 if c.id == 2 else 10)
         if c.id != 2:
             c.port.bus.clock.call_at(10**9, c.leave, (2,), 1)
-        await run_rounds(c, algorithm)
+        await run_algorithm(c, algorithm)
         return algorithm.heard
 
     found = swarm(graphs.complete(3), agent, loss(0.3))

@@ -1,0 +1,235 @@
+"""Some robots of a pickup-and-delivery team in a process of their own: `launch.team` starts it and tells it when."""
+
+import asyncio
+import ctypes
+import json
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from crazychoir.bus.codec import decode, encode
+from crazychoir.bus.impairment import Impairment
+from crazychoir.bus.local import Bus
+from crazychoir.bus.plain import plain
+from crazychoir.bus.rules import Rule
+from crazychoir.bus.zenoh import ZenohLink
+from crazychoir.errors import CrazyChoirError
+from crazychoir.routing.generate import random_instance
+from crazychoir.routing.instance import Instance
+from crazychoir.routing.pickup_delivery import PickupDelivery
+from crazychoir.routing.solve import member, solve_in_loop
+from crazychoir.runtime.clock import SECOND, Clock, run_wall
+from crazychoir.swarm.communicator import Communicator
+from crazychoir.swarm.graph import Graph
+from crazychoir.types import PerNeighbor
+
+PR_SET_PDEATHSIG = 1
+SOLVE, REPLAY = "pickup_delivery", "replay"
+SHOWN = 4
+"""Looks at the progress a second."""
+Packed = bytes | dict[int, bytes]
+
+
+@dataclass
+class Robot:
+    """One robot: its part of the algorithm, its place in the network, and the records of its rounds.
+
+    cpu: s of thread time of each step;  payloads: the message of each round, encoded;  sent: bytes on the network
+    until the plan was there.
+    """
+
+    communicator: Communicator
+    agent: PickupDelivery
+    cpu: list[float] = field(default_factory=list)
+    payloads: list[Packed] = field(default_factory=list)
+    sent: int = 0
+
+    def record(self) -> dict[str, Any]:
+        """What there is to say of it when all is over."""
+        counters = self.communicator.port.counters
+        return {
+            "robot": self.communicator.id, "rounds": len(self.cpu), "bytes": self.sent, "cpu_s": sum(self.cpu),
+            "messages": counters.sent, "lost": counters.lost, "resent": counters.resent,
+        }  # fmt: skip
+
+
+class Process:
+    """The robots `mine` of the team, from the start to their reports.
+
+    spec: what `launch.team` has written;  curve: [[s since GO, m], ...], each cost of a plan that was below the last.
+    """
+
+    def __init__(self, spec: dict[str, Any]) -> None:
+        self.spec = spec
+        self.robots: dict[int, Robot] = {}
+        self.curve: list[list[float]] = []
+        self._orders: asyncio.Queue[str] = asyncio.Queue()
+        self._clock: Clock
+        self._go_ns = 0
+        self._shown = 0.0
+
+    async def run(self, clock: Clock) -> None:
+        """Join, wait for GO, solve, report; then the same messages again without computing."""
+        self._clock = clock
+        loop = asyncio.get_running_loop()
+        threading.Thread(target=self._obey, args=(loop,), daemon=True).start()
+        spec = self.spec
+        instance = Instance.load(spec["instance"])
+        links = Graph.from_neighbors({int(i): tuple(js) for i, js in spec["neighbors"].items()})
+        bus = Bus(clock, Impairment(spec["seed"], [Rule(spec["effects"])]), spec["process"], "solve")
+        await clock.compute(warm, spec["method"])
+        neighbors = {j: links.neighbors(j) for j in links.ids}
+        for i in spec["mine"]:
+            agent = member(instance, neighbors, i, links.diameter(), spec["method"])
+            self.robots[i] = Robot(Communicator(bus.port(i), links, deadline=spec["deadline"]), agent)
+        async with asyncio.TaskGroup() as group:
+            serving = None
+            if spec["connect"] or spec["listen"]:
+                link = ZenohLink(
+                    bus, spec["swarm"], listen=spec["listen"], connect=spec["connect"], incarnation=1, version="solve"
+                )
+                link.open()
+                serving = group.create_task(link.run())
+                await joined(link, links)
+            await self._work()
+            if serving is not None:
+                serving.cancel()
+
+    async def _work(self) -> None:
+        clock = self._clock
+        say({"ready": True, "start_cpu_s": time.process_time()})
+        await self._order("go")
+        self._go_ns, cpu = clock.now_ns(), time.process_time()
+        ended = await self._all(self._solve)
+        say({"solved": self._report(time.process_time() - cpu, ended)})
+        await self._order("replay")
+        began = clock.now_ns()
+        ended = await self._all(self._replay)
+        say({"replayed_s": (max(ended) - began) / SECOND})
+        await self._order("end")
+
+    async def _all(self, work: Any) -> list[int]:
+        async with asyncio.TaskGroup() as group:
+            tasks = [group.create_task(work(robot), name=f"robot {i}") for i, robot in self.robots.items()]
+        return [task.result() for task in tasks]
+
+    async def _solve(self, robot: Robot) -> int:
+        """All rounds of one robot; returns the instant at which its plan was there, ns."""
+        communicator, agent = robot.communicator, robot.agent
+        while not agent.done:
+            message = agent.message()
+            robot.payloads.append(packed(message))
+            heard = await communicator.neighbors_exchange(message, channel=SOLVE)
+            robot.cpu.append(await self._clock.compute(timed, agent, heard))
+            self._look(agent)
+        ended = self._clock.now_ns()
+        robot.sent = communicator.port.counters.bytes
+        await communicator.close(SOLVE)
+        return ended
+
+    async def _replay(self, robot: Robot) -> int:
+        """The same messages once more, without any computation."""
+        communicator = robot.communicator
+        for payload in robot.payloads:
+            await communicator.neighbors_exchange(unpacked(payload), channel=REPLAY)
+        ended = self._clock.now_ns()
+        await communicator.close(REPLAY)
+        return ended
+
+    def _look(self, agent: PickupDelivery) -> None:
+        """Note a better plan; show how far all are, now and then."""
+        cost, now = agent.progress.cost, (self._clock.now_ns() - self._go_ns) / SECOND
+        if cost is not None and (not self.curve or cost < self.curve[-1][1]):
+            self.curve.append([now, cost])
+        if self.spec["watched"] and now >= self._shown:
+            self._shown = now + 1.0 / SHOWN
+            progress = {i: robot.agent.progress for i, robot in self.robots.items()}
+            say({"progress": {i: [p.phase, p.round, p.cost] for i, p in progress.items()}})
+
+    def _report(self, cpu: float, ended: list[int]) -> dict[str, Any]:
+        robots = self.robots.values()
+        return {
+            "wall_s": (max(ended) - self._go_ns) / SECOND,
+            "cpu_s": cpu,
+            "steps": [max(times) for times in zip(*(robot.cpu for robot in robots), strict=True)],
+            "robots": [robot.record() for robot in robots],
+            "solutions": [robot.agent.solution.to_json() for robot in robots],
+            "curve": self.curve,
+        }
+
+    def _obey(self, loop: asyncio.AbstractEventLoop) -> None:
+        """In a thread: orders from standard input; its end is ours."""
+        for line in sys.stdin:
+            loop.call_soon_threadsafe(self._orders.put_nowait, line.strip())
+        os._exit(1)
+
+    async def _order(self, expected: str) -> None:
+        while await self._orders.get() != expected:
+            pass
+
+
+def timed(agent: PickupDelivery, heard: Mapping[int, Any]) -> float:
+    """Step; returns the CPU seconds of this thread."""
+    began = time.thread_time()
+    agent.step(heard)
+    return time.thread_time() - began
+
+
+def warm(method: str) -> None:
+    """Solve a small instance, so that kernels and solvers are loaded before GO."""
+    solve_in_loop(random_instance(2, 4, seed=0, route_length_limit=60.0), {0: [1], 1: [0]}, method)
+
+
+def packed(message: Any) -> Packed:
+    """A message as bytes, or one for each neighbour: what is kept of it is small, and no later change reaches it."""
+    if type(message) is PerNeighbor:
+        return {j: encode(value) for j, value in message.items()}
+    return encode(message)
+
+
+def unpacked(payload: Packed) -> Any:
+    """The message again."""
+    if isinstance(payload, dict):
+        return PerNeighbor({j: decode(value) for j, value in payload.items()})
+    return decode(payload)
+
+
+async def joined(link: ZenohLink, links: Graph) -> None:
+    """Wait until HELLO has gone both ways with every process that holds a neighbour of ours."""
+    here = link.bus.ports
+    elsewhere = dict.fromkeys(j for i in here for j in links.neighbors(i) if j not in here)
+    while not all(_greeted(link, j) for j in elsewhere):
+        await link.bus.clock.sleep(0.01)
+
+
+def _greeted(link: ZenohLink, j: int) -> bool:
+    peer = link.directory.get(j)
+    return peer is not None and peer.hello is not None and link.bus.process in peer.hello.heard
+
+
+def say(answer: dict[str, Any]) -> None:
+    """One line to `launch.team`."""
+    sys.stdout.write(json.dumps(plain(answer)) + "\n")
+    sys.stdout.flush()
+
+
+def main() -> None:
+    """The argument is the specification; what is wrong is said as an answer, and ends the process."""
+    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+    process = Process(json.loads(sys.argv[1]))
+    try:
+        run_wall(process.run)
+    except* CrazyChoirError as errors:
+        first: BaseException = errors
+        while isinstance(first, BaseExceptionGroup):
+            first = first.exceptions[0]
+        say({"error": str(first), "kind": type(first).__name__})
+
+
+if __name__ == "__main__":
+    main()

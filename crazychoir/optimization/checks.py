@@ -1,0 +1,69 @@
+"""What no agent can see alone: whether the agents of a team fit each other and their graph."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from crazychoir.errors import ConfigError
+from crazychoir.swarm.graph import Graph, GraphSequence, span
+
+
+def require_team(agents: Mapping[int, Any], graph: Graph | GraphSequence) -> None:
+    """Raise ConfigError unless there is one agent a node and, of what the agents say of themselves, all fits.
+
+    `connected = True` of an algorithm: it needs a (jointly, strongly) connected graph;  `weights`: rows for exactly
+    those that the agent hears, `shares`: for exactly those that hear it;  `x`: of one shape, where it is an array.
+    """
+    if sorted(agents) != list(graph.ids):
+        allowed = f"one for each node of the graph, {span(graph.ids)}"
+        raise ConfigError("team", f"agents {span(agents) or 'none'}", allowed)
+    for i in graph.ids:
+        if getattr(agents[i], "i", i) != i:
+            raise ConfigError(f"team: agent {i}", f"made as agent {agents[i].i}", f"agent {i}")
+        _require_fitting(i, agents[i], graph)
+    needing = [i for i in graph.ids if getattr(agents[i], "connected", False)]
+    if needing and not graph.is_connected:
+        do = "Add edges, or draw with another probability."
+        raise ConfigError(f"team: graph of {type(agents[needing[0]]).__name__}", _cut(graph), "a connected graph", do)
+    _require_one_shape({i: agents[i].x for i in needing if isinstance(getattr(agents[i], "x", None), np.ndarray)})
+
+
+def _require_fitting(i: int, agent: Any, graph: Graph | GraphSequence) -> None:
+    graphs = graph.graphs if isinstance(graph, GraphSequence) else (graph,)
+    for name, others in (("weights", Graph.in_neighbors), ("shares", Graph.out_neighbors)):
+        rows = getattr(agent, name, None)
+        if not isinstance(rows, tuple) or not rows or not isinstance(rows[0], Mapping):
+            continue
+        if len(rows) not in (1, len(graphs)):
+            allowed = f"one, or one for each of {len(graphs)} graphs"
+            raise ConfigError(f"agent {i}: {name}", f"{len(rows)} rows", allowed)
+        for k, each in enumerate(graphs):
+            found, wanted = sorted(j for j in rows[k % len(rows)] if j != i), sorted(others(each, i))
+            if found != wanted:
+                who = "hears" if name == "weights" else "is heard by"
+                raise ConfigError(f"agent {i}: {name}, round {k}", f"of {found}", f"of those it {who}, {wanted}")
+
+
+def _cut(graph: Graph | GraphSequence) -> str:
+    """Who does not reach whom, for an error text."""
+    whole = graph.union() if isinstance(graph, GraphSequence) else graph
+    first = whole.ids[0]
+    for start, step, said in (
+        (first, whole.out_neighbors, "no path from agent {0} to {1}"),
+        (first, whole.in_neighbors, "no path from {1} to agent {0}"),
+    ):
+        reached = [start]
+        for i in reached:
+            reached += [j for j in step(i) if j not in reached]
+        missing = [j for j in whole.ids if j not in reached]
+        if missing:
+            return said.format(first, missing)
+    return "connected"
+
+
+def _require_one_shape(arrays: Mapping[int, Any]) -> None:
+    for i, x in arrays.items():
+        first = next(iter(arrays))
+        if x.shape != arrays[first].shape:
+            raise ConfigError(f"agent {i}: x", f"shape {x.shape}", f"shape {arrays[first].shape}, as agent {first}'s")

@@ -1,0 +1,165 @@
+"""When a team stops: each agent has a criterion of its own, and a distributed logical and says when all hold."""
+
+from collections.abc import Callable, Mapping
+from typing import Any, Generic, TypeVar
+
+import numpy as np
+
+from crazychoir.errors import ConfigError
+from crazychoir.swarm.round import Round
+from crazychoir.types import PerNeighbor, Vec
+
+A = TypeVar("A", bound=Round)
+
+
+class Flags:
+    """One agent's part of a distributed logical and over a graph of diameter D, as bits of one integer.
+
+        s_i^0(k+1) = flag_i(k+1),   s_i^l(k+1) = s_i^(l-1)(k) and, over all j heard, s_j^(l-1)(k),   l = 1, ..., D
+
+    s_i^l is the `and` of the flags, l rounds ago, of all within l hops; so s_i^D(k) = and_j flag_j(k - D) is the same
+    at all agents, and all see it true in the same round, whether or not a flag falls again.
+    Latched, s^l <- s^l or (s_i^(l-1) and s_j^(l-1) of all in-neighbours' latest), for agents that are not in step: true
+    only if each flag has been up at some time.
+    Source: after the logic-and of Farina, Garulli, Giannitrapani & Notarstefano 2019, Automatica 103, 243-253.
+    """
+
+    def __init__(self, diameter: int, flag: bool, latched: bool = False) -> None:
+        if diameter < 0:
+            raise ConfigError("logic-and: diameter", diameter, "0 or more: Graph.diameter()")
+        self._size, self._latched = diameter // 8 + 1, latched
+        self._mask, self._top = (2 << diameter) - 1, 1 << diameter
+        self.bits = int(flag)
+
+    @property
+    def agreed(self) -> bool:
+        """Whether all flags are up."""
+        return bool(self.bits & self._top)
+
+    def message(self) -> bytes:
+        """D + 1 bits."""
+        return self.bits.to_bytes(self._size, "little")
+
+    def step(self, flag: bool, heard: Mapping[int, bytes]) -> None:
+        """flag: our own now;  heard: the messages of all in-neighbours."""
+        common = self.bits
+        for bits in heard.values():
+            common &= int.from_bytes(bits, "little")
+        new = (common << 1 | flag) & self._mask
+        self.bits = new | self.bits if self._latched else new
+
+
+class Settled:
+    """A criterion: max |x(k) - x(k-1)| <= tolerance over the entries of x, so many rounds in a row. One for each agent.
+
+    of: what of the algorithm, an array.
+    """
+
+    def __init__(self, tolerance: float, rounds: int = 1, of: Callable[[Any], Any] = lambda agent: agent.x) -> None:
+        if not tolerance >= 0.0 or rounds < 1:
+            raise ConfigError("Settled", f"tolerance {tolerance:g}, {rounds} rounds", "0 or more, 1 or more")
+        self.tolerance, self.rounds, self.of = tolerance, rounds, of
+        self._before: Vec | None = None
+        self._calm = 0
+
+    def __call__(self, agent: Any) -> bool:
+        """Whether it is calm since so many rounds."""
+        now = np.array(self.of(agent), dtype=float)
+        still = self._before is not None and bool(np.all(np.abs(now - self._before) <= self.tolerance))
+        self._calm, self._before = self._calm + 1 if still else 0, now
+        return self._calm >= self.rounds
+
+
+class LogicAnd:
+    """Whether all agents' flags are up, as an algorithm of its own; all are done in the same round, D after the last.
+
+    flag: may be set at any time;  diameter: of the graph, D, or on a sequence of graphs the rounds of a flood.
+    Equation and source: see Flags.
+    """
+
+    def __init__(self, diameter: int, flag: bool = False) -> None:
+        self.flag = flag
+        self._flags = Flags(diameter, flag)
+
+    @property
+    def done(self) -> bool:
+        """Whether all flags are up."""
+        return self._flags.agreed
+
+    def message(self) -> bytes:
+        """D + 1 bits."""
+        return self._flags.message()
+
+    def step(self, heard: Mapping[int, bytes]) -> None:
+        """One hop more."""
+        self._flags.step(self.flag, heard)
+
+
+class AsynchronousLogicAnd:
+    """As LogicAnd, for agents that wake when they do; each is done when it knows. A flag that was up counts as up.
+
+    neighbors: all whom this agent hears.
+    """
+
+    asynchronous = True
+
+    def __init__(self, neighbors: tuple[int, ...], diameter: int, flag: bool = False) -> None:
+        self.neighbors, self.flag = neighbors, flag
+        self._flags = Flags(diameter, flag, latched=True)
+
+    @property
+    def done(self) -> bool:
+        """Whether all flags have been up."""
+        return self._flags.agreed
+
+    def message(self) -> bytes:
+        """D + 1 bits."""
+        return self._flags.message()
+
+    def step(self, heard: Mapping[int, bytes]) -> None:
+        """One hop more; who has not been heard yet has no flag."""
+        self._flags.step(self.flag, {**dict.fromkeys(self.neighbors, b""), **heard})
+
+
+class Until(Generic[A]):
+    """Any algorithm, until a criterion holds at all agents: a logical and rides on its messages, a byte for 8 hops.
+
+    algorithm: also one that sends each neighbour its own, or is asynchronous (then neighbors: all whom it hears);
+    criterion: of the algorithm after each step, such as `Settled(1e-6)`;  diameter: of the graph.
+    A synchronous team stops in one round, D after all criteria held in one; an asynchronous one when each held once.
+    The algorithm's own end counts, too.
+    """
+
+    def __init__(
+        self, algorithm: A, criterion: Callable[[A], bool], diameter: int, neighbors: tuple[int, ...] | None = None
+    ) -> None:
+        self.algorithm, self.criterion, self.neighbors = algorithm, criterion, neighbors or ()
+        self.asynchronous = bool(getattr(algorithm, "asynchronous", False))
+        self.heavy = bool(getattr(algorithm, "heavy", False))
+        if self.asynchronous and neighbors is None:
+            raise ConfigError("Until: neighbors", "None", "whom this agent hears, for an asynchronous algorithm")
+        self._flags = Flags(diameter, False, latched=self.asynchronous)
+
+    @property
+    def done(self) -> bool:
+        """Whether all criteria hold, or the algorithm has ended."""
+        return self._flags.agreed or self.algorithm.done
+
+    def __getattr__(self, name: str) -> Any:
+        """What is not found here is the algorithm's: `until.x` is `until.algorithm.x`."""
+        if name == "algorithm":
+            raise AttributeError(name)
+        return getattr(self.algorithm, name)
+
+    def message(self) -> Any:
+        """[bits, the algorithm's message], for each neighbour if that is so."""
+        bits, message = self._flags.message(), self.algorithm.message()
+        if isinstance(message, PerNeighbor):
+            return PerNeighbor({j: [bits, value] for j, value in message.items()})
+        return [bits, message]
+
+    def step(self, heard: Mapping[int, Any]) -> None:
+        """The algorithm's step, its criterion, and the logical and."""
+        self.algorithm.step({j: value for j, (_, value) in heard.items()})
+        flags = {**dict.fromkeys(self.neighbors, b""), **{j: bits for j, (bits, _) in heard.items()}}
+        self._flags.step(self.criterion(self.algorithm), flags)

@@ -1,0 +1,244 @@
+"""Any distributed algorithm on simulated agents: all in this process, over the communicator and a simulated network."""
+
+import asyncio
+import json
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, TypeVar
+
+import numpy as np
+
+from crazychoir.bus.impairment import Impairment
+from crazychoir.bus.local import Bus
+from crazychoir.bus.plain import plain
+from crazychoir.bus.rules import Rule
+from crazychoir.errors import AgentFailed, ConfigError, CrazyChoirError
+from crazychoir.optimization.checks import require_team
+from crazychoir.runtime.clock import Clock, run_virtual
+from crazychoir.swarm.communicator import Communicator
+from crazychoir.swarm.graph import Graph, GraphSequence
+from crazychoir.swarm.round import Round
+from crazychoir.swarm.running import Interval, Pace, run_algorithm
+
+A = TypeVar("A", bound=Round)
+Run = Callable[[Callable[[Clock], Any]], Any]
+MOST_ROUNDS: Final = 1_000_000
+"""Of an algorithm that never ends by itself."""
+DELAY: Final = 0.001
+"""s that a message is on its way: so that time goes on with the rounds."""
+SUFFIXES = (".csv", ".json", ".npz")
+
+
+@dataclass(frozen=True)
+class History:
+    """What came of a simulation.
+
+    values: {agent: {name: what it was}} at the start and after each step: an array whose first index is the round, or a
+    list where the shape changes;  times: {agent: (K+1,) s} of virtual time;  cpu: {agent: (K,) s} a step;
+    messages, lost, resent, bytes: of all agents;  simulated_s, wall_s: how long it took, in virtual and in real time.
+    """
+
+    values: dict[int, dict[str, Any]]
+    times: dict[int, Any]
+    cpu: dict[int, Any]
+    messages: int
+    lost: int
+    resent: int
+    bytes: int
+    simulated_s: float
+    wall_s: float
+
+    @property
+    def rounds(self) -> int:
+        """Steps; of asynchronous agents, those of the one that made most."""
+        return max(len(cpu) for cpu in self.cpu.values())
+
+    @property
+    def critical_path_s(self) -> float:
+        """s of computing if each agent had a processor: the slowest agent of each round; asynchronous, of all."""
+        steps = list(self.cpu.values())
+        if len({len(cpu) for cpu in steps}) == 1:
+            return float(sum(map(max, zip(*steps, strict=True))))
+        return float(max(map(sum, steps)))
+
+    def of(self, name: str = "x") -> Any:
+        """(N, K+1, ...) of synchronous agents, by increasing id."""
+        return np.stack([values[name] for values in self.values.values()])
+
+    def last(self, name: str = "x") -> dict[int, Any]:
+        """{agent: what it was at the end}."""
+        return {i: values[name][-1] for i, values in self.values.items()}
+
+    def spread(self, name: str = "x") -> Any:
+        """(K+1,) max_i |x_i - mean_j x_j|, by round: the disagreement of synchronous agents."""
+        x = self.of(name)
+        return np.abs(x - x.mean(axis=0)).reshape(*x.shape[:2], -1).max(axis=(0, 2))
+
+    def to_json(self) -> dict[str, Any]:
+        """The figures and, of each agent, the last values; the histories are for `save`."""
+        figures = ("rounds", "messages", "lost", "resent", "bytes", "simulated_s", "wall_s", "critical_path_s")
+        last = {i: {name: series[-1] for name, series in values.items()} for i, values in self.values.items()}
+        counted: dict[str, Any] = plain({name: getattr(self, name) for name in figures} | {"agents": last})
+        return counted
+
+    def save(self, path: str | Path) -> None:
+        """Write the histories, as the suffix says: .csv (a row an agent and round), .json, .npz (x_3, time_3, ...)."""
+        path = Path(path)
+        if path.suffix not in SUFFIXES:
+            raise ConfigError("history", path.name, f"a file that ends in {', '.join(SUFFIXES)}")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if path.suffix == ".csv":
+            path.write_text("\n".join(self._lines()) + "\n")
+        elif path.suffix == ".json":
+            path.write_text(json.dumps(plain(self.to_json() | {"values": self.values, "times": self.times})))
+        else:
+            series = {f"{name}_{i}": x for i, values in self.values.items() for name, x in values.items()}
+            times = {f"time_{i}": time for i, time in self.times.items()}
+            np.savez(path, allow_pickle=False, **{**series, **times})
+
+    def _lines(self) -> list[str]:
+        """Head and rows; an array has a column an entry."""
+        first = next(iter(self.values.values()))
+        names = [f"{name}{place}" for name, series in first.items() for place in _places(series[0])]
+        lines = [",".join(["agent", "round", "time_s", *names])]
+        for i, values in self.values.items():
+            for k, at in enumerate(self.times[i]):
+                entries = [e for series in values.values() for e in np.ravel(series[k]).tolist()]
+                lines.append(",".join(map(str, [i, k, at, *entries])))
+        return lines
+
+
+def _places(x: Any) -> list[str]:
+    return ["".join(f"[{n}]" for n in place) for place in np.ndindex(np.shape(x))]
+
+
+def simulate(
+    agents: Mapping[int, A],
+    graph: Graph | GraphSequence,
+    *,
+    loss: float = 0.0,
+    network: Mapping[str, float] | None = None,
+    seed: int = 0,
+    rounds: int | None = None,
+    record: Sequence[str] = ("x",),
+    sleep: Interval = (0.0, 0.02),
+    compute: Interval = (0.0, 0.0),
+    watch: Callable[[Mapping[int, A]], None] = lambda agents: None,
+    run: Run = run_virtual,
+    channel: str = "optimize",
+) -> History:
+    """Run agents i of `graph` together until all are done, or have made so many `rounds`.
+
+    Synchronous algorithms get the same messages whatever is lost; asynchronous ones (`asynchronous = True`) wake after
+    a random `sleep`, take what has come, and compute for a random `compute`, both (shortest, longest) s.
+    loss: share of messages that is lost;  network: more of it, as {"burst": 4, "delay": 0.01, "jitter": 0.02};
+    record: attributes to keep of each agent after each step;  watch: is shown the agents after each step;
+    run: run_virtual, or run_wall for real time.
+    Raises ConfigError where agents do not fit each other or the graph; what an agent raises, or AgentFailed.
+    """
+    began = time.perf_counter()
+    require_team(agents, graph)
+    followed = {i: _Followed(i, agents[i], record, rounds, lambda: watch(agents)) for i in graph.ids}
+    rule = Rule({"delay": DELAY, "loss": loss, **(network or {})})
+    pace = Pace(sleep, compute, seed)
+    errors: dict[int, CrazyChoirError] = {}
+
+    async def part(communicator: Communicator, agent: _Followed) -> None:
+        try:
+            await run_algorithm(communicator, agent, channel=channel, pace=pace)
+            if not agent.asynchronous:
+                await communicator.close(channel)
+        except CrazyChoirError as error:  # the others hear of it, and end too
+            errors[communicator.id] = error
+
+    async def main(clock: Clock) -> tuple[Bus, float]:
+        bus = Bus(clock, Impairment(seed, [rule]))
+        for agent in followed.values():
+            agent.begin(clock)
+        communicators = {i: Communicator(bus.port(i), graph) for i in followed}
+        async with asyncio.TaskGroup() as group:
+            for i, agent in followed.items():
+                group.create_task(part(communicators[i], agent), name=f"agent {i}")
+        return bus, clock.now()
+
+    bus, simulated_s = _unwrapped(run, main)
+    if errors:
+        raise _origin(errors)
+    counters = [port.counters for port in bus.ports.values()]
+    return History(
+        values={i: agent.values() for i, agent in followed.items()},
+        times={i: np.array(agent.times) for i, agent in followed.items()},
+        cpu={i: np.array(agent.cpu) for i, agent in followed.items()},
+        messages=sum(c.sent for c in counters),
+        lost=sum(c.lost for c in counters),
+        resent=sum(c.resent for c in counters),
+        bytes=sum(c.bytes for c in counters),
+        simulated_s=simulated_s,
+        wall_s=time.perf_counter() - began,
+    )
+
+
+class _Followed:
+    """An agent that is followed: what it is after each step, when that was, and how long the step took."""
+
+    def __init__(
+        self, i: int, agent: Any, record: Sequence[str], rounds: int | None, watch: Callable[[], None]
+    ) -> None:
+        self.i, self.agent, self.watch = i, agent, watch
+        self.most = MOST_ROUNDS if rounds is None else rounds
+        self.asynchronous = bool(getattr(agent, "asynchronous", False))
+        self.heavy = bool(getattr(agent, "heavy", False))
+        self.kept: dict[str, list[Any]] = {name: [] for name in record}
+        self.times: list[float] = []
+        self.cpu: list[float] = []
+
+    def begin(self, clock: Clock) -> None:
+        """Keep what it is at the start."""
+        self.clock = clock
+        self._keep()
+
+    @property
+    def done(self) -> bool:
+        return bool(self.agent.done) or len(self.cpu) >= self.most
+
+    def message(self) -> Any:
+        return self.agent.message()
+
+    def step(self, heard: dict[int, Any]) -> None:
+        began = time.thread_time()
+        self.agent.step(heard)
+        self.cpu.append(time.thread_time() - began)
+        self._keep()
+        self.watch()
+
+    def _keep(self) -> None:
+        self.times.append(self.clock.now())
+        for name, series in self.kept.items():
+            try:
+                series.append(np.array(getattr(self.agent, name)))
+            except AttributeError:
+                kind = type(self.agent).__name__
+                raise ConfigError("record", name, f"attributes of agent {self.i}, a {kind}") from None
+
+    def values(self) -> dict[str, Any]:
+        """Arrays where the shapes allow."""
+        return {
+            name: np.stack(series) if len({x.shape for x in series}) == 1 else [x.tolist() for x in series]
+            for name, series in self.kept.items()
+        }
+
+
+def _unwrapped(run: Run, main: Callable[[Clock], Any]) -> Any:
+    """Run it; of the errors of several agents, which are not this package's, the first."""
+    try:
+        return run(main)
+    except BaseExceptionGroup as errors:
+        raise errors.exceptions[0] from errors
+
+
+def _origin(errors: Mapping[int, CrazyChoirError]) -> CrazyChoirError:
+    """The error of the agent that failed itself; of several, of the lowest id."""
+    own = [errors[i] for i in sorted(errors) if not isinstance(errors[i], AgentFailed)]
+    return own[0] if own else errors[min(errors)]

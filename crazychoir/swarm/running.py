@@ -1,0 +1,158 @@
+"""Running one agent's part of a distributed algorithm to its end, over a communicator; a failure ends it at all."""
+
+import contextlib
+import random
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Final
+
+from crazychoir.errors import AgentFailed, ConfigError, CrazyChoirError
+from crazychoir.swarm.communicator import Communicator, Policy
+from crazychoir.swarm.graph import GraphSequence
+from crazychoir.swarm.round import Round
+from crazychoir.types import Failure
+
+LAST_WORDS: Final = 32
+"""Times that an asynchronous agent repeats its last message: at 50 % loss all are lost once in 4e9 ends."""
+
+Interval = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Pace:
+    """When an asynchronous agent wakes, and how long it computes: uniform draws from these intervals.
+
+    sleep: s between two steps;  compute: s that a step is pretended to take, beside what it takes;  seed: of the draws.
+    """
+
+    sleep: Interval = (0.0, 0.02)
+    compute: Interval = (0.0, 0.0)
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        for name, interval in (("sleep", self.sleep), ("compute", self.compute)):
+            if not 0.0 <= interval[0] <= interval[1] < float("inf"):
+                raise ConfigError(f"pace: {name}", interval, "(shortest, longest) s, 0 or more, increasing")
+        if self.sleep[1] == 0.0:
+            raise ConfigError("pace: sleep", self.sleep, "a longest sleep above 0 s")
+
+
+async def run_algorithm(
+    communicator: Communicator,
+    algorithm: Round,
+    *,
+    channel: str = "main",
+    deadline: float | None = None,
+    policy: Policy = "raise",
+    pace: Pace | None = None,
+) -> None:
+    """Run a pure algorithm to its end: in rounds, or, with `asynchronous = True` in it, whenever it wakes.
+
+    `heavy = True` in an algorithm steps away from the event loop.  Where `message` or `step` raises at one agent, it
+    tells its neighbours, they theirs, and all end within as many rounds as the graph's diameter: that one with its
+    error, the others, and it too where the error is none of ours, with AgentFailed. The channel is then of no more use.
+    """
+    asynchronous = getattr(algorithm, "asynchronous", False)
+    try:
+        if asynchronous:
+            await _wake_and_sleep(communicator, algorithm, channel, pace or Pace())
+        else:
+            await _in_rounds(communicator, algorithm, channel=channel, deadline=deadline, policy=policy)
+    except _Ended as ended:
+        failed = ended.failed
+        with contextlib.suppress(CrazyChoirError):  # why it cannot be told is not what went wrong
+            if asynchronous:
+                await _repeat(communicator, _word(failed), channel, pace or Pace())
+            else:
+                await _tell(communicator, _word(failed), channel)
+        raise ended.error from ended.error.__cause__
+
+
+async def _in_rounds(
+    communicator: Communicator, algorithm: Round, *, channel: str, deadline: float | None, policy: Policy
+) -> None:
+    """The rounds; their number must be the same at all agents. `joinable = True` goes on across epochs."""
+    i, heavy = communicator.id, getattr(algorithm, "heavy", False)
+    communicator.open(channel, getattr(algorithm, "joinable", False))
+    compute = communicator.port.bus.clock.compute
+    while not algorithm.done:
+        try:
+            message = algorithm.message()
+        except Exception as error:
+            raise _Ended.at(i, error) from error
+        heard = await communicator.neighbors_exchange(message, channel=channel, deadline=deadline, policy=policy)
+        _require_alive(heard)
+        try:
+            if heavy:
+                await compute(algorithm.step, heard)
+            else:
+                algorithm.step(heard)
+        except Exception as error:
+            raise _Ended.at(i, error) from error
+
+
+async def _wake_and_sleep(communicator: Communicator, algorithm: Round, channel: str, pace: Pace) -> None:
+    """Sleep, take the latest of each neighbour, compute, step, send; nothing is resent, nobody waited for."""
+    i, clock = communicator.id, communicator.port.bus.clock
+    chance = random.Random(f"{pace.seed} {i}")  # noqa: S311 - when to wake, not secrets
+    heavy, message = getattr(algorithm, "heavy", False), None
+    while not algorithm.done:
+        await clock.sleep(chance.uniform(*pace.sleep), drone=i)
+        heard = await communicator.asynchronous_receive(channel=channel)
+        _require_alive(heard)
+        if pace.compute[1] > 0.0:
+            await clock.sleep(chance.uniform(*pace.compute), drone=i)
+        try:
+            if heavy:
+                await clock.compute(algorithm.step, heard)
+            else:
+                algorithm.step(heard)
+            message = algorithm.message()
+        except Exception as error:
+            raise _Ended.at(i, error) from error
+        await communicator.send(message, channel=channel)
+    await _repeat(communicator, message, channel, pace)
+
+
+async def _repeat(communicator: Communicator, message: Any, channel: str, pace: Pace) -> None:
+    """The last message, until all have it who are not cut off."""
+    pause = max(sum(pace.sleep) / 2, 1e-3)
+    for _ in range(LAST_WORDS):
+        await communicator.send(message, channel=channel)
+        await communicator.port.bus.clock.sleep(pause, drone=communicator.id)
+
+
+async def _tell(communicator: Communicator, word: Failure, channel: str) -> None:
+    """In place of the next message, and of those after it where another round has other readers."""
+    graph = communicator.graph
+    for _ in range(len(graph.graphs) if isinstance(graph, GraphSequence) else 1):
+        await communicator.send(word, channel=channel)
+    await communicator.close(channel)
+
+
+def _require_alive(heard: Mapping[int, Any]) -> None:
+    """Raise what a neighbour says in place of its message, if one has failed or has heard of who did."""
+    for word in heard.values():
+        if type(word) is Failure:
+            failed = AgentFailed(word.agent, word.reason)
+            raise _Ended(failed, failed)
+
+
+def _word(failed: AgentFailed) -> Failure:
+    return Failure(failed.agent, failed.reason)
+
+
+class _Ended(Exception):
+    """An algorithm has ended here by a failure, which the neighbours are to hear of: what they get, what we raise."""
+
+    def __init__(self, failed: AgentFailed, error: Exception) -> None:
+        self.failed, self.error = failed, error
+
+    @classmethod
+    def at(cls, i: int, error: Exception) -> "_Ended":
+        """Our own algorithm has raised this."""
+        failed = AgentFailed(i, f"{type(error).__name__}: {error}")
+        if isinstance(error, CrazyChoirError):
+            return cls(failed, error)
+        failed.__cause__ = error
+        return cls(failed, failed)

@@ -1,0 +1,146 @@
+import json
+
+import numpy as np
+import pytest
+from scipy.optimize import linprog
+from teams import run_team
+
+from crazychoir.errors import ConfigError, SolverError
+from crazychoir.optimization.simplex import DistributedSimplex, DualDistributedSimplex
+from crazychoir.swarm.graph import GraphSequence, complete, erdos_renyi_connected, ring
+
+STATUS = {0: "optimal", 2: "infeasible", 3: "unbounded"}
+
+
+def draw(seed):
+    """(c, A, b, parts): columns dealt out to agents, who may have none; of three kinds, many degenerate."""
+    chance = np.random.default_rng(seed)
+    agents, m = int(chance.integers(2, 7)), int(chance.integers(1, 6))
+    sizes = chance.integers(0, 4, agents)
+    n = int(sizes.sum())
+    A = chance.integers(-1, 2, (m, n)).astype(float) if seed % 2 else chance.normal(size=(m, n))
+    b = A @ (chance.random(n) * (chance.random(n) < 0.5)) if seed % 5 else chance.normal(size=m)
+    c = chance.integers(-1, 3, n).astype(float) if seed % 2 else chance.normal(size=n) + 0.5
+    return c, A, b, np.split(np.arange(n), np.cumsum(sizes)[:-1])
+
+
+def links(agents, seed):
+    """A graph and its diameter: directed, random, or changing."""
+    if seed % 3 == 0:
+        return (graph := ring(agents, directed=True)), graph.diameter()
+    if seed % 3 == 1:
+        return (graph := erdos_renyi_connected(agents, 0.4, seed)), graph.diameter()
+    return GraphSequence.draw(complete(agents), 0.2, 4, seed), 4 * agents
+
+
+def outcome_of(agents, graph):
+    """What the team ends with: optimal, infeasible or unbounded."""
+    try:
+        run_team(agents, graph)
+    except SolverError as error:
+        return error.status.partition(":")[0]
+    return "optimal"
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_the_split_program_is_solved_as_the_whole_one(seed):
+    c, A, b, parts = draw(seed)
+    graph, diameter = links(len(parts), seed)
+    agents = {i: DistributedSimplex(i, c[part], A[:, part], b, diameter) for i, part in enumerate(parts)}
+    central = linprog(c, A_eq=A, b_eq=b)
+    assert outcome_of(agents, graph) == STATUS[central.status]
+    if central.status:
+        return
+    results = [agent.result for agent in agents.values()]
+    x = np.concatenate([result.x for result in results])
+    assert (x >= 0).all()
+    assert A @ x == pytest.approx(b, abs=1e-8)
+    assert c @ x == pytest.approx(central.fun, abs=1e-8)
+    prices = results[0].prices
+    assert (c - prices @ A >= -1e-7).all()
+    assert prices @ b == pytest.approx(central.fun, abs=1e-7)
+    assert all(r.ids == results[0].ids and r.cost == results[0].cost for r in results)
+    assert all(np.array_equal(r.prices, prices) for r in results)
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_split_constraints_are_solved_by_the_dual(seed):
+    b, transposed, c, parts = draw(seed)
+    A = transposed.T
+    graph, diameter = links(len(parts), seed)
+    agents = {i: DualDistributedSimplex(i, c, A[part], b[part], diameter) for i, part in enumerate(parts)}
+    central = linprog(-c, A_ub=A, b_ub=b, bounds=(None, None))
+    assert outcome_of(agents, graph) == STATUS[central.status]
+    if central.status:
+        return
+    x = agents[0].result.x
+    assert (A @ x <= b + 1e-7).all()
+    assert c @ x == pytest.approx(-central.fun, abs=1e-7)
+    assert agents[0].result.cost == pytest.approx(-central.fun, abs=1e-7)
+    assert all(np.array_equal(agent.result.x, x) for agent in agents.values())
+    for owner, row in agents[0].result.active:
+        assert A[parts[owner][row]] @ x == pytest.approx(b[parts[owner][row]], abs=1e-7)
+
+
+def test_the_reference_program_in_no_more_rounds_than_the_search_and_its_end(reference_data):
+    data = json.loads((reference_data("disropt") / "simplex_ring_N5.json").read_text())
+    c, A, b = (np.array(data[key]) for key in ("c", "A", "b"))
+    graph, per = ring(5), data["cols_per_agent"]
+    agents = {i: DistributedSimplex(i, c[per * i :][:per], A[:, per * i :][:, :per], b, 2) for i in graph.ids}
+    rounds = run_team(agents, graph)
+    assert rounds <= data["iterations"]
+    assert [agent.result.cost for agent in agents.values()] == pytest.approx([data["J_opt"]] * 5, abs=1e-12)
+    assert np.concatenate([agent.result.x for agent in agents.values()]) == pytest.approx(data["x_opt"], abs=1e-12)
+
+
+def test_rows_that_others_imply_keep_an_artificial_column_and_true_prices():
+    A = np.array([[1.0, 1.0], [2.0, 2.0]])
+    agents = {i: DistributedSimplex(i, [3.0 - i], A[:, i : i + 1], [4.0, 8.0], 1) for i in range(2)}
+    run_team(agents, ring(2))
+    assert [agent.result.x.tolist() for agent in agents.values()] == [[0.0], [4.0]]
+    assert any(owner == -1 for owner, _ in agents[0].result.ids)
+    assert agents[0].result.prices @ A == pytest.approx([2.0, 2.0])
+
+
+def fail(agents, graph, match):
+    with pytest.raises(SolverError, match=match):
+        run_team(agents, graph)
+
+
+def test_what_cannot_be_met_is_named_with_its_row():
+    A = np.array([[1.0, 1.0], [1.0, 1.0]])
+    agents = {i: DistributedSimplex(i, [1.0], A[:, i : i + 1], [1.0, 3.0], 1) for i in range(2)}
+    fail(agents, ring(2), r"agent 0: distributed simplex: .*infeasible: row 1 \(2 left\)")
+
+
+def test_what_may_fall_for_ever_is_named_with_its_column():
+    agents = {i: DistributedSimplex(i, [-float(i)], [[1.0 - 2.0 * i]], [0.0], 1) for i in range(2)}
+    fail(agents, ring(2), "unbounded: column 0 of agent 1 may grow for ever")
+
+
+def test_contradicting_constraints_and_free_variables_are_named():
+    agents = {i: DualDistributedSimplex(i, [1.0], [[1.0 - 2.0 * i]], [-1.0], 1) for i in range(2)}
+    fail(agents, ring(2), "infeasible: constraint 0 of agent 1 contradicts others")
+    agents = {i: DualDistributedSimplex(i, [1.0, 0.5], [[1.0, 0.0]], [1.0], 1) for i in range(2)}
+    fail(agents, ring(2), r"unbounded: variable 1 \(0.5 left\) without a limit")
+
+
+@pytest.mark.parametrize(
+    ("c", "A", "b", "match"),
+    [
+        ([1.0], [[1.0], [float("nan")]], [1.0, 1.0], r"agent 4: distributed simplex: A\[1, 0\]: found nan"),
+        ([1.0, float("inf")], [[1.0, 1.0]], [1.0], r"c\[1\]: found inf; allowed: a finite number"),
+        ([1.0], [[1.0, 2.0]], [1.0], r"A: found shape \(1, 2\); allowed: \(1, 1\)"),
+        ([[1.0]], [[1.0]], [1.0], r"c: found shape \(1, 1\)"),
+        (["one"], [[1.0]], [1.0], r"c: found list; allowed: an array of numbers"),
+    ],
+)
+def test_data_that_do_not_fit_are_refused_with_agent_row_and_value(c, A, b, match):
+    with pytest.raises(ConfigError, match=match):
+        DistributedSimplex(4, c, A, b, 1)
+
+
+def test_another_right_hand_side_at_a_neighbour_is_refused():
+    agents = {i: DistributedSimplex(i, [1.0], [[1.0]], [1.0 + i], 1) for i in range(2)}
+    with pytest.raises(ConfigError, match=r"b of agent 1: found \[2.0\]; allowed: \[1.0\], the same at all agents"):
+        run_team(agents, ring(2))
