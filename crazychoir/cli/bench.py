@@ -71,6 +71,14 @@ def routing(
     _show(lambda say: measure(say=say), bench_routing.table, as_json)
 
 
+@app.command()
+def optimization(as_json: JsonOption = False, quick: QuickOption = False) -> None:
+    """Rounds a second of consensus and dual decomposition, beside DISROPT's pattern of MPI ranks."""
+    from crazychoir.cli import bench_optimization
+
+    _show(lambda say: bench_optimization.run(quick=quick, say=say), bench_optimization.table, as_json)
+
+
 @app.command(name="all")
 def everything(quick: QuickOption = False) -> None:
     """All of them, one after the other."""
