@@ -54,7 +54,7 @@ def _draw_loss(figure: "Figure", rows: Rows) -> None:
         for line, (figure_of, scale, label) in enumerate(figures):
             for graph in _present(GRAPHS, here, "graph"):
                 _line(axes[line, column], here, ("graph", graph), "loss", 100.0, figure_of, scale)
-            axes[line, column].set_yscale("log")
+            _logarithmic(axes[line, column])
             if column == 0:
                 axes[line, column].set_ylabel(label)
     _legend(figure, axes[0, 0])
@@ -68,7 +68,8 @@ def _draw_size(figure: "Figure", rows: Rows) -> None:
     for panel, (figure_of, scale, label) in zip(axes, figures, strict=True):
         for graph in _present(GRAPHS, rows, "graph"):
             _line(panel, rows, ("graph", graph), "robots", 1.0, figure_of, scale)
-        panel.set(ylabel=label, xscale="log", yscale="log")
+        panel.set(ylabel=label, xscale="log")
+        _logarithmic(panel)
     sizes = sorted({row["robots"] for row in rows})
     axes[-1].set_xticks(sizes, [str(n) for n in sizes])
     axes[-1].minorticks_off()
@@ -85,7 +86,8 @@ def _draw_method(figure: "Figure", rows: Rows) -> None:
         _line(axes[0], extra, ("method", method), "robots", 1.0, "over", 1.0, quartiles=False)
         _line(axes[1], rows, ("method", method), "robots", 1.0, "bytes_a_robot", 1e-3)
     axes[0].set_ylabel("median cost over\nthe best [%]")
-    axes[1].set(ylabel="kB a robot", yscale="log", xlabel="robots")
+    axes[1].set(ylabel="kB a robot", xlabel="robots")
+    _logarithmic(axes[1])
     axes[1].set_xticks(sorted(best))
     _legend(figure, axes[0], columns=2)
 
@@ -110,7 +112,7 @@ def _draw_anytime(figure: "Figure", rows: Rows) -> None:
         axes.step([*times, ends], [*costs, costs[-1]], where="post", label=row["name"], **_look(number), markersize=2.5)
     if rows:
         axes.set_title(f"{rows[0]['robots']} robots, {rows[0]['tasks']} tasks", fontsize=8)
-        axes.set_xscale("log")
+        _logarithmic(axes, "x")
     axes.set(xlabel="time [s]", ylabel="cost [m]")
     _legend(figure, axes)
 
@@ -158,6 +160,17 @@ def _line(
     if quartiles:
         low, high = ([row[f"{y}_{end}"] * y_scale for row in mine] for end in ("lower", "upper"))
         axes.vlines(places, low, high, color=COLOURS[number], linewidth=0.8)
+
+
+def _logarithmic(axes: "Axes", which: str = "y") -> None:
+    """A logarithmic scale of x or y that is marked 1, 2, 5, 10, ... in plain figures."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+
+    axes.set(**{f"{which}scale": "log"})
+    axis = axes.yaxis if which == "y" else axes.xaxis
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axis.set_minor_locator(NullLocator())
+    axis.set_major_formatter(FuncFormatter(lambda value, place: f"{value:g}"))
 
 
 def _look(number: int) -> dict[str, Any]:
