@@ -165,7 +165,7 @@ def _team(instance: Instance, solve: Callable[[], dict[str, Any]]) -> dict[str, 
         return _nothing(f"{type(error).__name__}: {error}")
     keys = ("cost", "feasible", "wall_s", "critical_path_s", "lower_bound", "bound_exact", "rounds", "bytes")
     row = {key: result[key] for key in keys}
-    return row | {key: result.get(key) for key in ("cpu_s", "startup_s", "robots", "curve")} | {"note": ""}
+    return row | {key: result.get(key) for key in ("cpu_s", "startup_s", "curve")} | {"note": ""}
 
 
 def _nothing(note: str) -> dict[str, Any]:
