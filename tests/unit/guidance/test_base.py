@@ -13,7 +13,9 @@ from crazychoir.errors import AgentFailed, ConfigError
 from crazychoir.guidance import base
 from crazychoir.guidance.base import CFGuidance, Interrupted, Member
 from crazychoir.optimization.asynchronous_consensus import AsynchronousConsensus
+from crazychoir.optimization.checks import require_graph
 from crazychoir.optimization.consensus import Consensus
+from crazychoir.optimization.gradient_tracking import GradientTracking
 from crazychoir.runtime.clock import SECOND
 from crazychoir.safety.guard import Fence
 from crazychoir.safety.pilot import Mode, Pilot
@@ -256,3 +258,16 @@ class Counting:
 
     def step(self, heard):
         pass
+
+
+@virtual
+async def test_an_algorithm_that_needs_another_graph_is_refused_at_all_drones(clock):
+    both = pair(clock)
+    for guidance in both:
+        guidance.member.communicator.graph = graphs.empty(2)
+    for i, guidance in enumerate(both):
+        with pytest.raises(ConfigError, match=r"graph of Consensus: found no path from agent 0 to \[1\]"):
+            await guidance.optimize(Consensus(i, [1.0], {i: 1.0}, rounds=3))
+    one_way = graphs.ring(3, directed=True)
+    with pytest.raises(ConfigError, match="graph of GradientTracking: found agent 1 hears agent 0, but not the other"):
+        require_graph(GradientTracking(0, [1.0], {0: 0.5, 2: 0.5}, lambda x: x, 0.1), one_way)
