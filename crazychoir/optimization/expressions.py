@@ -22,9 +22,10 @@ def decision(x: Any, where: str) -> int:
     return int(x.size)
 
 
-def domain(x: cp.Variable, where: str) -> list[cp.Constraint]:
-    """What the attributes of x say, as constraints; those that are not convex are refused."""
+def domain(x: cp.Variable, where: str, whole: bool = False) -> list[cp.Constraint]:
+    """What the attributes of x say, as constraints; others are refused, but for integers if x may be `whole`."""
     said = {name for name, value in x.attributes.items() if value is not None and value is not False}
+    said -= {"integer", "boolean"} if whole else set()
     if said - {"nonneg", "pos", "nonpos", "neg", "bounds"}:
         do = "Integers are for MixedIntegerConstraintCoupled."
         raise ConfigError(f"{where}: {x.name()}", f"attributes {sorted(said)}", "a real vector, perhaps bounded", do)
@@ -37,6 +38,15 @@ def domain(x: cp.Variable, where: str) -> list[cp.Constraint]:
             flat, limit = cp.vec(x, order="F")[at], np.atleast_1d(bound)[at]
             found.append(flat >= limit if low else flat <= limit)
     return found
+
+
+def whole(x: cp.Variable) -> tuple[list[int], list[int]]:
+    """Which entries of x are integer, and which of them are 0 or 1."""
+    found = []
+    for name, places in (("integer", x.integer_idx), ("boolean", x.boolean_idx)):
+        everywhere = x.attributes[name] is True
+        found.append(list(range(x.size)) if everywhere else [int(k) for k in np.ravel(np.array(places, dtype=int))])
+    return sorted({*found[0], *found[1]}), found[1]
 
 
 def convex(expression: Any, where: str) -> cp.Expression:
@@ -167,6 +177,13 @@ class Quadratic:
         return Quadratic(factor * self.P, factor * self.q, factor * self.r)
 
 
+def linear(expression: cp.Expression, x: cp.Variable, where: str) -> tuple[Mat, Vec]:
+    """As `affine`; raises ConfigError unless it is affine in x alone."""
+    if not (expression.is_affine() and only(expression, x)):
+        raise ConfigError(where, str(expression), f"a linear function of {x.name()}")
+    return affine(expression, x)
+
+
 def quadratics(expression: cp.Expression, x: cp.Variable) -> list[Quadratic] | None:
     """Its entries, if all are quadratic functions of x alone: by their gradients, which are linear then."""
     if not only(expression, x) or not expression.is_quadratic():
@@ -175,6 +192,13 @@ def quadratics(expression: cp.Expression, x: cp.Variable) -> list[Quadratic] | N
     r, q = at(expression, x, zero), slope(expression, x, zero)
     hessians = np.array([slope(expression, x, e) - q for e in np.eye(x.size)]).transpose(1, 0, 2)
     return [Quadratic((P + P.T) / 2, *rest) for P, *rest in zip(hessians, q, r.tolist(), strict=True)]
+
+
+def require_polyhedral(constraints: Sequence[cp.Constraint], x: cp.Variable, where: str) -> None:
+    """Raise ConfigError that names the first which is not a linear (in)equality of x alone."""
+    for r, c in enumerate(constraints):
+        if not polyhedral([c], x):
+            raise ConfigError(f"{where}: constraints[{r}]", str(c), f"linear (in)equalities of {x.name()}")
 
 
 def polyhedral(constraints: Sequence[cp.Constraint], x: cp.Variable) -> bool:

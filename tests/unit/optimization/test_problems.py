@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 
 from crazychoir.errors import ConfigError, SolverError
-from crazychoir.optimization.problems import CommonCost, ConstraintCoupled, CostCoupled
+from crazychoir.optimization.problems import CommonCost, ConstraintCoupled, CostCoupled, MixedIntegerConstraintCoupled
 
 X = cp.Variable(2, name="x")
 T = cp.Variable(name="t")
@@ -192,3 +192,43 @@ def test_only_so_many_penalties_are_kept():
     for penalty in np.linspace(0.1, 5.0, 50):
         problem.argmin(LINEAR, POINT, penalty)
     assert len(problem._programs) <= 8
+
+
+def test_a_mixed_integer_model_has_the_optimum_of_cvxpy():
+    draw = np.random.default_rng(4)
+    for _ in range(5):
+        x = cp.Variable(4, integer=([0, 2],), bounds=[0, 5])
+        c, A, D = draw.normal(size=4), draw.uniform(0, 1, (2, 4)), draw.uniform(0.2, 1, (3, 4))
+        own = [D @ x <= 4, x[1] + x[3] == 1.5]
+        block = MixedIntegerConstraintCoupled(0, x, c @ x + 7, A @ x + 1, own, share=np.array([3.0, 3.0]))
+        for cost in (block.c, c + A.T @ draw.uniform(0, 1, 2)):
+            problem = cp.Problem(cp.Minimize(cost @ x), own)
+            problem.solve(solver=cp.HIGHS)
+            found = block.corner(cost)
+            assert cost @ found == pytest.approx(problem.value, abs=1e-7)
+            assert found[[0, 2]].tolist() == np.round(found[[0, 2]]).tolist()
+        np.testing.assert_allclose(block.A, A)
+        np.testing.assert_allclose(block.share, [2.0, 2.0])
+
+
+def test_binary_entries_are_integers_from_0_to_1():
+    x = cp.Variable(2, boolean=True)
+    block = MixedIntegerConstraintCoupled(0, x, -x[0] - x[1], x[0] + x[1])
+    np.testing.assert_allclose(block.corner(block.c), [1.0, 1.0])
+    assert block.integer.all()
+
+
+INTEGERS = {
+    "a square": (lambda x: (cp.sum_squares(x), x), "agent 3: objective: found .* a linear function of n"),
+    "a norm": (lambda x: (x[0], cp.norm(x)), "agent 3: coupling: found .* a linear function of n"),
+    "a disc": (lambda x: (x[0], x, [x >= 0, cp.norm(x) <= 2]), r"agent 3: constraints\[1\]: found .* linear"),
+    "a share": (lambda x: (x[0], x, [], np.zeros(3)), r"agent 3: share: found shape \(3,\)"),
+}
+
+
+@pytest.mark.parametrize("name", INTEGERS)
+def test_a_mixed_integer_model_is_linear(name):
+    x = cp.Variable(2, integer=True, name="n")
+    make, text = INTEGERS[name]
+    with pytest.raises(ConfigError, match=text):
+        MixedIntegerConstraintCoupled(3, x, *make(x))
