@@ -45,15 +45,15 @@ def least_reduced_cost(vehicle: Vehicle, prices: Vec, most: int = MOST_LABELS, w
 
 
 def columns_below(vehicle: Vehicle, prices: Vec, below: float, most: int = MOST_LABELS) -> Least:
-    """All columns with a reduced cost less than `below`, by (length, tasks): what a proof of optimality needs of a robot.
+    """All columns with a reduced cost less than `below`, by (length, tasks): what a proof needs of a robot.
 
     A bound of the routes' reduced costs cuts labels, so that a part of those of a table is made.
     """
     problem = _Problem(vehicle, prices)
     search = problem.search(below, most, most, every=True)
-    columns = [Column(vehicle.length(nodes) + vehicle.fixed, tasks) for tasks, nodes in problem.sets(search.routes).items()]
-    value = min([problem.nothing, *(cost for cost, _ in search.routes)])
-    return Least(value, sorted(columns), search.exact)
+    sets = problem.sets(search.routes)
+    columns = sorted(Column(vehicle.length(nodes) + vehicle.fixed, tasks) for tasks, nodes in sets.items())
+    return Least(min([problem.nothing, *(cost for cost, _ in search.routes)]), columns, search.exact)
 
 
 def relaxed_reduced_cost(
@@ -97,13 +97,13 @@ class _Problem:
         """The best routes with a reduced cost less than `below`, or the best of each set of tasks."""
         v = self._vehicle
         into = _into(v)
-        limited, many = bool(np.isfinite(v.farthest)), v.trips > 1
+        by = np.array([True, v.timed, bool(np.isfinite(v.farthest)), v.trips > 1])
         with np.errstate(divide="ignore", invalid="ignore"):
             worth = np.nan_to_num(self._price / (into[: v.tasks] + into[v.tasks : 2 * v.tasks]))
         best, ends, costs, last, parent, again, exact = grow_priced(
             v.distance, v.duration, v.shortest, v.fastest, v.earliest, v.latest + SLACK, v.load, v.aboard,
-            self._price, into, np.argsort(-worth, kind="stable"), self._memory, np.array([True, v.timed, limited, many]),
-            v.capacity + SLACK, v.limit + SLACK, v.limit_again + SLACK, v.trips, below - v.fixed, every, most, width,
+            self._price, into, np.argsort(-worth, kind="stable"), self._memory, by, v.capacity + SLACK,
+            v.limit + SLACK, v.limit_again + SLACK, v.trips, below - v.fixed, every, most, width,
         )  # fmt: skip
         order = np.argsort(costs, kind="stable")[: None if every else 10 * MOST_COLUMNS]
         routes = [(float(costs[r]) + v.fixed, self._nodes(int(ends[r]), last, parent, again)) for r in order]
@@ -120,8 +120,8 @@ class _Problem:
     def _nodes(self, label: int, last: Ints, parent: Ints, again: Flags) -> list[int]:
         m, nodes = self._whole.tasks, []
         while label > 0:
-            at = int(last[label])
-            nodes.append(int(self._chosen[at]) if at < len(self._chosen) else m + int(self._chosen[at - len(self._chosen)]))
+            part, at = divmod(int(last[label]), len(self._chosen))
+            nodes.append(m * part + int(self._chosen[at]))
             if again[label]:
                 nodes.append(2 * m + 1)
             label = int(parent[label])
