@@ -1,13 +1,16 @@
 """The least reduced cost of a robot at given prices, without a table of all its routes."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from crazychoir.routing.labels import Flags, Ints, Words
+from crazychoir.errors import SolverError
+from crazychoir.routing.labels import MOST_TASKS, Flags, Ints, Words
 from crazychoir.routing.priced import grow_priced
-from crazychoir.routing.pricing import Column, shortest_route
-from crazychoir.routing.vehicle import SLACK, Vehicle
+from crazychoir.routing.pricing import TOO_MANY, Column, shortest_route
+from crazychoir.routing.search import search
+from crazychoir.routing.vehicle import SLACK, TOTAL, Vehicle
 from crazychoir.types import Vec
 
 MOST_LABELS = 1_000_000
@@ -15,6 +18,8 @@ WIDTH = 200
 """Labels a number of stops in the quick search that comes first: what it finds is what the exact one is cut by."""
 MOST_COLUMNS = 20
 NEAR = 8
+MOST_OF_SET, STEPS = 300_000, 5_000
+"""Of one set of tasks: labels, as many as all routes of twelve need; steps of the search."""
 
 
 class Least(NamedTuple):
@@ -25,6 +30,14 @@ class Least(NamedTuple):
 
     value: float
     columns: list[Column]
+    exact: bool
+
+
+class RouteOf(NamedTuple):
+    """Nodes and length in m of a route, and whether it is proven to be the best."""
+
+    nodes: list[int]
+    length: float
     exact: bool
 
 
@@ -54,6 +67,35 @@ def columns_below(vehicle: Vehicle, prices: Vec, below: float, most: int = MOST_
     sets = problem.sets(search.routes)
     columns = sorted(Column(vehicle.length(nodes) + vehicle.fixed, tasks) for tasks, nodes in sets.items())
     return Least(min([problem.nothing, *(cost for cost, _ in search.routes)]), columns, search.exact)
+
+
+def route_of(
+    vehicle: Vehicle, tasks: Sequence[int], objective: tuple[str, ...] = (TOTAL,), most: int = MOST_OF_SET
+) -> RouteOf:
+    """The best route of `vehicle` that serves exactly `tasks`; a good one where the best needs more than `most` labels.
+
+    Raises SolverError if there is none, or, where it is not exact, if none was found.
+    """
+    chosen = np.array(sorted(tasks), dtype=np.int64)
+    if len(chosen) <= MOST_TASKS:
+        try:
+            return RouteOf(*shortest_route(vehicle, tasks, objective, most), True)
+        except SolverError as error:
+            if error.status != TOO_MANY:
+                raise
+    return _good_route(vehicle, chosen, objective)
+
+
+def _good_route(vehicle: Vehicle, chosen: Ints, objective: tuple[str, ...]) -> RouteOf:
+    """By ruin and recreate."""
+    few = vehicle.only(chosen)
+    found = search([few], [[]], np.full(len(chosen), np.inf), STEPS, seed=0, objective=objective)
+    if found.unserved:
+        raise SolverError(f"robot {vehicle.robot}: a tour of tasks {chosen.tolist()}", "none was found")
+    m, k = vehicle.tasks, len(chosen)
+    names = [*chosen.tolist(), *(m + chosen).tolist(), 2 * m, 2 * m + 1]
+    nodes = [names[min(v, 2 * k + 1)] for v in found.routes[0]]
+    return RouteOf(nodes, vehicle.length(nodes), False)
 
 
 def relaxed_reduced_cost(
