@@ -1,13 +1,16 @@
 """The least reduced cost of a robot at given prices, without a table of all its routes."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from crazychoir.routing.labels import Flags, Ints, Words
+from crazychoir.errors import SolverError
+from crazychoir.routing.labels import MOST_TASKS, Flags, Ints, Words
 from crazychoir.routing.priced import grow_priced
-from crazychoir.routing.pricing import Column, shortest_route
-from crazychoir.routing.vehicle import SLACK, Vehicle
+from crazychoir.routing.pricing import TOO_MANY, Column, shortest_route
+from crazychoir.routing.search import search
+from crazychoir.routing.vehicle import SLACK, TOTAL, Vehicle
 from crazychoir.types import Vec
 
 MOST_LABELS = 1_000_000
@@ -15,6 +18,8 @@ WIDTH = 200
 """Labels a number of stops in the quick search that comes first: what it finds is what the exact one is cut by."""
 MOST_COLUMNS = 20
 NEAR = 8
+MOST_OF_SET, STEPS = 300_000, 5_000
+"""Of one set of tasks: labels, as many as all routes of twelve need; steps of the search."""
 
 
 class Least(NamedTuple):
@@ -25,6 +30,14 @@ class Least(NamedTuple):
 
     value: float
     columns: list[Column]
+    exact: bool
+
+
+class RouteOf(NamedTuple):
+    """Nodes and length in m of a route, and whether it is proven to be the best."""
+
+    nodes: list[int]
+    length: float
     exact: bool
 
 
@@ -45,15 +58,44 @@ def least_reduced_cost(vehicle: Vehicle, prices: Vec, most: int = MOST_LABELS, w
 
 
 def columns_below(vehicle: Vehicle, prices: Vec, below: float, most: int = MOST_LABELS) -> Least:
-    """All columns with a reduced cost less than `below`, by (length, tasks): what a proof of optimality needs of a robot.
+    """All columns with a reduced cost less than `below`, by (length, tasks): what a proof needs of a robot.
 
     A bound of the routes' reduced costs cuts labels, so that a part of those of a table is made.
     """
     problem = _Problem(vehicle, prices)
     search = problem.search(below, most, most, every=True)
-    columns = [Column(vehicle.length(nodes) + vehicle.fixed, tasks) for tasks, nodes in problem.sets(search.routes).items()]
-    value = min([problem.nothing, *(cost for cost, _ in search.routes)])
-    return Least(value, sorted(columns), search.exact)
+    sets = problem.sets(search.routes)
+    columns = sorted(Column(vehicle.length(nodes) + vehicle.fixed, tasks) for tasks, nodes in sets.items())
+    return Least(min([problem.nothing, *(cost for cost, _ in search.routes)]), columns, search.exact)
+
+
+def route_of(
+    vehicle: Vehicle, tasks: Sequence[int], objective: tuple[str, ...] = (TOTAL,), most: int = MOST_OF_SET
+) -> RouteOf:
+    """The best route of `vehicle` that serves exactly `tasks`; a good one where the best needs more than `most` labels.
+
+    Raises SolverError if there is none, or, where it is not exact, if none was found.
+    """
+    chosen = np.array(sorted(tasks), dtype=np.int64)
+    if len(chosen) <= MOST_TASKS:
+        try:
+            return RouteOf(*shortest_route(vehicle, tasks, objective, most), True)
+        except SolverError as error:
+            if error.status != TOO_MANY:
+                raise
+    return _good_route(vehicle, chosen, objective)
+
+
+def _good_route(vehicle: Vehicle, chosen: Ints, objective: tuple[str, ...]) -> RouteOf:
+    """By ruin and recreate."""
+    few = vehicle.only(chosen)
+    found = search([few], [[]], np.full(len(chosen), np.inf), STEPS, seed=0, objective=objective)
+    if found.unserved:
+        raise SolverError(f"robot {vehicle.robot}: a tour of tasks {chosen.tolist()}", "none was found")
+    m, k = vehicle.tasks, len(chosen)
+    names = [*chosen.tolist(), *(m + chosen).tolist(), 2 * m, 2 * m + 1]
+    nodes = [names[min(v, 2 * k + 1)] for v in found.routes[0]]
+    return RouteOf(nodes, vehicle.length(nodes), False)
 
 
 def relaxed_reduced_cost(
@@ -97,13 +139,13 @@ class _Problem:
         """The best routes with a reduced cost less than `below`, or the best of each set of tasks."""
         v = self._vehicle
         into = _into(v)
-        limited, many = bool(np.isfinite(v.farthest)), v.trips > 1
+        by = np.array([True, v.timed, bool(np.isfinite(v.farthest)), v.trips > 1])
         with np.errstate(divide="ignore", invalid="ignore"):
             worth = np.nan_to_num(self._price / (into[: v.tasks] + into[v.tasks : 2 * v.tasks]))
         best, ends, costs, last, parent, again, exact = grow_priced(
             v.distance, v.duration, v.shortest, v.fastest, v.earliest, v.latest + SLACK, v.load, v.aboard,
-            self._price, into, np.argsort(-worth, kind="stable"), self._memory, np.array([True, v.timed, limited, many]),
-            v.capacity + SLACK, v.limit + SLACK, v.limit_again + SLACK, v.trips, below - v.fixed, every, most, width,
+            self._price, into, np.argsort(-worth, kind="stable"), self._memory, by, v.capacity + SLACK,
+            v.limit + SLACK, v.limit_again + SLACK, v.trips, below - v.fixed, every, most, width,
         )  # fmt: skip
         order = np.argsort(costs, kind="stable")[: None if every else 10 * MOST_COLUMNS]
         routes = [(float(costs[r]) + v.fixed, self._nodes(int(ends[r]), last, parent, again)) for r in order]
@@ -120,8 +162,8 @@ class _Problem:
     def _nodes(self, label: int, last: Ints, parent: Ints, again: Flags) -> list[int]:
         m, nodes = self._whole.tasks, []
         while label > 0:
-            at = int(last[label])
-            nodes.append(int(self._chosen[at]) if at < len(self._chosen) else m + int(self._chosen[at - len(self._chosen)]))
+            part, at = divmod(int(last[label]), len(self._chosen))
+            nodes.append(m * part + int(self._chosen[at]))
             if again[label]:
                 nodes.append(2 * m + 1)
             label = int(parent[label])

@@ -1,9 +1,9 @@
 """Label setting at given prices: the least reduced cost of a robot whose table of routes would be too large.
 
 A label is a path from the start, with what it can no longer pick up U, on board O, last stop, reduced cost, time, what
-is left of its trip's limit, and the trips begun. Label a is as good as b if O and the last stop are the same, U_a is part
-of U_b, and it is no worse in the others: whatever completes b completes a. Labels go whose cost, with a lower bound of
-what may follow, is no less than the best route's so far.
+is left of its trip's limit, and the trips begun. Label a is as good as b if O and the last stop are the same, U_a is
+part of U_b, and it is no worse in the others: whatever completes b completes a. Labels go whose cost, with a lower
+bound of what may follow, is no less than the best route's so far.
 """
 
 import numpy as np

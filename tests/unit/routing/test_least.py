@@ -4,9 +4,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from crazychoir.routing.generate import random_instance
-from crazychoir.routing.least import columns_below, least_reduced_cost, relaxed_reduced_cost
-from crazychoir.routing.pricing import RouteTable
-from tests.unit.routing.test_vehicle_routes import KINDS, vehicle_of
+from crazychoir.routing.least import columns_below, least_reduced_cost, relaxed_reduced_cost, route_of
+from crazychoir.routing.pricing import RouteTable, shortest_route
+from tests.unit.routing.test_vehicle_routes import KINDS, flown, vehicle_of
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -61,3 +61,35 @@ def test_a_forbidden_task_is_in_no_column():
     found = least_reduced_cost(v, prices)
     assert found.value == pytest.approx(RouteTable(v).least(prices))
     assert all(2 not in column.tasks for column in found.columns)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@settings(max_examples=8, deadline=None)
+@given(st.integers(0, 10**6))
+def test_a_good_route_of_a_set_is_feasible_and_nearly_the_shortest(kind, seed):
+    v = vehicle_of(seed, 4, kind)
+    table = RouteTable(v)
+    for c in range(len(table)):
+        tasks = table.column(c).tasks
+        best = route_of(v, tasks)
+        assert best.exact
+        if not tasks:
+            continue
+        good = route_of(v, tasks, most=1)
+        length, _ = flown(v, good.nodes)
+        assert good.length == pytest.approx(length)
+        assert best.length - 1e-8 <= good.length
+        assert not good.exact or good.length == pytest.approx(best.length, abs=1e-8)
+
+
+def test_routes_of_many_tasks_are_good_and_flagged():
+    v = random_instance(1, 12, seed=4).local(0).vehicle
+    exact = shortest_route(v, range(12))[1]
+    good = route_of(v, range(12), most=1000)
+    assert not good.exact
+    assert exact <= good.length <= 1.03 * exact
+    assert route_of(v, range(12)).exact
+    more = random_instance(1, 40, seed=4).local(0).vehicle
+    long = route_of(more, range(40))
+    assert not long.exact
+    assert long.length == pytest.approx(flown(more, long.nodes)[0])
