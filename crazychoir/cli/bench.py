@@ -63,12 +63,13 @@ def routing(
     seeds: Annotated[int, typer.Option(min=1, help="Instances of each size.")] = 5,
     graph: Annotated[str, typer.Option(help="Communication graph of the team.")] = "k-regular:4",
     method: Annotated[str | None, typer.Option(help="Method of the team, instead of the default.")] = None,
+    prove: Annotated[bool, typer.Option(help="A further run of the team that tries to prove an optimum.")] = False,
 ) -> None:
     """Plans of pickups and deliveries: the team beside VROOM, OR-tools, MILP, auctions and DISROPT's rule."""
     from crazychoir.cli import bench_routing
 
     names = tuple(name.strip() for name in sizes.split(","))
-    measure = partial(bench_routing.run, names, seeds, graph=graph, method=method, quick=quick)
+    measure = partial(bench_routing.run, names, seeds, graph=graph, method=method, prove=prove, quick=quick)
     _show(lambda say: measure(say=say), bench_routing.table, as_json)
 
 

@@ -21,6 +21,7 @@ from crazychoir.bus.zenoh import ZenohLink
 from crazychoir.errors import CrazyChoirError
 from crazychoir.routing.generate import random_instance
 from crazychoir.routing.instance import Instance
+from crazychoir.routing.member import Settings
 from crazychoir.routing.pickup_delivery import PickupDelivery
 from crazychoir.routing.solve import member, solve_in_loop
 from crazychoir.runtime.clock import SECOND, Clock, run_wall
@@ -123,7 +124,7 @@ class Process:
         await clock.compute(warm, spec["method"])
         neighbors = {j: links.neighbors(j) for j in links.ids}
         for i in spec["mine"]:
-            agent = member(instance, neighbors, i, links.diameter(), spec["method"])
+            agent = member(instance, neighbors, i, links.diameter(), spec["method"], Settings(**spec["settings"]))
             communicator = Communicator(bus.port(i), links, deadline=spec["deadline"])
             self.robots[i] = Robot(communicator, agent, self._look)
         async with asyncio.TaskGroup() as group:

@@ -6,6 +6,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from crazychoir.errors import ConfigError, ProcessFailed
 from crazychoir.launch.group import Group
 from crazychoir.launch.network import free_ports
 from crazychoir.routing.instance import Instance
+from crazychoir.routing.member import Settings
 from crazychoir.routing.pickup_delivery import METHODS
 from crazychoir.routing.plan import Solution
 from crazychoir.routing.solve import joined
@@ -40,6 +42,7 @@ def solve_in_processes(
     burst: float | None = None,
     graph: str = "ring",
     seed: int = 0,
+    settings: Settings | None = None,
     deadline: float = DEADLINE,
     watch: Callable[[Progress], None] | None = None,
 ) -> dict[str, Any]:
@@ -67,7 +70,8 @@ def solve_in_processes(
     with tempfile.TemporaryDirectory(prefix="crazychoir-solve-") as folder:
         file = Path(folder) / "instance.json"
         file.write_text(json.dumps(instance.to_json()))
-        common = {"instance": str(file), "method": method, "seed": seed, "deadline": deadline, "effects": rule.effects}
+        common = {"instance": str(file), "method": method, "seed": seed, "deadline": deadline, "effects": rule.effects,
+                  "settings": asdict(settings or Settings())}  # fmt: skip
         common |= {"neighbors": {i: links.neighbors(i) for i in links.ids}, "watched": watch is not None}
         with Group(_commands(parts, common)) as group:
             run = _Run(group, parts, watch or (lambda progress: None))
