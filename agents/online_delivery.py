@@ -10,6 +10,7 @@ import numpy as np
 from crazychoir.errors import ConfigError
 from crazychoir.guidance.airspace import levels
 from crazychoir.guidance.online_delivery import ADDED, Event, OnlinePDVRPGuidance, Options
+from crazychoir.guidance.replanning import AUCTION, KINDS
 from crazychoir.guidance.task_book import Fate, Task
 from crazychoir.routing.instance import Instance
 from crazychoir.safety.guard import EDGE
@@ -21,6 +22,7 @@ ROOM, DOCK = 5.0, 0.8
 """m: goods lie in a square, the drones stand outside, on two of its sides."""
 ALLOWED = (
     "instance", "tasks", "later", "appear", "cancel", "recover", "service_time", "until", "level_spacing", "clearance",
+    "method",
 )  # fmt: skip
 
 
@@ -131,6 +133,7 @@ def options(config: SwarmConfig) -> Options:
         recover=given.get("recover", False),
         until=max(last, given.get("until", 0.0)),
         clearance=given.get("clearance", 0.4),
+        method=given.get("method", AUCTION),
     )
 
 
@@ -140,6 +143,8 @@ def check(config: SwarmConfig, force: bool = False) -> list[str]:
     if unknown := [key for key in config.mission_options if key not in ALLOWED]:
         raise ConfigError(where, unknown, ", ".join(ALLOWED))
     problem, chosen = instance(config), options(config)
+    if chosen.method not in KINDS:
+        raise ConfigError(f"{where}.method", chosen.method, ", ".join(KINDS))
     if config.ids != tuple(range(problem.robots)):
         raise ConfigError(f"swarm {config.name}: drones", list(config.ids), f"0 to {problem.robots - 1}")
     if not config.graph().is_undirected:

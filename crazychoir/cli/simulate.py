@@ -31,6 +31,8 @@ def simulate(
     loss: Annotated[float, typer.Option(help="Share of messages between agents that is lost.")] = 0.0,
     rounds: Annotated[int | None, typer.Option(min=1, help="Stop after so many, if they are not done before.")] = None,
     seed: Annotated[int, typer.Option(help="Seed of the graph, the network and the agents' waking.")] = 0,
+    sleep: Annotated[float, typer.Option(help="Asynchronous agents: longest s between two steps.")] = 0.02,
+    compute: Annotated[float, typer.Option(help="Asynchronous agents: longest s that a step takes.")] = 0.0,
     record: Annotated[str, typer.Option(help="Attributes of the agents to keep, as x,average.")] = "x",
     save: Annotated[Path | None, typer.Option(help="Where to write the histories (.csv, .json, .npz).")] = None,
     picture: Annotated[Path | None, typer.Option(help="Where to draw the convergence (PNG).")] = None,
@@ -50,8 +52,9 @@ def simulate(
             links, team = _team(file, agents, graph, seed, directed)
             with Progress(_progress_table, enabled=not as_json) as progress:
                 history = simulation.simulate(
-                    team, links, loss=loss, seed=seed, rounds=rounds, record=names, watch=progress
-                )
+                    team, links, loss=loss, seed=seed, rounds=rounds, record=names, watch=progress,
+                    sleep=(0.0, sleep), compute=(0.0, compute),
+                )  # fmt: skip
             if save is not None:
                 history.save(save)
             if picture is not None:

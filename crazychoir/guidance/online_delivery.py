@@ -26,7 +26,7 @@ import numpy as np
 from crazychoir.errors import CodecError, CrazyChoirError, PeerLost, Refused, RosterChanged
 from crazychoir.guidance.airspace import way_round
 from crazychoir.guidance.base import CFGuidance, Interrupted, Member
-from crazychoir.guidance.replanning import Goods, Mark, Replanning, Share, mark
+from crazychoir.guidance.replanning import AUCTION, Goods, Mark, Replanning, Share, mark
 from crazychoir.guidance.task_book import Deed, Fate, Place, Record, Task, TaskBook
 from crazychoir.math3d import Vec
 from crazychoir.planning.point_to_point import duration_for
@@ -74,7 +74,7 @@ class Options:
 
     service_time: s at each stop;  recover: goods of a robot that is gone are fetched from where it was last;
     until: s after GO before which nobody thinks that the mission is over;  levels: m above the ground, of each robot;
-    clearance: m from other robots' homes, in the plane.
+    clearance: m from other robots' homes, in the plane;  method: how tasks are shared out, see Replanning.
     """
 
     levels: dict[int, float]
@@ -82,6 +82,7 @@ class Options:
     recover: bool = False
     until: float = 0.0
     clearance: float = 0.4
+    method: str = AUCTION
 
 
 class OnlinePDVRPGuidance(CFGuidance):
@@ -336,9 +337,8 @@ class OnlinePDVRPGuidance(CFGuidance):
 
         left = max(0.0, self.own.limit - self.flown - float(np.linalg.norm(start - self._here())))
         problem = partial(self._problem, start=start, ready=ready, left=left)
-        diameter = max(1, links.diameter()) if len(links.ids) > 1 else 0
         program = Replanning(
-            self.id, links.ids, diameter, self.book, bound, tuple(aboard), problem, self.options.recover
+            self.id, links, self.book, bound, tuple(aboard), problem, self.options.recover, self.options.method
         )
         self._planned_head = head
         channel = "-".join(["plan", *map(str, key[1])])
@@ -426,6 +426,8 @@ class OnlinePDVRPGuidance(CFGuidance):
         self._promised = self._now + self._seconds(self.route)
         if share.ended:
             self._say(ended=True)
+        elif self.route and self._record.idle:
+            self._say(idle=False)
         self._redirected.set()
 
     async def _cut_off(self, key: tuple[int, tuple[int, ...]]) -> None:

@@ -1,7 +1,7 @@
 """One planning of a team in flight, as rounds: agree on what is known, share out what is free, from where all are."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,8 +12,13 @@ from crazychoir.optimization.agreement import flood
 from crazychoir.optimization.program import Exchange, Program
 from crazychoir.routing.auction import auction
 from crazychoir.routing.instance import LocalProblem, Tasks
+from crazychoir.routing.pickup_delivery import METHODS, PickupDelivery
 from crazychoir.routing.plan import Stop
+from crazychoir.swarm.graph import Graph
 
+AUCTION = "auction"
+KINDS = (AUCTION, *METHODS)
+"""How tasks may be shared out in flight: by the auction alone, or by a method of PickupDelivery after it."""
 Mark = tuple[tuple[int, int, bool], ...]
 """The tasks that a plan was made for: (id, version, cancelled) of each."""
 
@@ -57,19 +62,22 @@ class Goods:
 class Replanning(Program[Share]):
     """A Round: all robots of `members` end it in the same round, each with its share of one plan.
 
-        flood of books and bonds  ->  auction of the free tasks
+        flood of books and bonds  ->  auction of the free tasks  ->  a better plan of those that were sold
 
-    book: what this robot knows;  bound: tasks that it is about to serve, or to deliver, before its start; nobody else
-    gets them;  carried: tasks that are aboard at its start;  problem: this robot's problem of these goods;  neighbors,
-    diameter: of the connected graph of the members;  recover: see TaskBook.standings.
+    graph: of the members, connected and undirected;  book: what this robot knows;  bound: tasks that it is about to
+    serve, or to deliver, before its start; nobody else gets them;  carried: tasks that are aboard at its start;
+    problem: this robot's problem of these goods;  recover: see TaskBook.standings;  method: of KINDS; the auction alone
+    takes some tens of rounds and milliseconds, the others find shorter plans and compute for seconds.
     What robots know is theirs as of the first round: what they hear later is for the next planning.
+    Raises CodecError if somebody says what is no book, and SolverError as PickupDelivery does.
     """
 
     def __init__(
-        self, robot: int, members: tuple[int, ...], diameter: int, book: TaskBook, bound: tuple[int, ...],
-        carried: tuple[int, ...], problem: Callable[[Goods], LocalProblem], recover: bool,
+        self, robot: int, graph: Graph, book: TaskBook, bound: tuple[int, ...], carried: tuple[int, ...],
+        problem: Callable[[Goods], LocalProblem], recover: bool = False, method: str = AUCTION,
     ) -> None:  # fmt: skip
-        self.robot, self.members, self.diameter, self.recover = robot, members, diameter, recover
+        self.robot, self.graph, self.members, self.recover, self.method = robot, graph, graph.ids, recover, method
+        self.diameter = graph.diameter() if len(graph.ids) > 1 else 0
         self._mine = [book.wire(), list(bound), list(carried)]
         self._problem = problem
         super().__init__()
@@ -82,14 +90,45 @@ class Replanning(Program[Share]):
         free = [n for n, is_free in enumerate(goods.free) if is_free]
         local, m = self._problem(goods), len(goods.tasks)
         route, left = yield from auction(self.robot, local.vehicle, free, self.diameter)
+        sold = [n for n in range(m) if n not in left]
+        if self.method != AUCTION and sold and self.diameter:
+            route = yield from self._better(local, sold)
         stops = tuple(Stop(goods.tasks[v % m].id, "pickup" if v < m else "delivery") for v in route)
         idle = all(record.idle for record in book.alive(self.members).values())
         return Share(
             stops,
             unserved=tuple(goods.tasks[n].id for n in left),
             book=book,
-            ended=idle and len(left) == len(free),
+            ended=idle and len(left) == len(free) and not (bound or carried),
         )
+
+    def _better(self, local: LocalProblem, sold: list[int]) -> Exchange[tuple[int, ...]]:
+        """This robot's route, as nodes, in a plan of PickupDelivery, for which robots and tasks count from 0."""
+        index = {i: n for n, i in enumerate(self.members)}
+        chosen, m = np.array(sold), len(local.tasks)
+        both = np.concatenate([chosen, m + chosen])
+        tasks = Tasks(
+            local.tasks.pickup[chosen], local.tasks.delivery[chosen], local.tasks.load[chosen],
+            local.tasks.service[both],
+        )  # fmt: skip
+        aboard = None if local.aboard is None else local.aboard[chosen]
+        neighbors = self.graph.neighbors(self.robot)
+        solver = PickupDelivery(
+            replace(
+                local, robot=index[self.robot], robots=len(index), tasks=tasks, capable=local.capable[chosen],
+                aboard=aboard,
+            ),
+            neighbors=[index[j] for j in neighbors],
+            n=len(index),
+            diameter=self.diameter,
+            degree_of={index[j]: len(self.graph.neighbors(j)) for j in neighbors},
+            method=self.method,
+        )  # fmt: skip
+        while not solver.done:
+            heard = yield solver.message()
+            solver.step({index[j]: message for j, message in heard.items()})
+        stops = [stop for route in solver.solution.routes for stop in route.stops if route.robot == index[self.robot]]
+        return tuple(sold[stop.task] + (0 if stop.kind == "pickup" else m) for stop in stops)
 
     def _goods(self, book: TaskBook, bound: dict[int, None], carried: dict[int, int]) -> Goods:
         standings = book.standings(self.members, self.recover)

@@ -18,7 +18,8 @@ from crazychoir.routing.plan import Kind
 Number = Annotated[float, Meta(ge=-1e6, le=1e6)]
 Place = tuple[Number, Number]
 """m, in the plane: robots fly at levels of their own."""
-Count = Annotated[int, Meta(ge=0, le=1 << 60)]
+Count = Annotated[int, Meta(ge=0, le=(1 << 63) - 1)]
+"""Incarnations are as large as that: ns since 1970."""
 
 
 class Task(Struct, frozen=True, order=True, array_like=True):

@@ -90,7 +90,8 @@ class PrimalDecompositionMILP(Program[MixedIntegerSolution]):
         self._agents, self._diameter, self._step = agents, diameter, step
         self._rounds, self._penalty, self._options = rounds, penalty, options
         self._local = Convexified(block, penalty)
-        self._capacity = np.zeros(block.S)
+        self._capacity, self._left = np.zeros(block.S), np.zeros(block.S)
+        self._x, self._cost = np.zeros(block.n), 0.0
         super().__init__()
 
     def run(self) -> Exchange[MixedIntegerSolution]:

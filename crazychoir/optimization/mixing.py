@@ -81,6 +81,11 @@ class Mixing(Iteration):
     connected = True
     doubly_stochastic = True
 
+    @property
+    def undirected(self) -> bool:
+        """Whether who hears must be heard."""
+        return self.doubly_stochastic
+
     def __init__(self, i: int, weights: Rows, rounds: int | None) -> None:
         super().__init__(i, rounds)
         self.weights = checked_rows(i, weights)

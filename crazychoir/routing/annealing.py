@@ -40,7 +40,7 @@ def anneal(
 
         accept a plan of cost c', c being the plan's of now, if  c' < c - T ln U,   T from `hot` to hot / 100
 
-    A plan in which tasks are missing is accepted if there are fewer, or if they were missing less often till now.
+    A plan in which tasks are missing is accepted if they are fewer, or if they were missing less often till now.
     fewer: after each plan that misses none a vehicle is closed, and the steps end when no more can be.
     Source: Christiaens & Vanden Berghe 2020, Transportation Science 54(2).
     """
@@ -63,10 +63,10 @@ def anneal(
         ruin(fleet, tours, step, random, average)
         recreate(fleet, tours, step, memory, random)
         new_missing, new_absent, new_cost, first, second = judge(fleet, tours, absence)
-        if new_missing > missing or (new_missing == missing and new_absent > absent):
-            accepted = new_missing < missing
-        elif new_missing < missing or new_absent < absent:
+        if new_missing < missing or new_absent < absent:
             accepted = True
+        elif new_missing > missing or new_absent > absent:
+            accepted = False
         else:
             accepted = new_cost < cost + temperature * exponential(random)
         if new_missing > 0:

@@ -87,7 +87,7 @@ class DistributedColumns:
             empty: list[list[int]] = [[] for _ in robots]
             fleet = [self._vehicles[i] for i in robots]
             found = search(fleet, empty, self._penalty, settings.first_steps, self._i)
-            mine = [found.cost, self._i, _flat(dict(zip(robots, found.routes, strict=True)))]
+            mine = [found.total, self._i, _flat(dict(zip(robots, found.routes, strict=True)))]
         best = yield from best_offer(mine, self._diameter)
         if best is None:
             raise SolverError(f"robot {self._i}: first plan", "nobody offered one")

@@ -7,7 +7,7 @@ from crazychoir.bus.codec import encode
 from crazychoir.errors import ConfigError, SolverError
 from crazychoir.optimization.agreement import flood
 from crazychoir.optimization.program import Exchange, Program
-from crazychoir.routing import distributed_columns
+from crazychoir.routing import distributed_columns, insertion_bids
 from crazychoir.routing.column_recovery import DISCLOSED, ColumnRecovery
 from crazychoir.routing.distributed_columns import DistributedColumns
 from crazychoir.routing.instance import LocalProblem
@@ -18,7 +18,7 @@ from crazychoir.routing.primal_decomposition import PriceRounds
 from crazychoir.routing.proof import Assignment
 from crazychoir.routing.resource_recovery import ResourceRecovery
 
-METHODS = ("columns", "resource-columns", "resource", "resource-argmax")
+METHODS = ("columns", "resource-columns", "resource", "resource-argmax", *insertion_bids.METHODS)
 
 
 class PickupDelivery(Program[Solution]):
@@ -29,6 +29,7 @@ class PickupDelivery(Program[Solution]):
     columns: distributed column generation and clusters, see distributed_columns.py; the best plans.
     resource-columns: price rounds, then the robots also share route columns; the plan is proven optimal where the tables are complete.
     resource, resource-argmax: only prices and claims travel; quick, private, not optimal.
+    cbba, auction: bids of cheapest insertions, see insertion_bids.py; baselines, without a bound.
     diameter: of the connected, undirected graph;  degree_of: degree of each neighbour.
     All robots are done in the same round, with the same plan digest, cost and bound.
     Raises ConfigError for an unknown method, SolverError if the team cannot agree on a plan.
@@ -80,6 +81,9 @@ class PickupDelivery(Program[Solution]):
         if self._method == "columns":
             assignment = yield from DistributedColumns(self._member).run()
             return (yield from self._confirm(assignment, distributed_columns.DISCLOSED))
+        if self._method in insertion_bids.METHODS:
+            assignment = yield from insertion_bids.insertion_plan(self._member, self._method)
+            return (yield from self._confirm(assignment, insertion_bids.DISCLOSED))
         self._member.kind = "prices"
         prices = PriceRounds(self._member)
         yield from prices.run()

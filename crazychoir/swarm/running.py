@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from crazychoir.errors import AgentFailed, ConfigError, CrazyChoirError
+from crazychoir.errors import AgentFailed, CodecError, ConfigError, CrazyChoirError
 from crazychoir.swarm.communicator import Communicator, Policy
 from crazychoir.swarm.graph import GraphSequence
 from crazychoir.swarm.round import Round
@@ -82,7 +82,10 @@ async def _in_rounds(
             message = algorithm.message()
         except Exception as error:
             raise _Ended.at(i, error) from error
-        heard = await communicator.neighbors_exchange(message, channel=channel, deadline=deadline, policy=policy)
+        try:
+            heard = await communicator.neighbors_exchange(message, channel=channel, deadline=deadline, policy=policy)
+        except CodecError as error:
+            raise _Ended.at(i, error) from error
         _require_alive(heard)
         try:
             if heavy:
@@ -112,7 +115,10 @@ async def _wake_and_sleep(communicator: Communicator, algorithm: Round, channel:
             message = algorithm.message()
         except Exception as error:
             raise _Ended.at(i, error) from error
-        await communicator.send(message, channel=channel)
+        try:
+            await communicator.send(message, channel=channel)
+        except CodecError as error:
+            raise _Ended.at(i, error) from error
     await _repeat(communicator, message, channel, pace)
 
 

@@ -72,7 +72,8 @@ CASES = {
     "three dimensions, capability": ({}, {"room": (4, 4, 2), "capable": 0.6}),
     "clusters": ({"home": lambda d, n, m: [[0.1 * i, 5.0] for i in range(n)]}, {}),
     "open tours": ({"open_tours": lambda d, n, m: True}, {"capable": 0.7}),
-    "ends": ({"end": lambda d, n, m: [None, *d.uniform(0, 10, size=(n - 1, 2)).tolist()]}, {"route_length_limit": 45.0}),
+    "ends": ({"end": lambda d, n, m: [None, *d.uniform(0, 10, size=(n - 1, 2)).tolist()]},
+             {"route_length_limit": 45.0}),
     "matrix": ({"distance": matrix}, {"route_length_limit": 40.0}),
     "matrices": ({"distance": matrices, "open_tours": lambda d, n, m: True}, {}),
     "windows": ({"time_windows": windows, "service_time": lambda d, n, m: 1.5, "penalty": some_penalties}, {}),
@@ -103,7 +104,8 @@ def test_the_arc_flow_model_and_route_tables_have_the_same_optimum(case, seed):
     instance = drawn(seed, 2, 3, fields, **options)
     plan = solve_compact(instance)
     assert check(instance, plan) == []
-    weighed = plan.values[0] + sum(instance.tasks.refusal[j] - instance.tasks.penalty[j] for j in refused(plan, instance))
+    tasks = instance.tasks
+    weighed = plan.values[0] + sum(tasks.refusal[j] - tasks.penalty[j] for j in refused(plan, instance))
     assert (weighed, *plan.values[1:]) == pytest.approx(optimum(instance), abs=2e-5)
 
 

@@ -1,13 +1,16 @@
 """Pickup and delivery while tasks and drones come and go: in virtual time, and over processes with kill -9."""
 
 import asyncio
+import signal
 
 import pytest
+from system.agents import CRAZYCHOIR, Program, flying, results, until
 from system.online import carried, crash, drawn, fly_online, killed_at, wilson
 
 from crazychoir.bus.commands import Commander
 from crazychoir.bus.local import OBSERVER
 from crazychoir.guidance.task_book import Fate
+from crazychoir.launch.network import apart
 
 pytestmark = pytest.mark.system
 SECONDS = 1e9
@@ -202,3 +205,43 @@ def test_a_drone_that_is_cut_off_and_comes_back_serves_nothing_that_others_serve
     assert all(outcome.results[i]["tasks"] == fates for i in others)
     assert {fate for fate, _ in fates.values()} == {"delivered"}
     assert all(len(by) == 1 for by in outcome.delivered.values()), outcome.delivered
+
+
+# Over processes ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.real_time
+@pytest.mark.timeout(300)
+async def test_a_process_is_killed_in_flight_while_an_operator_adds_a_task(tmp_path, compiled):
+    """What the killed drone carried is fetched from where it fell."""
+    config = drawn(9, 0.2, drones=5, tasks=8, later=0, recover=True, until=16.0)
+    config = apart(config.replace(lease=1.0), None)
+    async with flying(config, tmp_path) as team:
+        await until(lambda: busiest(team) is not None, 60.0, lambda: team.text)
+        victim = busiest(team)
+        team.agents[victim].signal(signal.SIGKILL)
+        await team.agents[victim].process.wait()
+        said = await Program.start(
+            *CRAZYCHOIR, "task", "add", "--pickup", "1,1", "--delivery", "4,3.5", "--swarm", team.path, "--json"
+        )
+        added = (await said.end(30.0))["id"]
+        others = [i for i in config.ids if i != victim]
+        ended = await team.end(120.0, victim)
+    found = results(ended)
+    fates = found[others[0]]["tasks"]
+    assert {fate for fate, _ in fates.values()} == {"delivered"}, fates
+    assert str(added) in fates
+    assert all(found[i]["success"] and found[i]["tasks"] == fates for i in others), found
+    stops = [stop["task"] for i in others for stop in found[i]["served"] if stop["kind"] == "delivery"]
+    assert len(stops) == len(set(stops))
+
+
+def busiest(team):
+    """A drone that has goods aboard; None if nobody has."""
+    for i in team.config.ids:
+        told = [status["task"] for status in team.statuses(i)]
+        if told and " aboard" in told[-1]:
+            left, aboard = (int(part.split()[0]) for part in told[-1].split(", ")[-2:])
+            if aboard and left:
+                return i
+    return None

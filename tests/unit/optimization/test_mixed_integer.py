@@ -57,7 +57,7 @@ def test_arrays_that_do_not_fit_are_refused_with_agent_row_and_value(changes, ma
 
 
 def test_a_set_without_a_point_or_without_a_bound_is_named():
-    with pytest.raises(SolverError, match="agent 4: local problem: .* infeasible: 1 rows D x <= d"):
+    with pytest.raises(SolverError, match=r"agent 4: local problem: .* infeasible: 1 rows D x <= d"):
         small(rows=([[1.0, 1.0]], [-1.0])).corner(np.zeros(2))
     with pytest.raises(SolverError, match=r"unbounded: x\[1\] without a bound; give low and high"):
         small(bounds=(0.0, [3.0, np.inf])).corner(np.array([0.0, -1.0]))

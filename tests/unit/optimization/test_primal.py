@@ -259,7 +259,7 @@ def refused(agents, graph, **options):
     for agent in agents.values():
         agent.connected = False
     with pytest.raises((ConfigError, SolverError)) as error:
-        simulate(agents, graph, record=(), **options)
+        simulate(agents, graph, record=(), rounds=500, **options)
     return str(error.value)
 
 
@@ -297,8 +297,10 @@ def nan_later(x):
     ],
 )
 def test_a_bad_gradient_names_agent_round_and_row(gradient, error):
+    gradients = {2: gradient}
     with pytest.raises(ConfigError, match=error):
-        simulate(team(GRAPH, lambda i, w: SubgradientMethod(i, ONES, w, gradient if i == 2 else half, 0.5)), GRAPH)
+        agents = team(GRAPH, lambda i, w: SubgradientMethod(i, ONES, w, gradients.get(i, half), 0.5, rounds=50))
+        simulate(agents, GRAPH)
 
 
 def test_a_step_that_is_too_large_diverges_to_an_error_and_not_for_ever():

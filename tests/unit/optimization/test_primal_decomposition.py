@@ -172,7 +172,7 @@ def test_a_resource_that_is_exceeded_by_every_rounding_is_repaired_by_who_can():
 
 
 def test_what_no_solution_can_keep_is_named_at_all_agents():
-    with pytest.raises(SolverError, match="agent 0: primal decomposition: .*infeasible, .*: resource 0 exceeded by 1"):
+    with pytest.raises(SolverError, match=r"agent 0: primal decomposition: .*infeasible, .*: resource 0 exceeded by 1"):
         solve(knapsack(3.0), ring(2), rounds=5)
 
 

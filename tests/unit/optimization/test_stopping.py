@@ -155,3 +155,15 @@ def test_who_stops_asynchronous_agents_ends_them_when_they_hear():
     simulate(agents, graph, loss=0.5, record=(), watch=watch, seed=1)
     assert 20 <= agents[4].algorithm.k <= 21
     assert all(agent.algorithm.k < 150 for agent in agents.values())
+
+
+def test_a_flag_of_an_asynchronous_agent_that_was_up_once_counts():
+    class Awake(Endless):
+        asynchronous = True
+
+    graph = path(4)
+    agents = {
+        i: Until(Awake(), lambda agent, i=i: agent.k == 10 + 5 * i, 3, graph.neighbors(i)) for i in graph.ids
+    }
+    simulate(agents, graph, loss=0.3, record=(), rounds=500)
+    assert all(agent.done and 25 <= agent.k < 120 for agent in agents.values())

@@ -1,0 +1,153 @@
+"""One planning of a team in flight: the same plan for all, from where they are, of what is free."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from crazychoir.bus.codec import decode, encode
+from crazychoir.errors import CodecError
+from crazychoir.guidance.replanning import AUCTION, Replanning, mark
+from crazychoir.guidance.task_book import Deed, Record, Task, TaskBook
+from crazychoir.routing.generate import random_instance
+from crazychoir.swarm.graph import Graph, named
+
+IDS = (2, 3, 5, 8)
+GRAPH = Graph.from_edges(IDS, [(2, 3), (3, 5), (5, 8), (2, 8)])
+HOMES = {2: (0.0, 0.0), 3: (10.0, 0.0), 5: (0.0, 10.0), 8: (10.0, 10.0)}
+OWN = random_instance(4, 1, 0)
+
+
+def task(j, pickup, delivery, **changes):
+    return Task(j, 1, False, pickup, delivery, **changes)
+
+
+def problem(i, start, robots=None):
+    """Robot i: capacity 2, capable of what names it, or nobody."""
+
+    def of(goods):
+        may = np.array([not t.robots or i in t.robots for t in goods.tasks])
+        return replace(
+            OWN.local(0), robot=i, home=np.array(HOMES[i]), start=np.array(start), capacity=2.0, tasks=goods.public(1.0),
+            capable=may & (np.array(goods.free, bool) | np.array(goods.mine, bool)), aboard=np.array(goods.mine, bool),
+        )  # fmt: skip
+
+    return of
+
+
+def planned(books, bound=None, carried=None, graph=GRAPH, method=AUCTION, starts=HOMES, recover=False):
+    agents = {
+        i: Replanning(
+            i, graph, books[i], (bound or {}).get(i, ()), (carried or {}).get(i, ()), problem(i, starts[i]), recover, method
+        )
+        for i in graph.ids
+    }
+    while not all(agent.done for agent in agents.values()):
+        assert not any(agent.done for agent in agents.values()), "all end in one round"
+        messages = {i: decode(encode(agent.message())) for i, agent in agents.items()}
+        for i, agent in agents.items():
+            agent.step({j: messages[j] for j in graph.neighbors(i)})
+    return {i: agent.result for i, agent in agents.items()}
+
+
+def records(**changes):
+    return [Record(i, 1, 1, HOMES[i], **changes) for i in IDS]
+
+
+def stops(share):
+    return [(stop.task, stop.kind) for stop in share.stops]
+
+
+NEAR_2, NEAR_8 = task(4, (1.0, 0.0), (2.0, 0.0)), task(6, (9.0, 10.0), (8.0, 10.0))
+
+
+def test_everybody_plans_with_what_anybody_knows():
+    books = {i: TaskBook([], records()) for i in IDS}
+    books[5].learn(NEAR_2)
+    books[3].learn(NEAR_8)
+    shares = planned(books)
+    assert stops(shares[2]) == [(4, "pickup"), (4, "delivery")]
+    assert stops(shares[8]) == [(6, "pickup"), (6, "delivery")]
+    assert stops(shares[3]) == stops(shares[5]) == []
+    assert {mark(share.book) for share in shares.values()} == {((4, 1, False), (6, 1, False))}
+    assert not any(share.ended for share in shares.values())
+    assert 4 not in books[2].tasks, "what is known here stays as it was"
+
+
+def test_the_plan_begins_where_the_robots_are():
+    books = {i: TaskBook([NEAR_2], records()) for i in IDS}
+    assert stops(planned(books, starts=HOMES | {5: (1.0, 0.1), 2: (9.0, 9.0)})[5]) == [(4, "pickup"), (4, "delivery")]
+
+
+def test_what_somebody_is_bound_to_or_carries_is_not_shared_out():
+    gone = task(7, (5.0, 5.0), (1.0, 1.0))
+    books = {i: TaskBook([NEAR_2, NEAR_8, gone], records()) for i in IDS}
+    shares = planned(books, bound={3: (6,)}, carried={5: (7,)})
+    assert stops(shares[5]) == [(7, "delivery")]
+    assert stops(shares[2]) == [(4, "pickup"), (4, "delivery")]
+    assert not any(s == 6 for share in shares.values() for s, _ in stops(share))
+
+
+def test_goods_of_a_robot_that_is_gone_are_fetched_from_where_it_fell_if_wanted():
+    fallen = Record(1, 1, 9, (9.0, 0.5), (Deed(4, "pickup", 1),))
+    books = {i: TaskBook([NEAR_2], [*records(), fallen]) for i in IDS}
+    assert not any(stops(share) for share in planned(books).values())
+    shares = planned(books, recover=True)
+    assert stops(shares[3]) == [(4, "pickup"), (4, "delivery")]
+
+
+def test_what_nobody_can_serve_is_named_and_nothing_is_left_to_do():
+    heavy, foreign = task(1, (1.0, 1.0), (2.0, 2.0), load=3.0), task(9, (1.0, 1.0), (2.0, 2.0), robots=(77,))
+    books = {i: TaskBook([heavy, foreign], records(idle=True)) for i in IDS}
+    assert {(share.unserved, share.ended) for share in planned(books).values()} == {((1, 9), True)}
+
+
+@pytest.mark.parametrize(
+    "busy", [{"bound": {3: (6,)}}, {"carried": {3: (6,)}}, {"idle": False}, {"task": NEAR_2}], ids=lambda busy: next(iter(busy))
+)
+def test_the_team_ends_when_all_are_idle_and_nobody_has_anything_to_do(busy):
+    books = {i: TaskBook([NEAR_8], records(idle=True)) for i in IDS}
+    for book in books.values():
+        book.hear(Record(2, 1, 2, HOMES[2], (Deed(6, "pickup", 1), Deed(6, "delivery", 1)), idle=busy.get("idle", True)))
+    assert all(share.ended for share in planned(books).values()) == ("idle" not in busy)
+    if "task" in busy:
+        books[8].learn(busy["task"])
+    if "idle" not in busy:
+        shares = planned(books, bound=busy.get("bound"), carried=busy.get("carried"))
+        assert not any(share.ended for share in shares.values())
+
+
+def test_one_robot_alone_plans_without_anybody():
+    graph = Graph.from_edges((5,), [])
+    share = planned({5: TaskBook([NEAR_2], records()[2:3])}, graph=graph)[5]
+    assert stops(share) == [(4, "pickup"), (4, "delivery")]
+
+
+def length(share, start, home, tasks):
+    points = [start, *(tasks[s.task].pickup if s.kind == "pickup" else tasks[s.task].delivery for s in share.stops), home]
+    return sum(np.linalg.norm(np.subtract(a, b)) for a, b in zip(points, points[1:], strict=False))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_method_of_pickup_delivery_finds_no_longer_plan_and_serves_the_same(seed):
+    draw = np.random.default_rng(seed)
+    tasks = {j: task(j, tuple(draw.uniform(0, 10, 2)), tuple(draw.uniform(0, 10, 2))) for j in range(1, 8)}
+    nobody = task(9, (1.0, 1.0), (2.0, 2.0), robots=(77,))
+    books = {i: TaskBook([*tasks.values(), nobody], records()) for i in IDS}
+    starts = {i: tuple(draw.uniform(0, 10, 2)) for i in IDS}
+    carried = {3: (1,), 8: (2,)}
+    lengths = {}
+    for method in (AUCTION, "resource-columns"):
+        shares = planned(books, carried=carried, starts=starts, method=method)
+        served = sorted(stop for share in shares.values() for stop in stops(share))
+        assert served == sorted([(j, "delivery") for j in tasks] + [(j, "pickup") for j in tasks if j > 2])
+        assert {share.unserved for share in shares.values()} == {(9,)}
+        assert (1, "delivery") in stops(shares[3])
+        lengths[method] = sum(length(shares[i], starts[i], HOMES[i], tasks) for i in IDS)
+    assert lengths["resource-columns"] <= lengths[AUCTION] + 1e-6
+
+
+def test_who_says_what_is_no_book_ends_it_for_all():
+    agent = Replanning(2, named("complete", [2, 3]), TaskBook(), (), (), problem(2, HOMES[2]))
+    with pytest.raises(CodecError, match="robot 3"):
+        agent.step({3: [[3, [b"no book", [], []]]]})
