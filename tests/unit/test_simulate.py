@@ -160,6 +160,17 @@ def test_a_pace_that_is_none(pace):
         Pace(**pace)
 
 
+@pytest.mark.real_time
+def test_in_real_time_the_iterates_are_the_same():
+    jumps, ticks = (simulate(averaging(ring(5)), ring(5), loss=0.3, run=run) for run in (run_virtual, run_wall))
+    assert jumps.of().tobytes() == ticks.of().tobytes()
+    assert 0.03 <= jumps.times[0][-1] <= jumps.simulated_s < 5.0
+    assert 0.03 <= ticks.times[0][-1] <= ticks.simulated_s < 60.0
+    awake = {i: Wakeful(20) for i in range(3)}
+    simulate(awake, ring(3), loss=0.3, run=run_wall)
+    assert [agent.x for agent in awake.values()] == [20] * 3
+
+
 # Failures -----------------------------------------------------------------------------------------------------------
 
 
