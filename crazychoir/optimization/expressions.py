@@ -40,6 +40,14 @@ def domain(x: cp.Variable, where: str, whole: bool = False) -> list[cp.Constrain
     return found
 
 
+def require_continuous(expressions: Sequence[Any], where: str) -> None:
+    """Raise ConfigError that names a further variable which must be integer."""
+    for variable in [v for expression in expressions for v in expression.variables()]:
+        if any(variable.attributes[name] for name in ("integer", "boolean")):
+            do = "Integers are for MixedIntegerConstraintCoupled."
+            raise ConfigError(f"{where}: {variable.name()}", "an integer variable", "continuous variables", do)
+
+
 def whole(x: cp.Variable) -> tuple[list[int], list[int]]:
     """Which entries of x are integer, and which of them are 0 or 1."""
     found = []

@@ -40,6 +40,7 @@ class CostCoupled:
         self.n = ex.decision(x, self.where)
         self.objective = ex.convex(objective, f"{self.where}: objective")
         self.constraints = [*ex.constraint_list(constraints, self.where), *ex.domain(x, self.where)]
+        ex.require_continuous([self.objective, *self.constraints], self.where)
         self._programs: dict[tuple[float, bool], Program] = {}
 
     def refresh(self) -> None:

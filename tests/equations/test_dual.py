@@ -122,6 +122,18 @@ def test_a_step_of_the_dual_subgradient_method():
     np.testing.assert_allclose(agent.prices, np.maximum(0, v + step * (G @ argmin - [0.5, -0.1])), atol=1e-12)
 
 
+def test_the_running_average_is_weighted_by_the_step_size():
+    x = cp.Variable()
+    agent = DualSubgradient(ConstraintCoupled(0, x, cp.square(x - 1), x), {0: 1.0}, lambda k: 1.0 / (k + 1))
+    seen = []
+    for _ in range(5):
+        agent.message()
+        agent.step({})
+        seen.append(agent.x)
+    weights = 1.0 / np.arange(1, 6)
+    np.testing.assert_allclose(agent.average, weights @ np.array(seen) / weights.sum(), atol=1e-12)
+
+
 def test_the_excess_is_a_subgradient_of_the_dual_function():
     """d/dmu min_x f(x) + mu'(g(x) - b) = g(x(mu)) - b, by differences."""
     x = cp.Variable(2)
