@@ -93,6 +93,14 @@ def test_the_convex_hull_is_that_of_all_points():
         assert local.allocate(np.array([y])).value == pytest.approx(whole.fun)
 
 
+def test_the_tightening_is_that_of_all_points():
+    for n in range(4):
+        block = MixedIntegerBlock(n, [0.0] * 3, DRAW.normal(size=(2, 3)), [0.0, 0.0], bounds=(0, 2), integer=range(3))
+        use = np.array(list(itertools.product(range(3), repeat=3))) @ block.A.T
+        low, high = use.min(axis=0), use.max(axis=0)
+        assert block.tightening() == pytest.approx(np.minimum(high - low, (use - low).max(axis=1).min()))
+
+
 def test_trade_by_metropolis_weights_keeps_the_sum_of_the_shares():
     mu, weights = DRAW.random((6, 3)), metropolis(complete(6))
     trade = np.array([mu[i] - sum(w * mu[j] for j, w in weights[i].items()) for i in range(6)])
