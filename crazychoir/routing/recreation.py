@@ -64,19 +64,23 @@ def recreate(fleet: Any, tours: Any, step: Any, memory: Any, random: Words) -> N
 
 @kernel(**OPTIONS)
 def _most(fleet: Any, tours: Any, random: Words, j: int) -> Any:
-    """What task j may cost. What can be refused is served at times even if that costs more, and at times it is not:
-    two tasks together can be worth a way that neither is alone.
+    """What task j may cost.
+
+    One that can be refused is served at times even if that costs more, since two of them together can be worth a way
+    that neither is alone; and is refused at times, where the last finish counts, since two of them can delay it.
     """
     if fleet.penalty[j] == np.inf:
         return np.inf
     u = draw(random)
     if u < SERVE:
         return np.inf
-    if u < SERVE + REFUSE:
-        return -np.inf
+    if fleet.on_finish == 0.0:
+        return fleet.penalty[j]
     finish = 0.0
     for k in range(len(fleet.start)):
         finish = max(finish, tours.finish[k])
+    if u > 1.0 - REFUSE and fleet.penalty[j] < finish:
+        return -np.inf
     return fleet.penalty[j] + fleet.on_finish * finish
 
 

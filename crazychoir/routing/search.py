@@ -39,14 +39,14 @@ class Seen:
 class Found:
     """A plan. routes: the stops of each vehicle;  unserved: tasks that no route serves, increasing;
 
-        cost = sum of distances and fixed costs of the vehicles that leave + penalties of the unserved, m
+        total = sum of distances and fixed costs of the vehicles that leave + penalties of the unserved, m
 
     finish: s, when the last of them is done.
     """
 
     routes: list[list[int]]
     unserved: list[int]
-    cost: float
+    total: float
     finish: float
     pool: Pool = field(repr=False)
 
@@ -99,7 +99,7 @@ def emptied(
     closed = [k for k, route in enumerate(routes) if k == victim or not route]
     rest = [[] if k == victim else route for k, route in enumerate(routes)]
     found = Search(vehicles, penalty).run(rest, steps, seed, hot=FLEET_HOT, rounds=1, closed=closed)
-    return None if np.isinf(found.cost) else found
+    return None if np.isinf(found.total) else found
 
 
 class Search:
@@ -149,5 +149,5 @@ class Search:
         routes = [np.minimum(row[1 : n + 1], end).tolist() for row, n in zip(tours.stop, tours.stops, strict=True)]
         flown = [(v, route) for v, route in zip(self._vehicles, routes, strict=True) if route]
         unserved = np.flatnonzero(tours.at < 0).tolist()
-        cost = math.fsum([*(v.length(route) + v.fixed for v, route in flown), *penalty[unserved].tolist()])
-        return Found(routes, unserved, cost, max((v.finish(route) for v, route in flown), default=0.0), pool)
+        total = math.fsum([*(v.length(route) + v.fixed for v, route in flown), *penalty[unserved].tolist()])
+        return Found(routes, unserved, total, max((v.finish(route) for v, route in flown), default=0.0), pool)
