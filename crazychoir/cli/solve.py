@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 def solve(
     instance: Annotated[Path, typer.Argument(help="Instance file (JSON).")],
     method: Annotated[
-        str, typer.Option(help="Recovery of the plan: resource-columns, resource, resource-argmax.")
-    ] = "resource-columns",
+        str, typer.Option(help="Recovery of the plan: columns, resource-columns, resource, resource-argmax.")
+    ] = "columns",
     loss: Annotated[float, typer.Option(help="Share of messages between robots that is lost.")] = 0.0,
     graph: Annotated[
         str, typer.Option(help="Communication graph: ring, path, complete, star, k-regular:4, ...")

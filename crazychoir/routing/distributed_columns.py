@@ -70,7 +70,7 @@ class DistributedColumns:
     @property
     def _penalty(self) -> Vec:
         """(M,) m: what the search pays for a task left out, more than any plan could save by it."""
-        return 10.0 * self._member.penalty
+        return 10.0 * self._member.penalty + 1.0
 
     def _relax(self) -> Exchange[Gossip | None]:
         """Column generation, if every robot can list its routes."""
