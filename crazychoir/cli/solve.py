@@ -21,7 +21,7 @@ def solve(
     method: Annotated[
         str,
         typer.Option(help="Recovery of the plan: columns, resource-columns, resource, resource-argmax, cbba, auction."),
-    ] = "resource-columns",
+    ] = "columns",
     loss: Annotated[float, typer.Option(help="Share of messages between robots that is lost.")] = 0.0,
     graph: Annotated[
         str, typer.Option(help="Communication graph: ring, path, complete, star, k-regular:4, ...")
