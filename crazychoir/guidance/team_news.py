@@ -116,9 +116,9 @@ class TeamNews:
         return self.book.standings(self.members, self.recover)
 
     def known(self, number: int) -> bool:
-        """Whether more than half of those who fly are known to know edition `number` of the own record."""
+        """Whether more than half of the team, but for those who are out, are known to know that edition of the record."""
         witnesses = self.book.witnesses(self.id, self.record.incarnation, number, self.members)
-        return witnesses >= len(self.book.alive(self.members)) // 2
+        return witnesses >= (len(self.members) - len(self.book.out(self.members))) // 2
 
     @property
     def ended(self) -> bool:
