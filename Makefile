@@ -13,7 +13,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
 .NOTPARALLEL:
-.PHONY: help demo test check bench campaign clean
+.PHONY: help demo test check bench paper campaign clean
 
 help:  ## this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -38,6 +38,9 @@ check: $(VENV)/.installed-test  ## ruff, mypy --strict and the import contract a
 
 bench: $(VENV)/.installed-bench  ## measure, beside CycloneDDS and MPI
 	$(BIN)/crazychoir bench all
+
+paper: $(VENV)/.installed-bench  ## tables and pictures of the routing's benchmarks, into out/paper: an hour
+	$(BIN)/crazychoir bench paper --out out/paper
 
 campaign: $(VENV)/.installed-test  ## the long tests: many seeds, many faults
 	$(BIN)/python -m pytest -m slow

@@ -76,11 +76,21 @@ class History:
         x = self.of(name)
         return np.abs(x - x.mean(axis=0)).reshape(*x.shape[:2], -1).max(axis=(0, 2))
 
+    def disagreement(self, name: str = "x") -> float | None:
+        """max_i |x_i - mean_j x_j| at the end; None if the agents' x are no arrays of one shape."""
+        last = list(self.last(name).values())
+        numeric = all(isinstance(x, np.ndarray | np.generic) and x.dtype.kind in "fiu" for x in last)
+        if not numeric or len({x.shape for x in last}) != 1:
+            return None
+        return float(np.abs(np.array(last) - np.mean(last, axis=0)).max(initial=0.0))
+
     def to_json(self) -> dict[str, Any]:
         """The figures and, of each agent, the last values; the histories are for `save`."""
         figures = ("rounds", "messages", "lost", "resent", "bytes", "simulated_s", "wall_s", "critical_path_s")
+        names = next(iter(self.values.values()))
         last = {i: {name: series[-1] for name, series in values.items()} for i, values in self.values.items()}
-        counted: dict[str, Any] = plain({name: getattr(self, name) for name in figures} | {"agents": last})
+        ends = {"disagreement": {name: self.disagreement(name) for name in names}, "agents": last}
+        counted: dict[str, Any] = plain({name: getattr(self, name) for name in figures} | ends)
         return counted
 
     def save(self, path: str | Path) -> None:
@@ -207,9 +217,10 @@ class _Followed:
         return self.agent.message()
 
     def step(self, heard: dict[int, Any]) -> None:
-        began = time.thread_time()
+        now = time.thread_time if self.heavy else time.perf_counter  # which asks no kernel, but counts its pauses
+        began = now()
         self.agent.step(heard)
-        self.cpu.append(time.thread_time() - began)
+        self.cpu.append(now() - began)
         self._keep()
         self.watch()
 

@@ -3,6 +3,8 @@
 import json
 import sys
 from collections.abc import Callable
+from functools import partial
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
@@ -51,6 +53,45 @@ def tracking(as_json: JsonOption = False, quick: QuickOption = False) -> None:
     from crazychoir.cli import bench_tracking
 
     _show(lambda say: bench_tracking.run(quick, say), bench_tracking.table, as_json)
+
+
+@app.command()
+def routing(
+    as_json: JsonOption = False,
+    quick: QuickOption = False,
+    sizes: Annotated[str, typer.Option(help="Of tiny, small, middle, large, with commas.")] = "small,middle,large",
+    seeds: Annotated[int, typer.Option(min=1, help="Instances of each size.")] = 5,
+    graph: Annotated[str, typer.Option(help="Communication graph of the team.")] = "k-regular:4",
+    method: Annotated[str | None, typer.Option(help="Method of the team, instead of the default.")] = None,
+    prove: Annotated[bool, typer.Option(help="A further run of the team that tries to prove an optimum.")] = False,
+) -> None:
+    """Plans of pickups and deliveries: the team beside VROOM, OR-tools, MILP, auctions and DISROPT's rule."""
+    from crazychoir.cli import bench_routing
+
+    names = tuple(name.strip() for name in sizes.split(","))
+    measure = partial(bench_routing.run, names, seeds, graph=graph, method=method, prove=prove, quick=quick)
+    _show(lambda say: measure(say=say), bench_routing.table, as_json)
+
+
+@app.command()
+def optimization(as_json: JsonOption = False, quick: QuickOption = False) -> None:
+    """Rounds a second of consensus and dual decomposition, beside DISROPT's pattern of MPI ranks."""
+    from crazychoir.cli import bench_optimization
+
+    _show(lambda say: bench_optimization.run(quick=quick, say=say), bench_optimization.table, as_json)
+
+
+@app.command()
+def paper(
+    out: Annotated[Path, typer.Option(help="Where the tables and pictures go.")] = Path("out/paper"),
+    peers: Annotated[bool, typer.Option(help="The other solvers too: real time, an hour.")] = True,
+    as_json: JsonOption = False,
+    quick: QuickOption = False,
+) -> None:
+    """Tables (CSV) and pictures (PNG): what loss, graph, size and method cost a team, and the other solvers."""
+    from crazychoir.cli import bench_paper
+
+    _show(lambda say: bench_paper.run(out, quick, peers, say), bench_paper.table, as_json)
 
 
 @app.command(name="all")

@@ -24,7 +24,7 @@ from crazychoir.launch.group import Group
 from crazychoir.swarm.graph import Graph, k_regular, ring
 
 GRAPHS: dict[str, Callable[[int], Graph]] = {"ring": ring, "4-regular": lambda n: k_regular(n, 4)}
-START_DEADLINE = 40.0
+START_DEADLINE = 90.0
 """s until all processes of a row have found each other."""
 WARM = 0.3
 """s of exchange before the measured window."""
@@ -39,7 +39,7 @@ INSTALL = "not measured: pip install crazychoir[bench]"
 
 @dataclass
 class Row:
-    """One program on one graph, spread over so many processes."""
+    """One program on one graph, spread over so many processes; options: what it is told beside."""
 
     name: str
     module: str
@@ -48,12 +48,13 @@ class Row:
     processes: int
     extra: str = ""
     note: str = ""
+    options: dict[str, Any] = field(default_factory=dict)
     rounds: list[float] = field(default_factory=list)
     cpu: list[float] = field(default_factory=list)
 
     def shown(self) -> dict[str, Any]:
         """The row of the result: medians."""
-        shown: dict[str, Any] = {"name": self.name, "graph": self.graph}
+        shown: dict[str, Any] = {"name": self.name, "graph": self.graph, **self.options}
         shown |= {"agents": self.agents, "processes": self.processes}
         shown["rounds_per_s"] = round(statistics.median(self.rounds), 1) if self.rounds else None
         shown["cpu_us_per_message"] = round(statistics.median(self.cpu), 2) if self.cpu else None
@@ -79,7 +80,7 @@ def run(
                 row.note = INSTALL
                 continue
             say(f"{turn + 1}/{repeats}: {row.name}, {row.graph} of {row.agents}, {row.processes} process(es)")
-            _measure(row, seconds)
+            measure(row, seconds)
     shown = [row.shown() for row in rows]
     return {"rows": shown, "ratios": _ratios(shown), "cores": os.cpu_count(), "seconds": seconds, "repeats": repeats}
 
@@ -130,12 +131,14 @@ def _ratios(rows: list[dict[str, Any]]) -> dict[str, float]:
 # One measurement ----------------------------------------------------------------------------------------------
 
 
-def _measure(row: Row, seconds: float) -> None:
+def measure(row: Row, seconds: float) -> None:
     """One window of one row; what goes wrong becomes its note."""
     neighbors = {i: GRAPHS[row.graph](row.agents).in_neighbors(i) for i in range(row.agents)}
     common = {"neighbors": neighbors, "warm": WARM, "seconds": seconds, "swarm": f"bench{secrets.token_hex(4)}"}
-    commands = _mpi_command(row, common) if row.module == "peers_mpi4py" else _commands(row, common)
-    answers = row.agents if row.module == "peers_mpi4py" else len(commands)
+    common |= row.options
+    ranks = row.extra == "mpi4py"
+    commands = _mpi_command(row, common) if ranks else _commands(row, common)
+    answers = row.agents if ranks else len(commands)
     try:
         with Group(commands) as group:
             list(group.answers(answers, START_DEADLINE, "do not find each other"))

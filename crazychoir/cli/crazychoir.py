@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from crazychoir.cli import look, param, plot, solve, task
+from crazychoir.cli import look, param, plot, simulate, solve, task
 from crazychoir.cli.show import (
     STDERR,
     Progress,
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 app = typer.Typer(add_completion=False, no_args_is_help=True, help="Swarms that optimise and fly together.")
 app.command()(solve.solve)
+app.command()(simulate.simulate)
 app.command()(plot.plot)
 for command in (look.topics, look.echo, look.hz, look.status, look.impair, look.stop):
     app.command()(command)

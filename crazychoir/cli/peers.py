@@ -10,7 +10,7 @@ import threading
 import time
 from typing import Any
 
-PATIENCE = 60.0
+PATIENCE = 150.0
 """s after which a program that nobody ends ends itself."""
 
 

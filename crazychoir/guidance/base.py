@@ -14,6 +14,7 @@ from crazychoir.bus.topics import STATE
 from crazychoir.control.position import HEADROOM
 from crazychoir.errors import ConfigError, CrazyChoirError, Refused
 from crazychoir.guidance.hearing import Hearing, VelocitySum
+from crazychoir.optimization.checks import require_graph
 from crazychoir.planning.feasibility import Limits, check
 from crazychoir.planning.trajectory import Trajectory
 from crazychoir.runtime.clock import SECOND, Clock, wake
@@ -134,8 +135,10 @@ class CFGuidance:
         the channel, and who waits for it then gets ChannelEnded. One with `asynchronous = True` is woken at its `pace`,
         steps with the latest of each neighbour, and waits for nobody.
         Where it fails at one drone it ends at all, with the error there and AgentFailed elsewhere.
+        Raises ConfigError if the graph is none for it.
         """
         communicator = self.member.communicator
+        require_graph(algorithm, communicator.graph)
         await run_algorithm(communicator, algorithm, channel=channel, deadline=deadline, pace=pace)
         if not getattr(algorithm, "asynchronous", False):
             await communicator.close(channel)

@@ -52,7 +52,7 @@ class Mission(Protocol):
 
 def load(name: str) -> Mission:
     """The mission of this name in agents/, or of this .py file, with its hooks guarded; raises ConfigError."""
-    module = _from_file(Path(name)) if name.endswith(".py") else _from_package(name)
+    module = from_file(Path(name), "mission") if name.endswith(".py") else _from_package(name)
     if not callable(getattr(module, "guidance", None)):
         do = "See agents/bearing_formation.py."
         raise ConfigError(f"mission {name}", "no function guidance(i, config)", "a mission file defines it", do)
@@ -84,19 +84,20 @@ def _from_package(name: str) -> ModuleType:
     return importlib.import_module(f"{PACKAGE}.{name}")
 
 
-def _from_file(path: Path) -> ModuleType:
+def from_file(path: Path, kind: str) -> ModuleType:
+    """The module of a user's .py file; kind: what errors call it."""
     if not path.is_file():
-        raise ConfigError("mission", str(path), "a Python file that exists")
+        raise ConfigError(kind, str(path), "a Python file that exists")
     spec = importlib.util.spec_from_file_location(path.stem, path)
     if spec is None or spec.loader is None:
-        raise ConfigError("mission", str(path), "a Python file")
+        raise ConfigError(kind, str(path), "a Python file")
     module = importlib.util.module_from_spec(spec)
     _see_neighbors(path)
     try:
         spec.loader.exec_module(module)
     except Exception as error:
         found = f"{type(error).__name__}: {error}"
-        raise ConfigError(f"mission {path}", found, "a file that Python can import") from error
+        raise ConfigError(f"{kind} {path}", found, "a file that Python can import") from error
     return module
 
 

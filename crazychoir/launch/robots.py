@@ -8,7 +8,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -21,11 +21,13 @@ from crazychoir.bus.zenoh import ZenohLink
 from crazychoir.errors import CrazyChoirError
 from crazychoir.routing.generate import random_instance
 from crazychoir.routing.instance import Instance
+from crazychoir.routing.member import Settings
 from crazychoir.routing.pickup_delivery import PickupDelivery
 from crazychoir.routing.solve import member, solve_in_loop
 from crazychoir.runtime.clock import SECOND, Clock, run_wall
 from crazychoir.swarm.communicator import Communicator
 from crazychoir.swarm.graph import Graph
+from crazychoir.swarm.running import run_algorithm
 from crazychoir.types import PerNeighbor
 
 PR_SET_PDEATHSIG = 1
@@ -37,25 +39,61 @@ Packed = bytes | dict[int, bytes]
 
 @dataclass
 class Robot:
-    """One robot: its part of the algorithm, its place in the network, and the records of its rounds.
+    """One robot: its part of the algorithm, its place in the network, and the records of its rounds; a Round itself.
 
-    cpu: s of thread time of each step;  payloads: the message of each round, encoded;  sent: bytes on the network
-    until the plan was there.
+    cpu: s of thread time of each step;  payloads: the message of each round, encoded;  counters: of its messages when
+    its plan was there.
     """
 
     communicator: Communicator
     agent: PickupDelivery
+    look: Callable[[PickupDelivery], None]
     cpu: list[float] = field(default_factory=list)
     payloads: list[Packed] = field(default_factory=list)
-    sent: int = 0
+    counters: dict[str, int] = field(default_factory=dict)
+    heavy = True
 
-    def record(self) -> dict[str, Any]:
+    @property
+    def done(self) -> bool:
+        """Whether the plan is there."""
+        return self.agent.done
+
+    def message(self) -> Any:
+        """What the neighbours get, and a copy of it that no later change reaches."""
+        message = self.agent.message()
+        self.payloads.append(packed(message))
+        return message
+
+    def step(self, heard: Mapping[int, Any]) -> None:
+        """One round more."""
+        began = time.thread_time()
+        self.agent.step(heard)
+        self.cpu.append(time.thread_time() - began)
+        self.look(self.agent)
+
+    def report(self) -> dict[str, Any]:
         """What there is to say of it when all is over."""
-        counters = self.communicator.port.counters
-        return {
-            "robot": self.communicator.id, "rounds": len(self.cpu), "bytes": self.sent, "cpu_s": sum(self.cpu),
-            "messages": counters.sent, "lost": counters.lost, "resent": counters.resent,
-        }  # fmt: skip
+        return {"robot": self.communicator.id, "rounds": len(self.cpu), "cpu_s": sum(self.cpu), **self.counters}
+
+
+class Replay:
+    """The messages of a robot once more, as a Round that computes nothing."""
+
+    def __init__(self, payloads: list[Packed]) -> None:
+        self._payloads, self._k = payloads, 0
+
+    @property
+    def done(self) -> bool:
+        """Whether all have been sent."""
+        return self._k == len(self._payloads)
+
+    def message(self) -> Any:
+        """The next."""
+        return unpacked(self._payloads[self._k])
+
+    def step(self, heard: Mapping[int, Any]) -> None:
+        """Nothing to do."""
+        self._k += 1
 
 
 class Process:
@@ -72,6 +110,7 @@ class Process:
         self._clock: Clock
         self._go_ns = 0
         self._shown = 0.0
+        self._lock = threading.Lock()
 
     async def run(self, clock: Clock) -> None:
         """Join, wait for GO, solve, report; then the same messages again without computing."""
@@ -85,8 +124,9 @@ class Process:
         await clock.compute(warm, spec["method"])
         neighbors = {j: links.neighbors(j) for j in links.ids}
         for i in spec["mine"]:
-            agent = member(instance, neighbors, i, links.diameter(), spec["method"])
-            self.robots[i] = Robot(Communicator(bus.port(i), links, deadline=spec["deadline"]), agent)
+            agent = member(instance, neighbors, i, links.diameter(), spec["method"], Settings(**spec["settings"]))
+            communicator = Communicator(bus.port(i), links, deadline=spec["deadline"])
+            self.robots[i] = Robot(communicator, agent, self._look)
         async with asyncio.TaskGroup() as group:
             serving = None
             if spec["connect"] or spec["listen"]:
@@ -120,30 +160,26 @@ class Process:
 
     async def _solve(self, robot: Robot) -> int:
         """All rounds of one robot; returns the instant at which its plan was there, ns."""
-        communicator, agent = robot.communicator, robot.agent
-        while not agent.done:
-            message = agent.message()
-            robot.payloads.append(packed(message))
-            heard = await communicator.neighbors_exchange(message, channel=SOLVE)
-            robot.cpu.append(await self._clock.compute(timed, agent, heard))
-            self._look(agent)
+        await run_algorithm(robot.communicator, robot, channel=SOLVE)
         ended = self._clock.now_ns()
-        robot.sent = communicator.port.counters.bytes
-        await communicator.close(SOLVE)
+        counters = robot.communicator.port.counters
+        robot.counters = {"messages": counters.sent, **{k: getattr(counters, k) for k in ("bytes", "lost", "resent")}}
+        await robot.communicator.close(SOLVE)
         return ended
 
     async def _replay(self, robot: Robot) -> int:
         """The same messages once more, without any computation."""
-        communicator = robot.communicator
-        for payload in robot.payloads:
-            await communicator.neighbors_exchange(unpacked(payload), channel=REPLAY)
+        await run_algorithm(robot.communicator, Replay(robot.payloads), channel=REPLAY)
         ended = self._clock.now_ns()
-        await communicator.close(REPLAY)
+        await robot.communicator.close(REPLAY)
         return ended
 
     def _look(self, agent: PickupDelivery) -> None:
-        """Note a better plan; show how far all are, now and then."""
-        cost, now = agent.progress.cost, (self._clock.now_ns() - self._go_ns) / SECOND
+        """In the thread of a step: note a better plan; show how far all are, now and then."""
+        with self._lock:
+            self._note(agent.progress.cost, (self._clock.now_ns() - self._go_ns) / SECOND)
+
+    def _note(self, cost: float | None, now: float) -> None:
         if cost is not None and (not self.curve or cost < self.curve[-1][1]):
             self.curve.append([now, cost])
         if self.spec["watched"] and now >= self._shown:
@@ -157,7 +193,7 @@ class Process:
             "wall_s": (max(ended) - self._go_ns) / SECOND,
             "cpu_s": cpu,
             "steps": [max(times) for times in zip(*(robot.cpu for robot in robots), strict=True)],
-            "robots": [robot.record() for robot in robots],
+            "robots": [robot.report() for robot in robots],
             "solutions": [robot.agent.solution.to_json() for robot in robots],
             "curve": self.curve,
         }
@@ -171,13 +207,6 @@ class Process:
     async def _order(self, expected: str) -> None:
         while await self._orders.get() != expected:
             pass
-
-
-def timed(agent: PickupDelivery, heard: Mapping[int, Any]) -> float:
-    """Step; returns the CPU seconds of this thread."""
-    began = time.thread_time()
-    agent.step(heard)
-    return time.thread_time() - began
 
 
 def warm(method: str) -> None:

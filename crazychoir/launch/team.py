@@ -5,7 +5,8 @@ import secrets
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -16,13 +17,15 @@ from crazychoir.errors import ConfigError, ProcessFailed
 from crazychoir.launch.group import Group
 from crazychoir.launch.network import free_ports
 from crazychoir.routing.instance import Instance
+from crazychoir.routing.member import Settings
 from crazychoir.routing.pickup_delivery import METHODS
 from crazychoir.routing.plan import Solution
 from crazychoir.routing.solve import joined
 from crazychoir.swarm.graph import Graph, named, span
+from crazychoir.swarm.impairment import changes
 
-START_DEADLINE = 120.0
-"""s until all processes have loaded their kernels and found each other."""
+START_DEADLINE = 300.0
+"""s until all processes have loaded their kernels, which are compiled at the first use, and found each other."""
 DEADLINE = 600.0
 """s from GO to the plan."""
 
@@ -36,9 +39,10 @@ def solve_in_processes(
     *,
     method: str = METHODS[0],
     loss: float = 0.0,
-    effects: Mapping[str, float] | None = None,
+    burst: float | None = None,
     graph: str = "ring",
     seed: int = 0,
+    settings: Settings | None = None,
     deadline: float = DEADLINE,
     watch: Callable[[Progress], None] | None = None,
 ) -> dict[str, Any]:
@@ -50,7 +54,7 @@ def solve_in_processes(
     payloads and loss, and no computation: what a team with a computer a robot would have needed, for here many robots
     share one. wall_s: from GO until the last robot has the plan;  startup_s: until GO;  cpu_s: of all
     processes, from GO;  curve: [[s, m], ...], the cost of the best plan over time.
-    effects: on all messages between robots, as in the rules of a swarm file, beside `loss`.
+    burst: messages that are lost in a row, in the mean; else each is lost by itself.
     deadline: s, of the whole solution.
     Raises InstanceError, ConfigError, and ProcessFailed if a process fails, ends, or says nothing in time.
     """
@@ -60,12 +64,14 @@ def solve_in_processes(
         raise ConfigError("processes", processes, f"1 to {instance.robots}, the robots of {instance.name}")
     if method not in METHODS:
         raise ConfigError("method", method, ", ".join(METHODS), "Choose one of them.")
-    rule = Rule({"loss": loss, **(effects or {})})
+    losses = changes({"loss": loss, "burst": burst})
+    rule = Rule({name: value for name, value in losses.items() if value is not None})
     parts = [part.tolist() for part in np.array_split(np.arange(instance.robots), processes)]
     with tempfile.TemporaryDirectory(prefix="crazychoir-solve-") as folder:
         file = Path(folder) / "instance.json"
         file.write_text(json.dumps(instance.to_json()))
-        common = {"instance": str(file), "method": method, "seed": seed, "deadline": deadline, "effects": rule.effects}
+        common = {"instance": str(file), "method": method, "seed": seed, "deadline": deadline, "effects": rule.effects,
+                  "settings": asdict(settings or Settings())}  # fmt: skip
         common |= {"neighbors": {i: links.neighbors(i) for i in links.ids}, "watched": watch is not None}
         with Group(_commands(parts, common)) as group:
             run = _Run(group, parts, watch or (lambda progress: None))

@@ -12,8 +12,8 @@ Rows = npt.NDArray[np.int64]
 INFEASIBLE: Final = -1
 CAPPED: Final = -2
 NOT_FINITE: Final = -3
-TOLERANCE = 1e-12
-"""Of a slack, relative to the largest one without multipliers."""
+ROUNDING, DOUBT = 1e-13, 1e-9
+"""Of a slack, relative to the terms that it is the sum of: below, it is none; below, no proof of infeasibility."""
 DEPENDENT = 1e-11
 """Of the curvature that is left to a row when the active ones are held, relative to the row's own."""
 
@@ -83,13 +83,22 @@ def _slack(gram: Mat, free: Vec, u: Vec, rows: Rows, count: int, p: int) -> floa
 
 
 @kernel()
-def _worst(gram: Mat, free: Vec, u: Vec, rows: Rows, count: int, tolerance: float) -> int:
-    """The row whose slack is the most negative, -1 if none is."""
-    worst, least = -1, -tolerance
+def _terms(gram: Mat, free: Vec, u: Vec, rows: Rows, count: int, p: int) -> float:
+    """The size of what a slack is the sum of."""
+    total: float = abs(free[p])
+    for i in range(count):
+        total += abs(gram[p, rows[i]] * u[rows[i]])
+    return total
+
+
+@kernel()
+def _worst(gram: Mat, free: Vec, u: Vec, rows: Rows, count: int, largest: float) -> int:
+    """The row whose slack is the most negative, -1 if none is: beyond what the rounding of its terms explains."""
+    worst, least = -1, 0.0
     for p in range(len(free)):
         if u[p] == 0.0:
             slack = _slack(gram, free, u, rows, count, p)
-            if slack < least:
+            if slack < least and slack < -ROUNDING * (largest + _terms(gram, free, u, rows, count, p)):
                 worst, least = p, slack
     return worst
 
@@ -103,7 +112,7 @@ def _multipliers(gram: Mat, free: Vec, u: Vec, most: int) -> int:
     width = min(m, most)
     rows, factor, s = np.empty(m, np.int64), np.empty((width, width)), np.empty(width)
     count = _resume(gram, free, u, rows, factor, s)
-    steps, p = 0, _worst(gram, free, u, rows, count, TOLERANCE * largest)
+    steps, p = 0, _worst(gram, free, u, rows, count, largest)
     while p >= 0:
         steps += 1
         if steps > 50 + 10 * m:
@@ -118,20 +127,19 @@ def _multipliers(gram: Mat, free: Vec, u: Vec, most: int) -> int:
             curvature -= gram[rows[i], p] * s[i]
             if s[i] > 0.0 and u[rows[i]] < blocked * s[i]:
                 blocked, place = u[rows[i]] / s[i], i
-        full = np.inf
+        full, slack = np.inf, _slack(gram, free, u, rows, count, p) + gram[p, p] * u[p]
         if curvature > DEPENDENT * gram[p, p] and count < width:
-            slack = _slack(gram, free, u, rows, count, p) + gram[p, p] * u[p]
             full = max(0.0, -slack / curvature)
         t = min(full, blocked)
         if t == np.inf:
-            return INFEASIBLE
+            return steps if -slack < DOUBT * _terms(gram, free, u, rows, count, p) else INFEASIBLE
         for i in range(count):
             u[rows[i]] -= t * s[i]
         u[p] += t
         if full <= blocked:
             rows[count] = p
             count += 1
-            p = _worst(gram, free, u, rows, count, TOLERANCE * largest)
+            p = _worst(gram, free, u, rows, count, largest)
         else:
             u[rows[place]] = 0.0
             for i in range(place, count - 1):
@@ -141,9 +149,7 @@ def _multipliers(gram: Mat, free: Vec, u: Vec, most: int) -> int:
 
 
 @kernel(matrix, vector, matrix, vector, matrix, vector, memory, memory)
-def minimise(
-    inverse: Mat, origin: Vec, image: Mat, slack: Vec, gram: Mat, q: Vec, u: Vec, x: Vec
-) -> int:
+def minimise(inverse: Mat, origin: Vec, image: Mat, slack: Vec, gram: Mat, q: Vec, u: Vec, x: Vec) -> int:
     """x = argmin 1/2 x'Px + q'x  s.t.  A x <= b,  E x = e, by the dual active-set method.
 
         x = K (q + A'u) + k,   w = b - A x = (b - A k) - A K q + D u >= 0,   u >= 0,   u'w = 0,   D = -A K A'

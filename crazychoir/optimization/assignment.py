@@ -124,10 +124,14 @@ class TaskAssignment:
         if self._table is None or self.settled:
             return
         self._age += 1
-        same = {j: m[3:] for j, m in heard.items() if m is not None and m[0] == self._table.label and len(m) > 1}
-        self._bases.step(same, disturbed=len(same) < len(heard))
+        self._bases.step({j: self._same(message) for j, message in heard.items()})
         if self._bases.settled:
             self.outcome = self._program.outcome(self._table.label, self._bases, self._age)
+
+    def _same(self, message: Any) -> Any:
+        """A neighbour's basis, if it is of our table."""
+        known = message is not None and len(message) > 1 and message[0] == self.label
+        return message[3:] if known else None
 
     def _costs(self, tasks: Sequence[Task]) -> Vec:
         costs = np.array([self._cost(task) for task in tasks], dtype=float)

@@ -12,8 +12,8 @@ from crazychoir.swarm.graph import Graph, GraphSequence, span
 def require_team(agents: Mapping[int, Any], graph: Graph | GraphSequence) -> None:
     """Raise ConfigError unless there is one agent a node and, of what the agents say of themselves, all fits.
 
-    `connected = True` of an algorithm: it needs a (jointly, strongly) connected graph;  `weights`: rows for exactly
-    those that the agent hears, `shares`: for exactly those that hear it;  `x`: of one shape, where it is an array.
+    `weights`: rows for exactly those that the agent hears, `shares`: for exactly those that hear it;  `x`: of one
+    shape, where it is an array and not `common = False`; what require_graph asks.
     """
     if sorted(agents) != list(graph.ids):
         allowed = f"one for each node of the graph, {span(graph.ids)}"
@@ -22,11 +22,27 @@ def require_team(agents: Mapping[int, Any], graph: Graph | GraphSequence) -> Non
         if getattr(agents[i], "i", i) != i:
             raise ConfigError(f"team: agent {i}", f"made as agent {agents[i].i}", f"agent {i}")
         _require_fitting(i, agents[i], graph)
-    needing = [i for i in graph.ids if getattr(agents[i], "connected", False)]
-    if needing and not graph.is_connected:
-        do = "Add edges, or draw with another probability."
-        raise ConfigError(f"team: graph of {type(agents[needing[0]]).__name__}", _cut(graph), "a connected graph", do)
-    _require_one_shape({i: agents[i].x for i in needing if isinstance(getattr(agents[i], "x", None), np.ndarray)})
+        require_graph(agents[i], graph)
+    common = {i: agents[i].x for i in graph.ids if getattr(agents[i], "connected", False)
+              and getattr(agents[i], "common", hasattr(agents[i], "x"))}  # fmt: skip
+    _require_one_shape({i: x for i, x in common.items() if isinstance(x, np.ndarray)})
+
+
+def require_graph(agent: Any, graph: Graph | GraphSequence) -> None:
+    """Raise ConfigError unless the graph is one for this algorithm; each agent of a team finds the same.
+
+    `connected = True` of an algorithm: it needs a (jointly, strongly) connected graph;  `undirected = True`: one where
+    who hears is heard.
+    """
+    where = f"graph of {type(agent).__name__}"
+    if getattr(agent, "undirected", False):
+        for each in graph.graphs if isinstance(graph, GraphSequence) else (graph,):
+            one_way = next(((i, j) for i, j in each.arcs if i not in each.out_neighbors(j)), None)
+            if one_way is not None:
+                found = "agent {1} hears agent {0}, but not the other way round".format(*one_way)
+                raise ConfigError(where, found, "an undirected graph")
+    if getattr(agent, "connected", False) and not graph.is_connected:
+        raise ConfigError(where, _cut(graph), "a connected graph", "Add edges, or draw with another probability.")
 
 
 def _require_fitting(i: int, agent: Any, graph: Graph | GraphSequence) -> None:

@@ -4,12 +4,12 @@ from collections.abc import Mapping
 
 from numpy.typing import ArrayLike
 
-from crazychoir.optimization.iteration import Iteration, vector
-from crazychoir.optimization.mixing import Rows, checked_rows, mix
+from crazychoir.optimization.iteration import vector
+from crazychoir.optimization.mixing import Mixing, Row, Rows, mix
 from crazychoir.types import Vec
 
 
-class Consensus(Iteration):
+class Consensus(Mixing):
     """Linear consensus, on a static or time-varying, directed or undirected graph.
 
         x_i <- sum_j w_ij(k) x_j
@@ -21,17 +21,16 @@ class Consensus(Iteration):
     Source: Olfati-Saber, Fax & Murray 2007, Proc. IEEE 95(1), 215-233; Xiao & Boyd 2004, Syst. Control Lett. 53, 65-78.
     """
 
-    connected = True
+    doubly_stochastic = False
 
     def __init__(self, i: int, x: ArrayLike, weights: Rows, rounds: int | None = None) -> None:
-        super().__init__(i, rounds)
+        super().__init__(i, weights, rounds)
         self.x = vector(f"agent {i}: x", x)
-        self.weights = checked_rows(i, weights)
 
-    def message(self) -> Vec:
+    def payload(self) -> Vec:
         """x_i."""
         return self.x
 
-    def update(self, heard: Mapping[int, Vec]) -> None:
+    def mix_in(self, row: Row, heard: Mapping[int, Vec]) -> None:
         """Average."""
-        self.x = mix(self.i, self.weights[self.k % len(self.weights)], self.x, heard)
+        self.x = mix(self.i, row, self.x, heard)

@@ -1,5 +1,6 @@
 """Why a local problem has no solution: which constraint stands in the way, or which entry has no bound."""
 
+import warnings
 from collections.abc import Sequence
 
 import cvxpy as cp
@@ -46,8 +47,10 @@ def _relaxed(constraint: cp.Constraint, slack: cp.Variable) -> cp.Constraint:
 
 
 def _solved(problem: cp.Problem) -> bool:
-    try:
-        problem.solve(solver=cp.CLARABEL)
-    except cp.SolverError:
-        return False
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # that it may be inaccurate: so may be what it is asked for
+        try:
+            problem.solve(solver=cp.CLARABEL)
+        except cp.SolverError:
+            return False
     return problem.status in (cp.OPTIMAL, cp.OPTIMAL_INACCURATE)

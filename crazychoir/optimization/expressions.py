@@ -1,6 +1,7 @@
 """What a cvxpy expression says: checked, and read into matrices where it is affine or quadratic."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,9 +22,10 @@ def decision(x: Any, where: str) -> int:
     return int(x.size)
 
 
-def domain(x: cp.Variable, where: str) -> list[cp.Constraint]:
-    """What the attributes of x say, as constraints; those that are not convex are refused."""
+def domain(x: cp.Variable, where: str, whole: bool = False) -> list[cp.Constraint]:
+    """What the attributes of x say, as constraints; others are refused, but for integers if x may be `whole`."""
     said = {name for name, value in x.attributes.items() if value is not None and value is not False}
+    said -= {"integer", "boolean"} if whole else set()
     if said - {"nonneg", "pos", "nonpos", "neg", "bounds"}:
         do = "Integers are for MixedIntegerConstraintCoupled."
         raise ConfigError(f"{where}: {x.name()}", f"attributes {sorted(said)}", "a real vector, perhaps bounded", do)
@@ -36,6 +38,15 @@ def domain(x: cp.Variable, where: str) -> list[cp.Constraint]:
             flat, limit = cp.vec(x, order="F")[at], np.atleast_1d(bound)[at]
             found.append(flat >= limit if low else flat <= limit)
     return found
+
+
+def whole(x: cp.Variable) -> tuple[list[int], list[int]]:
+    """Which entries of x are integer, and which of them are 0 or 1."""
+    found = []
+    for name, places in (("integer", x.integer_idx), ("boolean", x.boolean_idx)):
+        everywhere = x.attributes[name] is True
+        found.append(list(range(x.size)) if everywhere else [int(k) for k in np.ravel(np.array(places, dtype=int))])
+    return sorted({*found[0], *found[1]}), found[1]
 
 
 def convex(expression: Any, where: str) -> cp.Expression:
@@ -96,10 +107,20 @@ def only(expression: Any, x: cp.Variable) -> bool:
     return all(variable.id == x.id for variable in expression.variables())
 
 
+@contextmanager
+def _placed(x: cp.Variable, point: Vec) -> Iterator[None]:
+    """With the variable's value at a point, and then where the user had it."""
+    before = x.value
+    x.save_value(point.reshape(x.shape))
+    try:
+        yield
+    finally:
+        x.save_value(before)
+
+
 def at(expression: cp.Expression, x: cp.Variable, point: Vec) -> Vec:
     """Its values (S,) at x = point."""
-    x.save_value(point.reshape(x.shape))
-    with np.errstate(all="ignore"):
+    with _placed(x, point), np.errstate(all="ignore"):
         return _dense(expression.value).reshape(-1, order="F")
 
 
@@ -107,7 +128,8 @@ def slope(expression: cp.Expression, x: cp.Variable, point: Vec) -> Mat:
     """A (sub)gradient (S, n) of each of its entries at x = point; nan outside of its domain."""
     if not np.isfinite(at(expression, x, point)).all():  # of a sum, cvxpy fails to say so
         return np.full((expression.size, x.size), np.nan)
-    found = expression.grad
+    with _placed(x, point):
+        found = expression.grad
     if x not in found:
         return np.zeros((expression.size, x.size))
     if found[x] is None:
@@ -155,6 +177,13 @@ class Quadratic:
         return Quadratic(factor * self.P, factor * self.q, factor * self.r)
 
 
+def linear(expression: cp.Expression, x: cp.Variable, where: str) -> tuple[Mat, Vec]:
+    """As `affine`; raises ConfigError unless it is affine in x alone."""
+    if not (expression.is_affine() and only(expression, x)):
+        raise ConfigError(where, str(expression), f"a linear function of {x.name()}")
+    return affine(expression, x)
+
+
 def quadratics(expression: cp.Expression, x: cp.Variable) -> list[Quadratic] | None:
     """Its entries, if all are quadratic functions of x alone: by their gradients, which are linear then."""
     if not only(expression, x) or not expression.is_quadratic():
@@ -163,6 +192,13 @@ def quadratics(expression: cp.Expression, x: cp.Variable) -> list[Quadratic] | N
     r, q = at(expression, x, zero), slope(expression, x, zero)
     hessians = np.array([slope(expression, x, e) - q for e in np.eye(x.size)]).transpose(1, 0, 2)
     return [Quadratic((P + P.T) / 2, *rest) for P, *rest in zip(hessians, q, r.tolist(), strict=True)]
+
+
+def require_polyhedral(constraints: Sequence[cp.Constraint], x: cp.Variable, where: str) -> None:
+    """Raise ConfigError that names the first which is not a linear (in)equality of x alone."""
+    for r, c in enumerate(constraints):
+        if not polyhedral([c], x):
+            raise ConfigError(f"{where}: constraints[{r}]", str(c), f"linear (in)equalities of {x.name()}")
 
 
 def polyhedral(constraints: Sequence[cp.Constraint], x: cp.Variable) -> bool:

@@ -79,7 +79,8 @@ class LinearProgram:
         if status == highspy.HighsModelStatus.kOptimal:
             return np.array(self._highs.getSolution().col_value)
         if status == highspy.HighsModelStatus.kUnboundedOrInfeasible and np.any(c):
-            return "infeasible" if self._minimise(np.zeros_like(c)) == "infeasible" else "unbounded"
+            feasible = self._minimise(np.zeros_like(c))
+            return "unbounded" if not isinstance(feasible, str) else feasible
         return WORDS.get(status, str(status.name))
 
     def _add(self, rows: Mat, low: Vec, high: Vec) -> None:

@@ -71,14 +71,20 @@ def require_heard(i: int, row: Row, heard: Mapping[int, Any]) -> None:
 
 
 class Mixing(Iteration):
-    """An algorithm on an undirected graph whose weights must be doubly stochastic.
+    """An algorithm that averages with the neighbours; a subclass writes `payload` and `mix_in`.
 
-    Each agent checks that its row sums to one when it is made, and in the first round of each row that its column does:
-    w_ij travels from i to j beside the message. Wrong weights end the algorithm at all agents, with the column named.
-    A subclass writes `payload` and `mix_in`.
+    Each agent checks that its row sums to one when it is made. With `doubly_stochastic` the graph must be undirected,
+    and each checks that its column sums to one in the first round of each row: w_ij travels from i to j beside the
+    message. Wrong weights end the algorithm at all agents, with the column named.
     """
 
     connected = True
+    doubly_stochastic = True
+
+    @property
+    def undirected(self) -> bool:
+        """Whether who hears must be heard."""
+        return self.doubly_stochastic
 
     def __init__(self, i: int, weights: Rows, rounds: int | None) -> None:
         super().__init__(i, rounds)
@@ -100,14 +106,14 @@ class Mixing(Iteration):
     def message(self) -> Any:
         """The payload; in the first round of a row with the neighbour's weight."""
         payload = self.payload()
-        if self.k >= len(self.weights):
+        if self.k >= len(self.weights) or not self.doubly_stochastic:
             return payload
         return PerNeighbor({j: [w, payload] for j, w in self.row.items() if j != self.i})
 
     def update(self, heard: Mapping[int, Any]) -> None:
         """Check the column where it is new, then mix."""
         row = self.row
-        if self.k < len(self.weights):
+        if self.k < len(self.weights) and self.doubly_stochastic:
             require_heard(self.i, row, heard)
             self._check_column(math.fsum([row[self.i], *(w for w, _ in heard.values())]))
             heard = {j: payload for j, (_, payload) in heard.items()}

@@ -13,6 +13,7 @@ from crazychoir.optimization import diagnosis
 from crazychoir.optimization import expressions as ex
 from crazychoir.optimization.conic import ConicProgram
 from crazychoir.optimization.expressions import Quadratic
+from crazychoir.optimization.mixed_integer import MixedIntegerBlock
 from crazychoir.optimization.programs import Program, compiled, fast
 from crazychoir.optimization.quadratic import Polyhedron
 from crazychoir.types import Mat, Vec
@@ -105,6 +106,10 @@ class CostCoupled:
         """What `argmin` uses: "closed form", "active set", "HiGHS" or "Clarabel"."""
         return self._program(penalty).name
 
+    def is_fast(self, penalty: float = 0.0) -> bool:
+        """Whether `argmin` takes microseconds: nothing to leave the event loop for."""
+        return self.solver(penalty) in ("closed form", "active set")
+
     def _solved(self, program: Program, p: Vec) -> Vec:
         found = program.solve(p)
         if isinstance(found, str):
@@ -153,10 +158,9 @@ class CommonCost(CostCoupled):
         if self.form is None:
             allowed = f"a quadratic function of {x.name()}"
             raise ConfigError(f"{self.where}: objective", str(self.objective), allowed)
-        for r, c in enumerate(self.constraints):
-            if not ex.polyhedral([c], x):
-                allowed = f"linear (in)equalities of {x.name()}"
-                raise ConfigError(f"{self.where}: constraints[{r}]", str(c), allowed)
+        ex.require_polyhedral(self.constraints, x, self.where)
+        self.cost: Quadratic = self.form
+        self.polyhedron = Polyhedron.of(*ex.rows(self.constraints, x))
 
 
 class ConstraintCoupled:
@@ -203,6 +207,10 @@ class ConstraintCoupled:
         """(Sub)gradients (S, n) of g_i at x."""
         return ex.slope(self.coupling, self.x, np.asarray(x, float)) if self._affine is None else self._affine[0]
 
+    def is_fast(self) -> bool:
+        """Whether `argmin` takes microseconds: nothing to leave the event loop for."""
+        return self._affine is not None and self.local.is_fast()
+
     def argmin(self, prices: Vec) -> Vec:
         """argmin f_i(x) + mu'g_i(x) over X_i; prices: mu (S,) >= 0."""
         mu = self._prices(prices, "prices")
@@ -221,6 +229,42 @@ class ConstraintCoupled:
             s = int(np.argmin(np.isfinite(found)))
             raise SolverError(f"{self.where}: {name}[{s}] = {found[s]}", "not finite")
         return found
+
+
+class MixedIntegerConstraintCoupled(MixedIntegerBlock):
+    """One agent's part of  min sum_i c_i'x_i  s.t.  sum_i A_i x_i <= sum_i b_i,  x_i in X_i,  modelled with cvxpy.
+
+    x: (n,) with cvxpy's attributes integer and boolean, for all entries or some;  objective: linear, its constant is
+    left out;  coupling: A_i x, (S,) linear, a constant in it counts against the share;  constraints: linear ones, which
+    bound x;  share: b_i (S,), else 0.
+    The arrays are those of MixedIntegerBlock, for those who have them rather than expressions.
+    Raises ConfigError: what is not linear, by its row.
+    """
+
+    def __init__(
+        self,
+        agent: int,
+        x: cp.Variable,
+        objective: Any,
+        coupling: Any,
+        constraints: Sequence[cp.Constraint] = (),
+        share: Vec | None = None,
+    ) -> None:
+        where = f"agent {agent}"
+        n, (integer, binary) = ex.decision(x, where), ex.whole(x)
+        own = [*ex.constraint_list(constraints, where), *ex.domain(x, where, whole=True)]
+        ex.require_polyhedral(own, x, where)
+        cost = ex.linear(ex.convex(objective, f"{where}: objective"), x, f"{where}: objective")[0][0]
+        G, h = ex.linear(ex.coupling(coupling, f"{where}: coupling"), x, f"{where}: coupling")
+        A, b, E, e = ex.rows(own, x)
+        low, high = np.full(n, -inf), np.full(n, inf)
+        low[binary], high[binary] = 0.0, 1.0
+        given = np.zeros(len(h)) if share is None else np.asarray(share, float)
+        if given.shape != h.shape:
+            raise ConfigError(f"{where}: share", f"shape {given.shape}", f"shape {h.shape}, as the coupling")
+        rows = np.vstack([A, E, -E]), np.concatenate([b, e, -e])
+        super().__init__(agent, cost, G, given - h, rows=rows, bounds=(low, high), integer=integer)
+        self.x = x
 
 
 class _Priced:

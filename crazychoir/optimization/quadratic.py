@@ -9,7 +9,7 @@ from crazychoir.optimization.active_set import CAPPED, INFEASIBLE, NOT_FINITE, m
 from crazychoir.optimization.linear import Mask
 from crazychoir.types import Mat, Vec
 
-FLAT = 1e-10
+FLAT = 1e-7
 """A Hessian with eigenvalues below this, relative to the largest, has no unique minimum."""
 PARALLEL = 1e-9
 """Of singular values, relative to the largest: equalities below are dependent."""

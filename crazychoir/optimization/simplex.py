@@ -58,18 +58,20 @@ class BasisExchange:
         self.basis = self._best([start, self._own], start)
 
     def message(self) -> list[Any]:
-        """How long all have been still, the ray, the basis with its columns packed."""
-        return [self._stillness.rounds, self._ray, *_packed(self.basis.columns)]
+        """Whether all are still, the ray, the basis with its columns packed."""
+        return [self._stillness.message(), self._ray, *_packed(self.basis.columns)]
 
-    def step(self, heard: Mapping[int, Any], disturbed: bool = False) -> None:
-        """Take the neighbours' bases. disturbed: one of them is not at this problem yet."""
+    def step(self, heard: Mapping[int, Any]) -> None:
+        """Take the neighbours' bases; None from who is not at this problem yet."""
+        still = {j: b"" if message is None else message[0] for j, message in heard.items()}
+        heard = {j: message for j, message in heard.items() if message is not None}
         before, ray = self.basis.columns.ids, self._ray
         self._ray = min((r for r in [ray, *(m[1] for m in heard.values())] if r is not None), default=None)
         received = [_unpacked(message[2:], len(self._b)) for message in heard.values()]
         columns = self.basis.columns
         self.basis = self._best([columns, self._own, *received], columns)
-        changed = disturbed or self._ray != ray or not np.array_equal(before, self.basis.columns.ids)
-        self._stillness.step(changed, [message[0] for message in heard.values()])
+        changed = self._ray != ray or not np.array_equal(before, self.basis.columns.ids)
+        self._stillness.step(changed, still)
 
     def _best(self, parts: list[Columns], start: Columns) -> Basis:
         if self._ray is None:

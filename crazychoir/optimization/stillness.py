@@ -1,28 +1,33 @@
-"""Termination by a distributed logic-and: all have been still for long enough, and all know it in the same round."""
+"""The end of algorithms that improve until nothing changes: agreed by a logical and, in one round at all agents."""
 
-from collections.abc import Iterable
+from collections.abc import Mapping
+
+from crazychoir.optimization.stopping import Flags
 
 
 class Stillness:
-    """How long nobody has changed, as far as this agent can know.
+    """Whether the team has been still for so long that nothing can change any more.
 
-        h_i <- 0 if i has changed in this round, else 1 + min(h_i, min_j h_j) over the neighbours that it hears
-
-    h_i = T says that an agent d rounds away had not changed T - d times before. With D rounds in which a message of
-    each agent reaches all (the diameter of a constant graph), h_i = 2 D + 1 says that for D + 1 rounds nobody had
-    changed: all have heard all, and algorithms whose step depends on what is heard alone never change again. No agent
-    gets there before all know of the last change, so all get there in the same round.
-    Source: the rule of Notarstefano & Bullo 2011, IEEE TAC 56(10), 2247-2261, with the minimum as the logic-and.
+    An agent's flag is up while it has not changed for D + 1 rounds, and D rounds later all know whether all flags were
+    up: 2 D + 1 rounds after the last change. In D rounds a message of each agent reaches all, so that in those D + 1
+    all have heard all; where a step depends on what is heard alone, as with bases, nobody ever changes again.
+    diameter: D, of a graph; of a sequence of graphs the longest time of a flood.
+    Source: the rule of Notarstefano & Bullo 2011, IEEE TAC 56(10), 2247-2261; the logical and: see Flags.
     """
 
     def __init__(self, diameter: int) -> None:
-        self.rounds, self._enough = 0, 2 * diameter + 1
-
-    def step(self, changed: bool, heard: Iterable[int]) -> None:
-        """Take what the neighbours' `rounds` were."""
-        self.rounds = 0 if changed else 1 + min([self.rounds, *heard])
+        self._flags, self._needed, self._calm = Flags(diameter, False), diameter + 1, 0
 
     @property
     def reached(self) -> bool:
         """Whether the team has ended."""
-        return self.rounds >= self._enough
+        return self._flags.agreed
+
+    def message(self) -> bytes:
+        """What the neighbours must hear."""
+        return self._flags.message()
+
+    def step(self, changed: bool, heard: Mapping[int, bytes]) -> None:
+        """heard: the messages of all that are heard, b"" of who is not with us yet."""
+        self._calm = 0 if changed else self._calm + 1
+        self._flags.step(self._calm >= self._needed, heard)

@@ -1,7 +1,8 @@
 """When a team stops: each agent has a criterion of its own, and a distributed logical and says when all hold."""
 
+from abc import abstractmethod
 from collections.abc import Callable, Mapping
-from typing import Any, Generic, TypeVar
+from typing import Any, Final, Generic, TypeVar
 
 import numpy as np
 
@@ -10,6 +11,7 @@ from crazychoir.swarm.round import Round
 from crazychoir.types import PerNeighbor, Vec
 
 A = TypeVar("A", bound=Round)
+NEVER: Final = 1 << 62
 
 
 class Flags:
@@ -121,7 +123,44 @@ class AsynchronousLogicAnd:
         self._flags.step(self.flag, {**dict.fromkeys(self.neighbors, b""), **heard})
 
 
-class Until(Generic[A]):
+class Riding(Generic[A]):
+    """An algorithm with a word of ours on each of its messages, also on one for each neighbour; a subclass says which.
+
+    What is not found here is the algorithm's: `until.x` is `until.algorithm.x`.
+    """
+
+    def __init__(self, algorithm: A) -> None:
+        self.algorithm = algorithm
+        self.asynchronous = bool(getattr(algorithm, "asynchronous", False))
+        self.heavy = bool(getattr(algorithm, "heavy", False))
+
+    @abstractmethod
+    def word(self) -> Any:
+        """What rides on the next message."""
+
+    @abstractmethod
+    def hear(self, words: dict[int, Any]) -> None:
+        """The neighbours' words, after the algorithm's step."""
+
+    def message(self) -> Any:
+        """[word, the algorithm's message]."""
+        word, message = self.word(), self.algorithm.message()
+        if isinstance(message, PerNeighbor):
+            return PerNeighbor({j: [word, value] for j, value in message.items()})
+        return [word, message]
+
+    def step(self, heard: Mapping[int, Any]) -> None:
+        """The algorithm's step, then ours."""
+        self.algorithm.step({j: value for j, (_, value) in heard.items()})
+        self.hear({j: word for j, (word, _) in heard.items()})
+
+    def __getattr__(self, name: str) -> Any:
+        if name == "algorithm":
+            raise AttributeError(name)
+        return getattr(self.algorithm, name)
+
+
+class Until(Riding[A]):
     """Any algorithm, until a criterion holds at all agents: a logical and rides on its messages, a byte for 8 hops.
 
     algorithm: also one that sends each neighbour its own, or is asynchronous (then neighbors: all whom it hears);
@@ -133,11 +172,10 @@ class Until(Generic[A]):
     def __init__(
         self, algorithm: A, criterion: Callable[[A], bool], diameter: int, neighbors: tuple[int, ...] | None = None
     ) -> None:
-        self.algorithm, self.criterion, self.neighbors = algorithm, criterion, neighbors or ()
-        self.asynchronous = bool(getattr(algorithm, "asynchronous", False))
-        self.heavy = bool(getattr(algorithm, "heavy", False))
+        super().__init__(algorithm)
         if self.asynchronous and neighbors is None:
             raise ConfigError("Until: neighbors", "None", "whom this agent hears, for an asynchronous algorithm")
+        self.criterion, self.neighbors = criterion, neighbors or ()
         self._flags = Flags(diameter, False, latched=self.asynchronous)
 
     @property
@@ -145,21 +183,44 @@ class Until(Generic[A]):
         """Whether all criteria hold, or the algorithm has ended."""
         return self._flags.agreed or self.algorithm.done
 
-    def __getattr__(self, name: str) -> Any:
-        """What is not found here is the algorithm's: `until.x` is `until.algorithm.x`."""
-        if name == "algorithm":
-            raise AttributeError(name)
-        return getattr(self.algorithm, name)
+    def word(self) -> bytes:
+        """D + 1 bits."""
+        return self._flags.message()
 
-    def message(self) -> Any:
-        """[bits, the algorithm's message], for each neighbour if that is so."""
-        bits, message = self._flags.message(), self.algorithm.message()
-        if isinstance(message, PerNeighbor):
-            return PerNeighbor({j: [bits, value] for j, value in message.items()})
-        return [bits, message]
+    def hear(self, words: dict[int, bytes]) -> None:
+        """The criterion, and the logical and."""
+        self._flags.step(self.criterion(self.algorithm), {**dict.fromkeys(self.neighbors, b""), **words})
 
-    def step(self, heard: Mapping[int, Any]) -> None:
-        """The algorithm's step, its criterion, and the logical and."""
-        self.algorithm.step({j: value for j, (_, value) in heard.items()})
-        flags = {**dict.fromkeys(self.neighbors, b""), **{j: bits for j, (bits, _) in heard.items()}}
-        self._flags.step(self.criterion(self.algorithm), flags)
+
+class Stoppable(Riding[A]):
+    """Any algorithm, until one agent calls `stop`: the round of the end rides on its messages, D rounds ahead.
+
+        at_i <- min(at_i, min_j at_j);  the first to say it takes at_i = k + D, k its rounds done
+
+    diameter: of the graph, D. All synchronous agents end in one round; asynchronous ones when they hear of it.
+    """
+
+    def __init__(self, algorithm: A, diameter: int) -> None:
+        super().__init__(algorithm)
+        self.diameter, self.k, self.at = diameter, 0, NEVER
+        self._asked = False
+
+    def stop(self) -> None:
+        """End it, at all agents; may be called at any time."""
+        self._asked = True
+
+    @property
+    def done(self) -> bool:
+        """Whether the round of the end has come, or the algorithm has ended."""
+        return self.k >= self.at or self.algorithm.done
+
+    def word(self) -> int:
+        """The round of the end."""
+        if self._asked:
+            self.at = min(self.at, 0 if self.asynchronous else self.k + self.diameter)
+        return self.at
+
+    def hear(self, words: dict[int, int]) -> None:
+        """The earliest end."""
+        self.k += 1
+        self.at = min([self.at, *words.values()])

@@ -18,12 +18,13 @@ COST, TIME, LEFT, TRIP = 0, 1, 2, 3
 
 
 @kernel()
-def _row(state: Mat, n: int) -> Any:
+def row_of(state: Mat, n: int) -> Any:
+    """The state of label n."""
     return state[n, COST], state[n, TIME], state[n, LEFT], state[n, TRIP]
 
 
 @kernel()
-def _as_good(a: Any, b: Any, by: Flags) -> bool:
+def as_good(a: Any, b: Any, by: Flags) -> bool:
     """Whether a label of state a is as good as one of state b in all that counts."""
     return bool(
         (not by[COST] or a[COST] <= b[COST] + ROUNDING)
@@ -37,14 +38,14 @@ def _as_good(a: Any, b: Any, by: Flags) -> bool:
 def _put(table: Ints, keys: Words, last: Ints, state: Mat, after_it: Ints, dead: Flags, k: int, new: int,
          by: Flags) -> bool:  # fmt: skip
     """Take label `new` into the chain of slot k, unless one there is as good; those no better than it die."""
-    mine, n = _row(state, new), table[k]
+    mine, n = row_of(state, new), table[k]
     while n >= 0:
-        if not dead[n] and _as_good(_row(state, n), mine, by):
+        if not dead[n] and as_good(row_of(state, n), mine, by):
             return False
         n = after_it[n]
     n = table[k]
     while n >= 0:
-        if not dead[n] and _as_good(mine, _row(state, n), by):
+        if not dead[n] and as_good(mine, row_of(state, n), by):
             dead[n] = True
         n = after_it[n]
     if table[k] < 0:
@@ -64,7 +65,7 @@ def _rehashed(size: int, keys: Words, last: Ints, head: Flags, count: int) -> In
 
 
 @kernel()
-def _in_time(
+def in_time(
     stop: int, on: Ints, goods: int, m: int, time: float, left: float, latest: Vec, shortest: Mat, fastest: Mat
 ) -> bool:
     """Whether after service at `stop` begins, each delivery due and the end can be reached, by lower bounds."""
@@ -90,8 +91,8 @@ def grow_fronts(
 ) -> tuple[Words, Ints, Mat, Ints, Flags, Flags, bool]:  # fmt: skip
     """All labels that no other dominates, in breadth-first order.
 
-    Returns keys (n, 4), last (n,), state (n, 4): cost m, time s, left m, trips begun;  parent (n,);  again (n,): whether
-    a new trip began before its last stop;  dead (n,): dominated by a later one;  complete.
+    Returns keys (n, 4), last (n,), state (n, 4): cost m, time s, left m, trips begun;  parent (n,);  again (n,):
+    whether a new trip began before its last stop;  dead (n,): dominated by a later one;  complete.
     shortest, fastest (2m + 2, 2m + 2): lower bounds of distance and duration over any nodes;  by (4,): what counts;
     capacity, limits and latest with their slack;  the rest as in Vehicle and grow_labels.
     """
@@ -122,7 +123,7 @@ def grow_fronts(
                 left, trip, at = limit_again, trip + 1.0, end
             cost, left = cost + distance[at, stop], left - distance[at, stop]
             time = max(time + duration[at, stop], earliest[stop])
-            if not _in_time(stop, on, goods, m, time, left, latest, shortest, fastest):
+            if not in_time(stop, on, goods, m, time, left, latest, shortest, fastest):
                 continue
             if count >= most:
                 complete = False

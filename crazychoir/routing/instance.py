@@ -1,6 +1,7 @@
 """A pickup-and-delivery instance, and the part of it that one robot sees."""
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -11,6 +12,7 @@ import numpy.typing as npt
 
 from crazychoir.errors import ConfigError, InstanceError
 from crazychoir.routing.instance_file import Fields, read
+from crazychoir.routing.plan import Plan, Route
 from crazychoir.routing.servable import require_servable
 from crazychoir.routing.vehicle import MAKESPAN, TOTAL, Vehicle
 from crazychoir.types import Mat, Vec
@@ -132,6 +134,7 @@ class LocalProblem:
             trips=self.trips,
             limit_again=self.limit,
             robot=self.robot,
+            metric=self.distance is None,
         )
 
     @property
@@ -195,7 +198,7 @@ class Instance:
 
     @classmethod
     def load(cls, path: str | Path) -> "Instance":
-        """Read a JSON file; raise InstanceError naming file, key and index of what is wrong."""
+        """Read a JSON file, or one of Li and Lim; raise InstanceError naming file, key and index of what is wrong."""
         return cls.parse(read(path), str(path))
 
     @classmethod
@@ -258,6 +261,13 @@ class Instance:
             objective=self.objective,
         )
 
+    def plan(self, routes: Iterable[Route]) -> Plan:
+        """The plan of these routes, with what they leave undone."""
+        flown = tuple(routes)
+        refused = np.ones(len(self.tasks), dtype=bool)
+        refused[[j for route in flown for j in route.tasks if 0 <= j < len(refused)]] = False
+        return Plan(flown, math.fsum(self.tasks.penalty[refused]), self.fixed_cost, self.objective)
+
     def kinds(self) -> list[tuple[int, ...]]:
         """The robots, identical ones together, in the order of their ids."""
         groups: dict[bytes, list[int]] = {}
@@ -308,7 +318,7 @@ class Instance:
     def _span(self) -> float:
         """More than any plan without refusals costs: so many legs, each as long as the longest."""
         legs = 3 * len(self.tasks) + 2 * self.robots
-        vehicles = [self.local(i).vehicle for i in range(self.robots)]
+        vehicles = [self.local(same[0]).vehicle for same in self.kinds()]
         if self.objective[0] == TOTAL:
             return legs * max(float(v.distance.max()) for v in vehicles) + self.robots * self.fixed_cost
         return legs * max(float(v.duration.max()) + float(v.earliest.max()) for v in vehicles)

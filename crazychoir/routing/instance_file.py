@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from crazychoir.errors import InstanceError
+from crazychoir.routing.li_lim import is_li_lim, parse_li_lim
 from crazychoir.types import Mat, Vec
 
 REQUIRED = ("home", "pickup", "delivery", "load", "capacity")
@@ -35,9 +36,12 @@ LIKE = {"pickup": "load", "delivery": "load", "home": "home", "capacity": "home"
 
 
 def read(path: str | Path) -> dict[str, Any]:
-    """The JSON object in the file `path`."""
+    """The JSON object in the file `path`, or what a file of Li and Lim says as one."""
     try:
-        raw = json.loads(Path(path).read_text(encoding="utf-8"), object_pairs_hook=lambda p: _unique(p, str(path)))
+        text = Path(path).read_text(encoding="utf-8")
+        if is_li_lim(text):
+            return parse_li_lim(text, str(path))
+        raw = json.loads(text, object_pairs_hook=lambda p: _unique(p, str(path)))
     except OSError as error:
         raise InstanceError(str(path), error.strerror or "no file", "a readable JSON file", "Check the path.") from None
     except (ValueError, RecursionError) as error:

@@ -104,7 +104,7 @@ def _in_reach(rest: Mat, home: Vec, stop: int, on: Ints, count: int, so_far: flo
     j = stop % m
     if so_far + (rest[stop, j] if stop < m else home[stop]) > limit:
         return False
-    for n in range(count):
+    for n in range(count):  # noqa: SIM110  # a kernel
         if on[n] != j and so_far + rest[stop, on[n]] > limit:
             return False
     return True

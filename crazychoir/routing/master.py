@@ -1,5 +1,6 @@
 """The restricted master problem: set partitioning over the columns that are known of all robots."""
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 
@@ -11,7 +12,10 @@ from crazychoir.routing.columns import quiet_highs
 from crazychoir.routing.pricing import Column
 from crazychoir.types import Vec
 
+GOLDEN = 0.6180339887498949
 Key = tuple[int, tuple[int, ...]]
+Routes = dict[int, tuple[int, ...]]
+"""Tasks of each robot, increasing."""
 
 
 @dataclass(frozen=True)
@@ -30,7 +34,7 @@ class Partition:
     """
 
     cost: float
-    routes: dict[int, tuple[int, ...]]
+    routes: Routes
     bound: float
 
 
@@ -62,33 +66,120 @@ class Pool:
         return self._length.get((robot, column.tasks), np.inf) <= column.length
 
     def relax(self, penalty: Vec) -> Relaxation:
-        """The covering relaxation, each robot at most one column.
+        """The covering relaxation of these columns."""
+        master = Master(penalty)
+        for robot, column in self.items():
+            master.add(robot, [column])
+        return master.relax()
 
-        min  sum length_c x_c + sum_j penalty_j v_j   s.t.  sum_{c serves j} x_c + v_j >= 1,  sum_{c of i} x_c <= 1
-        """
-        highs = _model(self.items(), np.full(self._tasks, highspy.kHighsInf), seed=0)
-        for j in range(self._tasks):
-            highs.addCol(float(penalty[j]), 0.0, highspy.kHighsInf, 1, np.array([j], np.int32), np.ones(1))
-        highs.run()
-        status = highs.getModelStatus()
+
+class Master:
+    """The covering relaxation of the columns known so far, each robot at most one column; it stays warm.
+
+        min  sum length_c x_c + sum_j penalty_j v_j
+        s.t. sum_{c serves j} x_c + v_j >= 1                     : pi_j >= 0
+             sum_{c of i} x_c <= 1                               : sigma_i <= 0,    x >= 0, v >= 0
+
+    penalty: (M,) m, more than any price;  spread: the right-hand sides are raised by up to this, each by another amount,
+    the same at all robots: then no optimal basis is degenerate, so prices are unique;  basis: columns of the last optimal basis, at most M + N.
+    Raises SolverError if HiGHS does not reach the optimum.
+    """
+
+    def __init__(self, penalty: Vec, spread: float = 0.0) -> None:
+        self._spread = spread
+        self._highs, self._tasks = quiet_highs(), len(penalty)
+        self._columns: list[tuple[int, Column]] = []
+        self._index: dict[Key, int] = {}
+        self._row: dict[int, int] = {}
+        for j, price in enumerate(penalty):
+            self._highs.addRow(self._raised(j), highspy.kHighsInf, 0, np.array([], np.int32), np.array([]))
+            self._highs.addCol(float(price), 0.0, highspy.kHighsInf, 1, np.array([j], np.int32), np.ones(1))
+
+    def __len__(self) -> int:
+        return len(self._columns)
+
+    def columns(self) -> list[tuple[int, Column]]:
+        """(robot, column) in the order of their arrival."""
+        return list(self._columns)
+
+    def add(self, robot: int, columns: Iterable[Column]) -> int:
+        """Take columns of a robot; returns how many are new or shorter than known."""
+        new = [column for column in columns if column.tasks and self._is_news(robot, column)]
+        if new:
+            self._append(self._row_of(robot), new)
+        return len(new)
+
+    def _is_news(self, robot: int, column: Column) -> bool:
+        """Note the column; of one set of tasks the shorter remains, so a later longer one is none."""
+        k = self._index.get((robot, column.tasks))
+        if k is not None and self._columns[k][1].length <= column.length:
+            return False
+        self._index[robot, column.tasks] = len(self._columns)
+        self._columns.append((robot, column))
+        return True
+
+    def _row_of(self, robot: int) -> int:
+        if robot not in self._row:
+            self._row[robot] = self._tasks + len(self._row)
+            self._highs.addRow(-highspy.kHighsInf, self._raised(self._tasks + robot), 0, np.array([], np.int32), np.array([]))
+        return self._row[robot]
+
+    def _raised(self, row: int) -> float:
+        """The right-hand side of a row: 1, and a share of `spread` (multiples of the golden ratio fill an interval)."""
+        return 1.0 + self._spread * ((row + 1) * GOLDEN % 1.0)
+
+    def _append(self, row: int, columns: list[Column]) -> None:
+        rows = [[*column.tasks, row] for column in columns]
+        starts = np.cumsum([0, *(len(r) for r in rows)])[:-1].astype(np.int32)
+        index = np.array([r for column in rows for r in column], dtype=np.int32)
+        n, cost = len(columns), np.array([column.length for column in columns])
+        free = np.full(n, highspy.kHighsInf)
+        self._highs.addCols(n, cost, np.zeros(n), free, len(index), starts, index, np.ones(len(index)))
+
+    def relax(self) -> Relaxation:
+        """Its value (that of its prices where the right-hand sides are 1) and prices, with the columns added since."""
+        self._highs.run()
+        status = self._highs.getModelStatus()
         if status != highspy.HighsModelStatus.kOptimal:
             raise SolverError("restricted master, relaxed", status.name)
-        dual = np.array(highs.getSolution().row_dual)[: self._tasks]
-        return Relaxation(highs.getObjectiveValue(), np.maximum(dual, 0.0))
+        dual = np.array(self._highs.getSolution().row_dual)
+        self._sigma = {robot: min(0.0, float(dual[row])) for robot, row in self._row.items()}
+        prices = np.maximum(dual[: self._tasks], 0.0)
+        return Relaxation(math.fsum([*prices, *self._sigma.values()]), prices)
+
+    def sigma(self, robot: int) -> float:
+        """sigma_i in m of the last relaxation, <= 0: what one more route of this robot would save."""
+        return self._sigma.get(robot, 0.0)
+
+    @property
+    def basis(self) -> list[tuple[int, Column]]:
+        """Columns of the last basis, in the order of their arrival."""
+        _, basic = self._highs.getBasicVariables()
+        return [self._columns[int(k) - self._tasks] for k in np.sort(basic) if k >= self._tasks]
+
+    @property
+    def weights(self) -> Vec:
+        """(len(self),) x of the last relaxation."""
+        return np.array(self._highs.getSolution().col_value)[self._tasks :]
 
 
-def partition(columns: list[tuple[int, Column]], tasks: int, seed: int, nodes: int) -> Partition:
+def partition(
+    columns: list[tuple[int, Column]], tasks: int, seed: int, nodes: int, known: Routes | None = None
+) -> Partition:
     """The cheapest choice of columns that serves each task exactly once.
 
         min  sum length_c x_c   s.t.  sum_{c serves j} x_c = 1,  sum_{c of i} x_c <= 1,  x binary
 
-    Stops after `nodes` branch-and-bound nodes, never by time.
+    Stops after `nodes` branch-and-bound nodes, never by time. known: a choice to start from.
     """
-    highs = _model(columns, np.ones(tasks), seed)
+    highs = _model(columns, tasks, seed)
     index = np.arange(len(columns), dtype=np.int32)
     highs.changeColsIntegrality(len(index), index, np.full(len(index), int(highspy.HighsVarType.kInteger), np.uint8))
     highs.setOptionValue("mip_rel_gap", 0.0)
     highs.setOptionValue("mip_max_nodes", nodes)
+    if known is not None:
+        start = [float(known.get(robot) == column.tasks) for robot, column in columns]
+        highs.setSolution(len(index), index, np.array(start))
     highs.run()
     info = highs.getInfo()
     if info.primal_solution_status != int(highspy.SolutionStatus.kSolutionStatusFeasible):
@@ -99,13 +190,13 @@ def partition(columns: list[tuple[int, Column]], tasks: int, seed: int, nodes: i
     return Partition(cost, {robot: column.tasks for robot, column in chosen}, min(cost, info.mip_dual_bound))
 
 
-def _model(columns: list[tuple[int, Column]], upper: Vec, seed: int) -> highspy.Highs:
-    """Rows: tasks in [1, upper], then the robots in use <= 1; columns in the given order, 0 <= x <= 1."""
+def _model(columns: list[tuple[int, Column]], tasks: int, seed: int) -> highspy.Highs:
+    """Rows: tasks = 1, then the robots in use <= 1; columns in the given order, 0 <= x <= 1."""
     highs, robots = quiet_highs(seed), sorted({robot for robot, _ in columns})
-    row_of = {robot: len(upper) + r for r, robot in enumerate(robots)}
+    row_of = {robot: tasks + r for r, robot in enumerate(robots)}
     empty = np.array([], np.int32), np.array([])
-    for most in upper:
-        highs.addRow(1.0, float(most), 0, *empty)
+    for _ in range(tasks):
+        highs.addRow(1.0, 1.0, 0, *empty)
     for _ in robots:
         highs.addRow(-highspy.kHighsInf, 1.0, 0, *empty)
     rows = [[*column.tasks, row_of[robot]] for robot, column in columns]

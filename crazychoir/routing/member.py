@@ -15,30 +15,51 @@ from crazychoir.types import Vec
 class Settings:
     """Constants that all robots share.
 
-    price_rounds: at most;  still: change of y that ends them;  step, exponent: of the step size;
-    penalty: of unserved demand, in diagonals of the arena;  tolerance: relative, of bounds;  passes: of column
-    generation and of the integer stage, at most;  batch: columns that a robot offers a pass;  first_gap: relative, of
-    the integer stage;  most_shared: columns of one robot in one message there;  most_relayed: of all robots together,
-    which must fit into a payload;  small: columns of a search that every robot does, a larger one is done by
-    `searchers`;  nodes: of branch and bound;  attempts: at claiming tasks;  most_labels: of a robot's route table.
+    Price rounds: price_rounds: at most;  still: change of y that ends them;  step, exponent: of the step size;
+    attempts: at claiming tasks.
+    Column generation: penalty: of unserved demand, in diagonals of the arena;  tolerance: relative, of bounds;
+    gossip_rounds: at most;  passes: at most;  batch: columns that a robot offers a pass;  most_labels: of a robot's
+    route table;  most_listed: tasks of a robot whose routes are listed for it, in the method columns.
+    Search: starters: robots that look for a first plan, by first_steps of search each;  cluster_robots, cluster_tasks:
+    of a cluster, at most;  steps: of search that the leaders of clusters do, over all passes;  cluster_rounds: of
+    communication for clusters, from which follows the number of passes, least_passes to most_passes;  still_passes:
+    without any better route end them.
+    Proof: prove: whatever it costs;  most_proven: columns that are searched if not;  first_gap: relative;
+    most_shared: columns of one robot in one message;  most_relayed: of all robots together, which must fit into a
+    payload;  small: columns of a search that every robot does, a larger one is done by `searchers`;  nodes: of branch
+    and bound, proof_nodes if `prove`.
     """
 
     price_rounds: int = 60
     still: float = 0.01
     step: float = 0.3
     exponent: float = 0.6
+    attempts: int = 20
     penalty: float = 3.0
     tolerance: float = 1e-6
+    gossip_rounds: int = 200
     passes: int = 30
     batch: int = 20
+    most_labels: int = MOST_LABELS
+    most_listed: int = 60
+    starters: int = 16
+    first_steps: int = 1_000
+    cluster_robots: int = 12
+    cluster_tasks: int = 36
+    steps: int = 120_000
+    cluster_rounds: int = 160
+    least_passes: int = 8
+    most_passes: int = 40
+    still_passes: int = 6
+    prove: bool = False
+    most_proven: int = 4_000
     first_gap: float = 0.02
     most_shared: int = 500
     most_relayed: int = 10_000
     small: int = 1_000
     searchers: int = 2
     nodes: int = 20_000
-    attempts: int = 20
-    most_labels: int = MOST_LABELS
+    proof_nodes: int = 1_000_000
 
 
 @dataclass(frozen=True)
@@ -77,6 +98,9 @@ class Member:
     place: Place
     settings: Settings
     progress: Progress = field(default_factory=Progress)
+    kind: str = "start"
+    """Of the messages of the present rounds."""
+    bytes_by_kind: dict[str, int] = field(default_factory=dict)
 
     @cached_property
     def table(self) -> RouteTable:

@@ -3,18 +3,22 @@
 from collections.abc import Mapping
 from typing import Any
 
+from crazychoir.bus.codec import encode
 from crazychoir.errors import ConfigError, SolverError
 from crazychoir.optimization.agreement import flood
 from crazychoir.optimization.program import Exchange, Program
-from crazychoir.routing.column_recovery import DISCLOSED, Assignment, ColumnRecovery
+from crazychoir.routing import distributed_columns, insertion_bids
+from crazychoir.routing.column_recovery import DISCLOSED, ColumnRecovery
+from crazychoir.routing.distributed_columns import DistributedColumns
 from crazychoir.routing.instance import LocalProblem
 from crazychoir.routing.member import Member, Place, Progress, Settings
 from crazychoir.routing.plan import Route, Solution, digest_of
 from crazychoir.routing.pricing import shortest_route
 from crazychoir.routing.primal_decomposition import PriceRounds
+from crazychoir.routing.proof import Assignment
 from crazychoir.routing.resource_recovery import ResourceRecovery
 
-METHODS = ("resource-columns", "resource", "resource-argmax")
+METHODS = ("columns", "resource-columns", "resource", "resource-argmax", *insertion_bids.METHODS)
 
 
 class PickupDelivery(Program[Solution]):
@@ -22,8 +26,10 @@ class PickupDelivery(Program[Solution]):
 
         price rounds (primal decomposition)  ->  recovery of an integer plan  ->  confirmation of its hash
 
-    resource-columns: the robots also share route columns; the plan is proven optimal where the tables are complete.
+    columns: distributed column generation and clusters, see distributed_columns.py; the best plans.
+    resource-columns: price rounds, then the robots also share route columns; the plan is proven optimal where the tables are complete.
     resource, resource-argmax: only prices and claims travel; quick, private, not optimal.
+    cbba, auction: bids of cheapest insertions, see insertion_bids.py; baselines, without a bound.
     diameter: of the connected, undirected graph;  degree_of: degree of each neighbour.
     All robots are done in the same round, with the same plan digest, cost and bound.
     Raises ConfigError for an unknown method, SolverError if the team cannot agree on a plan.
@@ -63,17 +69,29 @@ class PickupDelivery(Program[Solution]):
 
     def step(self, heard: Mapping[int, Any]) -> None:
         """Take the neighbours' messages of this round."""
-        self._member.report(round=self.k + 1)
+        member = self._member
+        member.report(round=self.k + 1)
+        size = len(encode(self.message())) * len(member.place.neighbors)
+        member.bytes_by_kind[member.kind] = member.bytes_by_kind.get(member.kind, 0) + size
         super().step(heard)
 
     def run(self) -> Exchange[Solution]:
         """Prices, recovery, confirmation."""
         yield from self._hello()
+        if self._method == "columns":
+            assignment = yield from DistributedColumns(self._member).run()
+            return (yield from self._confirm(assignment, distributed_columns.DISCLOSED))
+        if self._method in insertion_bids.METHODS:
+            assignment = yield from insertion_bids.insertion_plan(self._member, self._method)
+            return (yield from self._confirm(assignment, insertion_bids.DISCLOSED))
+        self._member.kind = "prices"
         prices = PriceRounds(self._member)
         yield from prices.run()
         if self._method == "resource-columns":
+            self._member.kind = "columns"
             assignment, disclosed = (yield from ColumnRecovery(self._member, prices).run()), DISCLOSED
         else:
+            self._member.kind = "claims"
             recovery = ResourceRecovery(self._member, prices, by_share=self._method == "resource-argmax")
             assignment, disclosed = (yield from recovery.run()), recovery.disclosed
         return (yield from self._confirm(assignment, disclosed))
@@ -95,9 +113,8 @@ class PickupDelivery(Program[Solution]):
         """Flood lengths and hashes of the routes, then the plan's hash; all must be equal."""
         member, place = self._member, self._member.place
         member.report(phase="confirm", violation=0.0)
-        nodes, length = shortest_route(
-            member.local.vehicle, assignment.routes.get(place.robot, ()), member.local.objective
-        )
+        member.kind = "plans"
+        nodes, length = self._own_route(assignment)
         route = Route.from_nodes(place.robot, nodes, len(member.local.tasks), length)
         known = yield from flood(place.robot, [length, route.digest if nodes else ""], place.diameter)
         cost = sum((float(value) for value, _ in known.values()), 0.0)
@@ -108,6 +125,7 @@ class PickupDelivery(Program[Solution]):
         member.report(phase="done", cost=cost)
         bound = None if assignment.lower_bound is None else min(assignment.lower_bound, cost)
         return Solution(
+            bytes_by_kind=dict(member.bytes_by_kind),
             cost=cost,
             feasible=True,
             lower_bound=bound,
@@ -118,3 +136,11 @@ class PickupDelivery(Program[Solution]):
             plan_digest=digest,
             routes=(route,) if nodes else (),
         )
+
+    def _own_route(self, assignment: Assignment) -> tuple[list[int], float]:
+        """Stops and length in m of this robot's route."""
+        local = self._member.local
+        if assignment.stops is None:
+            return shortest_route(local.vehicle, assignment.routes.get(local.robot, ()), local.objective)
+        stops = list(assignment.stops.get(local.robot, ()))
+        return stops, local.vehicle.length(stops) if stops else 0.0

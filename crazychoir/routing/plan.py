@@ -2,16 +2,21 @@
 
 import hashlib
 import json
+import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
-Kind = Literal["pickup", "delivery"]
+from crazychoir.routing.vehicle import TOTAL
+
+Kind = Literal["pickup", "delivery", "recharge"]
+NOTHING = -1
+"""The task of a stop to recharge."""
 
 
 @dataclass(frozen=True)
 class Stop:
-    """One stop of a route."""
+    """One stop of a route; a stop to recharge, where the robot ends, is of the task NOTHING."""
 
     task: int
     kind: Kind
@@ -19,31 +24,38 @@ class Stop:
 
 @dataclass(frozen=True)
 class Route:
-    """A closed tour of one robot: home, the stops, home; length in m."""
+    """A route of one robot: home, the stops, home, or where it ends; length in m.
+
+    finish: s, when it is done; None if it is not stated.
+    """
 
     robot: int
     stops: tuple[Stop, ...]
     length: float
+    finish: float | None = None
 
     @classmethod
-    def from_nodes(cls, robot: int, nodes: Sequence[int], tasks: int, length: float) -> "Route":
-        """From nodes j (pickup of task j) and M + j (its delivery), M = tasks."""
-        stops = tuple(Stop(v, "pickup") if v < tasks else Stop(v - tasks, "delivery") for v in nodes)
-        return cls(robot, stops, length)
+    def from_nodes(
+        cls, robot: int, nodes: Sequence[int], tasks: int, length: float, finish: float | None = None
+    ) -> "Route":
+        """From nodes j (pickup of task j), M + j (its delivery) and 2M + 1 (a recharge), M = tasks."""
+        return cls(robot, tuple(_stop(int(v), tasks) for v in nodes), length, finish)
 
     @property
     def tasks(self) -> tuple[int, ...]:
         """The tasks served, increasing."""
-        return tuple(sorted(stop.task for stop in self.stops if stop.kind == "pickup"))
+        return tuple(sorted(stop.task for stop in self.stops if stop.kind == "delivery"))
 
     def to_json(self) -> dict[str, Any]:
-        """A JSON object: robot, stops [{task, kind}], length."""
-        return {"robot": self.robot, "stops": [asdict(stop) for stop in self.stops], "length": self.length}
+        """A JSON object: robot, stops [{task, kind}], length, and finish if it is stated."""
+        raw = {"robot": self.robot, "stops": [asdict(stop) for stop in self.stops], "length": self.length}
+        return raw if self.finish is None else raw | {"finish": self.finish}
 
     @classmethod
     def from_json(cls, raw: dict[str, Any]) -> "Route":
         """What `to_json` wrote."""
-        return cls(raw["robot"], tuple(Stop(s["task"], s["kind"]) for s in raw["stops"]), raw["length"])
+        stops = tuple(Stop(stop["task"], stop["kind"]) for stop in raw["stops"])
+        return cls(raw["robot"], stops, raw["length"], raw.get("finish"))
 
     @property
     def digest(self) -> str:
@@ -53,17 +65,41 @@ class Route:
 
 @dataclass(frozen=True)
 class Plan:
-    """The routes of the robots that fly, by robot id."""
+    """The routes of the robots that fly, by robot id; `Instance.plan` fills in the rest.
+
+    penalties: sum of those of the tasks that are refused;  fixed_cost: m, of each robot that flies;
+    objective: what is minimised, in order.
+    """
 
     routes: tuple[Route, ...]
+    penalties: float = 0.0
+    fixed_cost: float = 0.0
+    objective: tuple[str, ...] = (TOTAL,)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "routes", tuple(sorted((r for r in self.routes if r.stops), key=lambda r: r.robot)))
 
     @property
+    def total(self) -> float:
+        """Sum of the route lengths in m, added by robot id, and of the fixed costs."""
+        return sum((route.length for route in self.routes), 0.0) + self.fixed_cost * len(self.routes)
+
+    @property
+    def makespan(self) -> float:
+        """s, when the last robot is done; nan if a route does not state it."""
+        times = [math.nan if route.finish is None else route.finish for route in self.routes]
+        return math.nan if any(map(math.isnan, times)) else max(times, default=0.0)
+
+    @property
+    def values(self) -> tuple[float, ...]:
+        """What is minimised, in order: the objectives, the penalties added to the first."""
+        first, *rest = (self.total if name == TOTAL else self.makespan for name in self.objective)
+        return (first + self.penalties, *rest)
+
+    @property
     def cost(self) -> float:
-        """Sum of the route lengths in m, added by robot id."""
-        return sum((route.length for route in self.routes), 0.0)
+        """The first objective, with the penalties."""
+        return self.values[0]
 
     @property
     def digest(self) -> str:
@@ -71,13 +107,21 @@ class Plan:
         return digest_of({route.robot: route.digest for route in self.routes})
 
     def to_json(self) -> dict[str, Any]:
-        """A JSON object: cost, digest, routes."""
-        return {"cost": self.cost, "digest": self.digest, "routes": [route.to_json() for route in self.routes]}
+        """A JSON object: cost, digest, penalties, fixed_cost, objective, routes."""
+        return {
+            "cost": self.cost,
+            "digest": self.digest,
+            "penalties": self.penalties,
+            "fixed_cost": self.fixed_cost,
+            "objective": list(self.objective),
+            "routes": [route.to_json() for route in self.routes],
+        }
 
     @classmethod
     def from_json(cls, raw: dict[str, Any]) -> "Plan":
-        """From the routes of what `to_json` wrote."""
-        return cls(tuple(Route.from_json(route) for route in raw["routes"]))
+        """What `to_json` wrote."""
+        routes = tuple(Route.from_json(route) for route in raw["routes"])
+        return cls(routes, raw["penalties"], raw["fixed_cost"], tuple(raw["objective"]))
 
 
 @dataclass(frozen=True)
@@ -87,7 +131,8 @@ class Solution:
     cost: m;  lower_bound: m, no plan at all costs less (None: unknown, bound_exact is False then);  bound_exact: it is
     proven, by exact pricing of all routes, which does not say that it is tight: a plan is proven optimal where its cost
     is the bound, and `resource` and `resource-argmax` prove weaker ones than `resource-columns`;  disclosed: what the
-    robots told each other;  rounds: of communication;  routes: those that this robot knows.
+    robots told each other;  rounds: of communication;  routes: those that this robot knows;  bytes_by_kind: payloads that
+    it sent, by what they were about, without headers and without what was sent again.
     """
 
     cost: float
@@ -99,6 +144,7 @@ class Solution:
     rounds: int
     plan_digest: str
     routes: tuple[Route, ...]
+    bytes_by_kind: dict[str, int] = field(default_factory=dict)
 
     @property
     def plan(self) -> Plan:
@@ -115,6 +161,12 @@ class Solution:
         """What `to_json` wrote."""
         routes = tuple(Route.from_json(route) for route in raw["routes"])
         return cls(**(raw | {"disclosed": tuple(raw["disclosed"]), "routes": routes}))
+
+
+def _stop(node: int, tasks: int) -> Stop:
+    if node > 2 * tasks:
+        return Stop(NOTHING, "recharge")
+    return Stop(node, "pickup") if node < tasks else Stop(node - tasks, "delivery")
 
 
 def digest_of(routes: dict[int, str]) -> str:

@@ -12,6 +12,7 @@ from crazychoir.routing.vehicle import MAKESPAN, TOTAL, Vehicle
 from crazychoir.types import Vec
 
 MOST_LABELS = 4_000_000
+TOO_MANY = "more labels than allowed"
 
 
 @dataclass(frozen=True, order=True)
@@ -105,7 +106,7 @@ def shortest_route(
     labels = final_labels(_restricted(vehicle, chosen), most, objective)
     full = np.flatnonzero(labels.count == len(chosen))
     if not len(full):
-        raise SolverError(where, "infeasible" if labels.complete else f"more than {most} labels")
+        raise SolverError(where, "infeasible" if labels.complete else TOO_MANY)
     first, second = _amounts(labels, objective, 0.0)
     best = int(full[np.lexsort((second[full], first[full]))[0]])
     return labels.route(best, chosen, vehicle.tasks), float(labels.length[best])

@@ -8,10 +8,10 @@ import numpy.typing as npt
 from crazychoir.errors import SolverError
 from crazychoir.optimization.agreement import flood, highest_bids
 from crazychoir.optimization.program import Exchange
-from crazychoir.routing.column_recovery import Assignment
 from crazychoir.routing.labels import Ints
 from crazychoir.routing.member import Member
 from crazychoir.routing.primal_decomposition import PriceRounds
+from crazychoir.routing.proof import Assignment
 from crazychoir.types import Vec
 
 POSITIVE = 1e-6

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 def require_servable(instance: "Instance") -> None:
     """Raise InstanceError for a good that must be served and that no robot can bring home."""
-    vehicles = [instance.local(i).vehicle for i in range(instance.robots)]
+    vehicles = [instance.local(same[0]).vehicle for same in instance.kinds()]
     served = np.isfinite(instance.tasks.penalty)
     for vehicle in vehicles:
         served[vehicle.servable] = True

@@ -71,8 +71,8 @@ def _lengths(vehicle: Vehicle, most: int) -> FinalLabels:
 def _fronts(vehicle: Vehicle, most: int, objective: tuple[str, ...]) -> FinalLabels:
     m = vehicle.tasks
     end, limited = 2 * m + 1, np.isfinite(vehicle.farthest)
-    many = vehicle.trips > 1
-    counts = TOTAL in objective or (limited and not many), vehicle.timed or MAKESPAN in objective, limited and many, many
+    many, timed = vehicle.trips > 1, vehicle.timed or MAKESPAN in objective
+    counts = TOTAL in objective or (limited and not many), timed, limited and many, many
     keys, last, state, parent, again, dead, complete = grow_fronts(
         vehicle.distance, vehicle.duration, vehicle.shortest, vehicle.fastest, vehicle.earliest,
         vehicle.latest + SLACK, vehicle.load, vehicle.aboard, np.array(counts), vehicle.capacity + SLACK,

@@ -1,5 +1,6 @@
 """All robots of an instance in one plain loop: no clock, no network, the same messages."""
 
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -9,7 +10,7 @@ from crazychoir.routing.checker import check
 from crazychoir.routing.instance import Instance
 from crazychoir.routing.member import Settings
 from crazychoir.routing.pickup_delivery import METHODS, PickupDelivery
-from crazychoir.routing.plan import Plan, Solution
+from crazychoir.routing.plan import Solution
 
 Graph = Mapping[int, Sequence[int]]
 
@@ -65,11 +66,14 @@ def joined(instance: Instance, solutions: Iterable[Solution]) -> Solution:
     Raises SolverError if the robots' digests differ, or if the routes are not those of the digest.
     """
     parts = list(solutions)
-    plan = Plan(tuple({route.robot: route for part in parts for route in part.routes}.values()))
+    plan = instance.plan({route.robot: route for part in parts for route in part.routes}.values())
     for digest in [part.plan_digest for part in parts]:
         if digest != plan.digest:
             raise SolverError("joining the robots' routes", f"digest {digest[:12]} announced, {plan.digest[:12]} found")
-    return replace(parts[0], routes=plan.routes, feasible=not check(instance, plan))
+    sent = Counter[str]()
+    for part in parts:
+        sent.update(part.bytes_by_kind)
+    return replace(parts[0], routes=plan.routes, feasible=not check(instance, plan), bytes_by_kind=dict(sent))
 
 
 def diameter(graph: Graph) -> int:

@@ -35,7 +35,7 @@ class Vehicle:
     fixed: cost in m of leaving at all, added to the distance of a route that is not empty; below 0 for a robot that is
     away already: the way to its end that it flies in any case;  trips: how often it may start anew from where it
     ends, plus one (a robot that recharges there), at least 1;  limit_again: m, of each trip but the first;
-    robot: its id, for messages.
+    robot: its id, for messages;  metric: both matrices satisfy the triangle inequality, so bounds are quick.
     """
 
     distance: Mat
@@ -51,6 +51,7 @@ class Vehicle:
     trips: int = 1
     limit_again: float = inf
     robot: int = 0
+    metric: bool = False
 
     @property
     def tasks(self) -> int:
@@ -76,13 +77,14 @@ class Vehicle:
     @cached_property
     def shortest(self) -> Mat:
         """(2M + 2, 2M + 2) m, the shortest ways over any nodes of one trip."""
-        return shortest_ways(self.distance, range(2 * self.tasks))
+        return self.distance if self.metric else shortest_ways(self.distance, range(2 * self.tasks))
 
     @cached_property
     def fastest(self) -> Mat:
         """(2M + 2, 2M + 2) s, the fastest ways over any nodes, the end too where a trip may follow, without waiting."""
         m = self.tasks
-        return shortest_ways(self.duration, range(2 * m) if self.trips == 1 else [*range(2 * m), 2 * m + 1])
+        over = range(2 * m) if self.trips == 1 else [*range(2 * m), 2 * m + 1]
+        return self.duration if self.metric else shortest_ways(self.duration, over)
 
     @property
     def farthest(self) -> float:
@@ -145,6 +147,7 @@ class Vehicle:
             trips=self.trips,
             limit_again=self.limit_again,
             robot=self.robot,
+            metric=self.metric,
         )
 
 

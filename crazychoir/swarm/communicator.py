@@ -133,6 +133,9 @@ class Communicator(Rounds):
         k = ch.sending
         flags = self._flags | kind
         if type(data) is PerNeighbor:
+            if lacking := [j for j in to if j not in data]:
+                where = f"drone {self.id}: channel {ch.name!r}"
+                raise CodecError(f"{where}: a PerNeighbor of {sorted(data)} has nothing for drone(s) {lacking}")
             payloads = {j: encode(data[j]) for j in to}
             ch.sent[k] = (payloads, to)
             for j, payload in payloads.items():

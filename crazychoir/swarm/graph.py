@@ -5,6 +5,7 @@ import re
 from collections.abc import Iterable, Mapping
 from functools import cached_property, lru_cache
 from itertools import combinations, pairwise, permutations, product
+from math import dist
 from typing import Self
 
 from crazychoir.errors import ConfigError
@@ -14,7 +15,7 @@ Ids = int | Iterable[int]
 Arc = tuple[int, int]
 Weights = dict[int, dict[int, float]]
 
-NAMES = "ring, path, star, complete, empty, k-regular:K, erdos-renyi:P, grid:ROWSxCOLUMNS"
+NAMES = "ring, path, star, complete, empty, k-regular:K, erdos-renyi:P, geometric:R, grid:ROWSxCOLUMNS"
 DIRECTED = "ring, erdos-renyi:P"
 """Of these, those that there are directed, too."""
 DRAWS = 1000
@@ -200,6 +201,24 @@ def erdos_renyi_connected(n: Ids, p: float, seed: int, directed: bool = False) -
     )
 
 
+def geometric(n: Ids, radius: float, seed: int) -> Graph:
+    """Random points in the unit square, those within `radius` of each other joined; drawn again until it is connected.
+
+    What short-range radios make of a swarm that is spread at random.
+    """
+    ids = _ids(n)
+    if not 0.0 < radius <= 2.0:
+        raise ConfigError("geometric graph", f"radius {radius:g}", "above 0, at most 2; 1 is the side of the square")
+    chance = _chance(0.0, seed, *ids)
+    for _ in range(DRAWS):
+        points = {i: (chance.random(), chance.random()) for i in ids}
+        graph = Graph.from_edges(ids, (e for e in combinations(ids, 2) if dist(points[e[0]], points[e[1]]) <= radius))
+        if graph.is_connected:
+            return graph
+    found = f"radius {radius:g}: none of {DRAWS} draws is connected"
+    raise ConfigError("geometric graph", found, f"a larger one for {len(ids)} drones")
+
+
 def grid(rows: int, columns: int, diagonals: bool = False, ids: Ids | None = None) -> Graph:
     """Rows and columns, numbered row by row: each drone and those beside, above, below; and diagonally."""
     members = _ids(rows * columns if ids is None else ids)
@@ -226,6 +245,8 @@ def named(name: str, n: Ids, seed: int = 0, directed: bool = False) -> Graph:
         raise ConfigError("graph", f"{name} with directed = true", DIRECTED, do)
     if name in plain:
         return plain[name](n)
+    if found := re.fullmatch(r"geometric:(\d?\.?\d{1,9})", name):
+        return geometric(n, float(found[1]), seed)
     if found := re.fullmatch(r"k-regular:(\d{1,4})", name):
         return k_regular(n, int(found[1]))
     if found := re.fullmatch(r"grid:(\d{1,4})x(\d{1,4})", name):

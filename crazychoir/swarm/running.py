@@ -2,11 +2,13 @@
 
 import contextlib
 import random
+import traceback
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Final
 
-from crazychoir.errors import AgentFailed, ConfigError, CrazyChoirError
+from crazychoir.errors import AgentFailed, CodecError, ConfigError, CrazyChoirError
 from crazychoir.swarm.communicator import Communicator, Policy
 from crazychoir.swarm.graph import GraphSequence
 from crazychoir.swarm.round import Round
@@ -80,7 +82,10 @@ async def _in_rounds(
             message = algorithm.message()
         except Exception as error:
             raise _Ended.at(i, error) from error
-        heard = await communicator.neighbors_exchange(message, channel=channel, deadline=deadline, policy=policy)
+        try:
+            heard = await communicator.neighbors_exchange(message, channel=channel, deadline=deadline, policy=policy)
+        except CodecError as error:
+            raise _Ended.at(i, error) from error
         _require_alive(heard)
         try:
             if heavy:
@@ -110,7 +115,10 @@ async def _wake_and_sleep(communicator: Communicator, algorithm: Round, channel:
             message = algorithm.message()
         except Exception as error:
             raise _Ended.at(i, error) from error
-        await communicator.send(message, channel=channel)
+        try:
+            await communicator.send(message, channel=channel)
+        except CodecError as error:
+            raise _Ended.at(i, error) from error
     await _repeat(communicator, message, channel, pace)
 
 
@@ -151,8 +159,10 @@ class _Ended(Exception):
     @classmethod
     def at(cls, i: int, error: Exception) -> "_Ended":
         """Our own algorithm has raised this."""
-        failed = AgentFailed(i, f"{type(error).__name__}: {error}")
+        reason = f"{type(error).__name__}: {error}"
         if isinstance(error, CrazyChoirError):
-            return cls(failed, error)
+            return cls(AgentFailed(i, reason), error)
+        place = traceback.extract_tb(error.__traceback__)[-1]
+        failed = AgentFailed(i, f"{reason} ({Path(place.filename).name}:{place.lineno})")
         failed.__cause__ = error
         return cls(failed, failed)

@@ -15,10 +15,11 @@ import numpy as np
 from crazychoir.bus.local import Bus
 from crazychoir.bus.topics import BY_NAME
 from crazychoir.bus.zenoh import ZenohLink
-from crazychoir.errors import Refused
+from crazychoir.errors import CrazyChoirError, Refused, SolverError
 from crazychoir.runtime.clock import Clock, WallClock, run_wall
 from crazychoir.swarm.communicator import Communicator
 from crazychoir.swarm.graph import ring
+from crazychoir.swarm.running import run_algorithm
 
 
 @contextlib.asynccontextmanager
@@ -67,6 +68,39 @@ async def consensus_here(link: ZenohLink, size: int, rounds: int) -> dict[str, l
     return {str(member.id): x for member, x in zip(team, results, strict=True)}
 
 
+class Failing:
+    """Counts rounds; agent 1 cannot go on after five."""
+
+    done = False
+
+    def __init__(self, i: int) -> None:
+        self.i, self.k = i, 0
+
+    def message(self) -> int:
+        return self.k
+
+    def step(self, heard: dict[int, Any]) -> None:
+        self.k += 1
+        if (self.i, self.k) == (1, 5):
+            raise SolverError("agent 1: local problem, row 2", "infeasible, b = -3")
+
+
+async def endings_here(link: ZenohLink, size: int, loss: float) -> dict[str, str]:
+    """What the agents of this process end with."""
+    link.bus.impairment.update({"loss": loss})
+
+    async def part(member: Communicator) -> str:
+        try:
+            await run_algorithm(member, Failing(member.id))
+        except CrazyChoirError as error:
+            return f"{type(error).__name__}: {error}"
+        return "none"
+
+    team = [Communicator(port, ring(size)) for port in link.bus.ports.values()]
+    ends = await asyncio.gather(*map(part, team))
+    return {str(member.id): end for member, end in zip(team, ends, strict=True)}
+
+
 class Commands:
     """What the test can ask for."""
 
@@ -91,6 +125,10 @@ class Commands:
     async def consensus(self, size: int, rounds: int) -> dict[str, Any]:
         """The averages of our drones."""
         return await consensus_here(self.link, size, rounds)
+
+    async def endings(self, size: int, loss: float) -> dict[str, Any]:
+        """What our drones end with."""
+        return await endings_here(self.link, size, loss)
 
     async def subscribe(self, topic: str, source: int, reader: int, rate: float = 0.0) -> dict[str, Any]:
         """Read a topic of a drone."""

@@ -20,7 +20,7 @@ def test_each_program_exchanges(module: str, extra: str, processes: int) -> None
     if extra and importlib.util.find_spec(extra) is None:
         pytest.skip(f"the extra `bench` is not installed: no {extra}")
     row = Row(module, f"peers_{module}", "ring", 4, processes, extra)
-    bench_exchange._measure(row, 0.2)
+    bench_exchange.measure(row, 0.2)
     assert row.note == ""
     assert row.rounds[0] > 1.0
     assert row.cpu[0] > 0.1
@@ -41,7 +41,7 @@ def test_a_missing_program_is_a_row_that_says_how_to_install_it(monkeypatch: pyt
 
 def test_a_program_that_fails_is_a_row_that_says_so() -> None:
     row = Row("broken", "peers_broken", "ring", 4, 2)
-    bench_exchange._measure(row, 0.1)
+    bench_exchange.measure(row, 0.1)
     assert row.note.startswith("failed: a process has ended before its answer: ")
     assert "peers_broken" in row.note
     assert row.shown()["rounds_per_s"] is None

@@ -1,5 +1,6 @@
 """What the README shows is so: its mission, saved as it stands there, flies; its figures are those of its commands."""
 
+import importlib
 import inspect
 import json
 import re
@@ -7,6 +8,7 @@ import shlex
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 from system.commands import call
 
@@ -125,6 +127,51 @@ def test_the_tour_shows_the_plan_that_is_solved(repository, monkeypatch):
     assert rows["bound_exact"] == str(result["bound_exact"])
     assert number(rows["rounds"]) == pytest.approx(result["rounds"], rel=0.1)
     assert number(rows["messages"]) == pytest.approx(result["messages"], rel=0.1)
+
+
+@pytest.fixture
+def algorithm_file(repository, tmp_path):
+    text = re.search(r"<!-- extra\.py -->\n```python\n(.*?)```", (repository / "README.md").read_text(), re.DOTALL)
+    assert text is not None, "README.md shows no extra.py"
+    path = tmp_path / "extra.py"
+    path.write_text(text[1])
+    return path
+
+
+def test_a_new_algorithm_fits_into_20_lines_and_runs_by_the_command_of_the_readme(
+    repository, algorithm_file, monkeypatch
+):
+    assert len(algorithm_file.read_text().splitlines()) <= 20
+    command = "crazychoir simulate extra.py --agents 10 --loss 0.3 --picture out/extra.png"
+    rows = shown(repository, command)
+    result = said(algorithm_file.parent, monkeypatch, command)
+    assert number(rows["rounds"]) == result["rounds"] == 300
+    assert float(rows["disagreement"].removeprefix("x: ")) == pytest.approx(result["disagreement"]["x"], rel=0.05)
+    assert number(rows["messages"]) == pytest.approx(result["messages"], rel=0.05)
+    assert number(rows["lost"]) == pytest.approx(result["lost"], rel=0.05)
+    assert result["lost"] == pytest.approx(0.3 * result["messages"], rel=0.05)
+    points = np.arange(10)
+    fit = np.linalg.lstsq(np.stack([np.ones(10), 0.1 * points], axis=1), 2.0 + np.sin(points), rcond=None)[0]
+    assert [own["x"] for own in result["agents"].values()] == pytest.approx(np.tile(fit, (10, 1)), abs=2e-5)
+    assert (algorithm_file.parent / "out/extra.png").read_bytes()[:4] == b"\x89PNG"
+
+
+def test_a_new_algorithm_gives_the_same_without_loss(algorithm_file, monkeypatch):
+    calm, lossy = (
+        said(algorithm_file.parent, monkeypatch, f"crazychoir simulate extra.py --loss {loss}") for loss in (0, 0.3)
+    )
+    assert calm["agents"] == lossy["agents"]
+    assert calm["lost"] == 0 < lossy["lost"]
+
+
+def test_what_is_there_already_is_where_the_readme_says(repository):
+    text = (repository / "README.md").read_text().split("\n| there | here |")[1].split("\n\n")[0]
+    found = re.findall(r"((?:`\w+`, )*`\w+`) in `([\w/]+)\.py`", text)
+    assert len(found) > 25
+    for names, path in found:
+        module = importlib.import_module("crazychoir." + path.replace("/", "."))
+        for name in re.findall(r"\w+", names):
+            assert hasattr(module, name), f"{name} in {path}"
 
 
 def test_the_demo_shows_the_plan_that_is_flown(repository):

@@ -16,7 +16,7 @@ from typing import Any
 
 import pytest
 import zenoh
-from system.link_process import consensus_here, linked, wall_clock
+from system.link_process import consensus_here, endings_here, linked, wall_clock
 
 from crazychoir.bus.codec import encode
 from crazychoir.bus.frames import Envelope, Frame, encode_frame
@@ -159,6 +159,20 @@ async def test_two_processes_reach_the_answer_of_one(ground: Ground) -> None:
     assert link.counters.frames_received > 90
     assert link.counters.malformed == link.counters.failed == 0
     assert link.counters.strangers <= 2, "a HELLO may overtake its token"
+
+
+@pytest.mark.parametrize("loss", [0.0, 0.4])
+async def test_where_an_agent_fails_those_of_other_processes_end_with_its_reason(ground: Ground, loss: float) -> None:
+    link = await ground.link([0, 3, 4])
+    child = await ground.child([1, 2, 5])
+    await until(ground.knows(link))
+    began = time.perf_counter()
+    theirs = asyncio.create_task(child.ask("endings", size=6, loss=loss))
+    ends = await endings_here(link, 6, loss) | await theirs
+    assert time.perf_counter() - began < 10.0
+    reason = "SolverError: agent 1: local problem, row 2: the solver ended with status infeasible, b = -3"
+    assert ends.pop("1") == reason
+    assert set(ends.values()) == {f"AgentFailed: agent 1 has failed, and with it the team: {reason}"}
 
 
 async def test_hello_goes_both_ways(ground: Ground) -> None:

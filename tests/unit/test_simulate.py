@@ -10,7 +10,7 @@ import pytest
 from crazychoir.bus.impairment import Impairment
 from crazychoir.bus.local import Bus
 from crazychoir.bus.rules import Rule
-from crazychoir.errors import AgentFailed, ConfigError, SolverError
+from crazychoir.errors import AgentFailed, CodecError, ConfigError, SolverError
 from crazychoir.optimization.consensus import Consensus
 from crazychoir.optimization.mixing import team
 from crazychoir.optimization.stopping import Settled, Until
@@ -217,6 +217,27 @@ def test_an_error_that_is_none_of_ours_is_named_and_chained():
     assert type(found[2].__cause__) is KeyError
 
 
+@pytest.mark.parametrize("asynchronous", [False, True])
+@pytest.mark.parametrize(
+    ("message", "error"),
+    [
+        (object(), "value: found a object"),
+        (PerNeighbor({1: 0}), r"a PerNeighbor of \[1\] has nothing for drone\(s\) \["),
+    ],
+)
+def test_a_message_that_cannot_be_sent_ends_all_too(message, error, asynchronous):
+    class Mute(Counting):
+        def message(self):
+            return message if self.x >= 3 else self.x
+
+    agents = {i: Mute(1000) if i == 2 else Counting(1000) for i in range(5)}
+    for agent in agents.values():
+        agent.asynchronous = asynchronous
+    with pytest.raises(CodecError, match=error):
+        simulate(agents, path(5), loss=0.3)
+    assert all(agent.x < 50 for agent in agents.values())
+
+
 @pytest.mark.real_time
 def test_they_end_in_real_time_too():
     began = time.perf_counter()
@@ -251,7 +272,7 @@ def test_what_does_not_fit_is_refused(change, error):
 
 def test_a_team_in_two_parts_is_refused():
     parts = Graph.from_edges(5, [(0, 1), (1, 2), (3, 4)])
-    with pytest.raises(ConfigError, match=r"team: graph of Consensus: found no path from agent 0 to \[3, 4\]"):
+    with pytest.raises(ConfigError, match=r"graph of Consensus: found no path from agent 0 to \[3, 4\]"):
         simulate(averaging(parts), parts)
     one_way = Graph.from_edges(3, [(0, 1), (1, 2)], directed=True)
     with pytest.raises(ConfigError, match=r"no path from \[1, 2\] to agent 0"):

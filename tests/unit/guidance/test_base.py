@@ -9,8 +9,13 @@ import pytest
 from virtual_time import virtual
 
 from crazychoir.bus.local import Bus
+from crazychoir.errors import AgentFailed, ConfigError
 from crazychoir.guidance import base
 from crazychoir.guidance.base import CFGuidance, Interrupted, Member
+from crazychoir.optimization.asynchronous_consensus import AsynchronousConsensus
+from crazychoir.optimization.checks import require_graph
+from crazychoir.optimization.consensus import Consensus
+from crazychoir.optimization.gradient_tracking import GradientTracking
 from crazychoir.runtime.clock import SECOND
 from crazychoir.safety.guard import Fence
 from crazychoir.safety.pilot import Mode, Pilot
@@ -19,6 +24,7 @@ from crazychoir.simulation.links import SimulatedLink
 from crazychoir.swarm import graph as graphs
 from crazychoir.swarm.communicator import Communicator
 from crazychoir.swarm.config import default_swarm
+from crazychoir.swarm.running import Pace
 from crazychoir.types import FullState, Pose
 
 VERBS = ("send", "receive", "asynchronous_receive", "neighbors_exchange")
@@ -218,3 +224,50 @@ async def test_a_mission_that_is_over_flies_nothing(clock):
         with pytest.raises(Interrupted, match="its mission is over"):
             guidance.follow(FullState.at((1.0, 0.0, 1.0)))
         await guidance.land()
+
+
+@virtual
+async def test_an_asynchronous_algorithm_flies_as_it_is(clock):
+    both = pair(clock)
+    agents = [AsynchronousConsensus(i, [10.0 * i], {0: 0.5, 1: 0.5}, rounds=60) for i in (0, 1)]
+    began = clock.now()
+    for guidance in both:
+        guidance.member.communicator.port.bus.impairment.update({"loss": 0.4})
+    await asyncio.gather(*(g.optimize(a, pace=Pace((0.01, 0.03))) for g, a in zip(both, agents, strict=True)))
+    assert 1.5 < clock.now() - began < 4.0
+    assert abs(agents[0].x - agents[1].x) < 1e-6
+    assert 0.1 < agents[0].x < 9.9
+
+
+@virtual
+async def test_an_algorithm_that_fails_at_one_drone_ends_at_all(clock):
+    both = pair(clock)
+    agents = [Counting(), Consensus(1, [1.0], {0: 0.5, 1: 0.5})]  # which hears no array
+    ends = [g.optimize(a) for g, a in zip(both, agents, strict=True)]
+    found = await asyncio.gather(*ends, return_exceptions=True)
+    assert [type(error) for error in found] == [AgentFailed, ConfigError]
+    assert str(found[1]) in str(found[0])
+    assert clock.now() < 5.0
+
+
+class Counting:
+    done = False
+
+    def message(self):
+        return 0
+
+    def step(self, heard):
+        pass
+
+
+@virtual
+async def test_an_algorithm_that_needs_another_graph_is_refused_at_all_drones(clock):
+    both = pair(clock)
+    for guidance in both:
+        guidance.member.communicator.graph = graphs.empty(2)
+    for i, guidance in enumerate(both):
+        with pytest.raises(ConfigError, match=r"graph of Consensus: found no path from agent 0 to \[1\]"):
+            await guidance.optimize(Consensus(i, [1.0], {i: 1.0}, rounds=3))
+    one_way = graphs.ring(3, directed=True)
+    with pytest.raises(ConfigError, match="graph of GradientTracking: found agent 1 hears agent 0, but not the other"):
+        require_graph(GradientTracking(0, [1.0], {0: 0.5, 2: 0.5}, lambda x: x, 0.1), one_way)

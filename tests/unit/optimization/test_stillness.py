@@ -9,9 +9,9 @@ def ends(graph, diameter, changes):
     """The rounds in which each agent ends; changes: {(agent, round)}."""
     agents, found = {i: Stillness(diameter) for i in graph.ids}, {}
     for k in range(60):
-        told = {i: agent.rounds for i, agent in agents.items()}
+        told = {i: agent.message() for i, agent in agents.items()}
         for i, agent in agents.items():
-            agent.step((i, k) in changes, [told[j] for j in graph.at(k).in_neighbors(i)])
+            agent.step((i, k) in changes, {j: told[j] for j in graph.at(k).in_neighbors(i)})
             if agent.reached:
                 found.setdefault(i, k)
     return found

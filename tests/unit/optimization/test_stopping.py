@@ -1,13 +1,12 @@
 """All agents stop in one round, or each when it knows."""
 
-import random
 
 import numpy as np
 import pytest
 from in_step import run_in_step
 
 from crazychoir.errors import ConfigError
-from crazychoir.optimization.stopping import AsynchronousLogicAnd, Flags, LogicAnd, Settled, Until
+from crazychoir.optimization.stopping import AsynchronousLogicAnd, Flags, LogicAnd, Settled, Stoppable, Until
 from crazychoir.simulate import simulate
 from crazychoir.swarm.graph import GraphSequence, complete, erdos_renyi_connected, path, ring, star
 
@@ -28,7 +27,7 @@ def test_all_are_done_in_one_round_as_many_as_the_diameter_after_the_last_flag(g
 
 def test_flags_that_come_and_go_count_only_if_all_were_up_in_one_round():
     """s_i^D(k) = and_j flag_j(k - D), against that definition, on random flags."""
-    chance, graph = random.Random(3), erdos_renyi_connected(7, 0.3, 2)
+    chance, graph = np.random.default_rng(3), erdos_renyi_connected(7, 0.3, 2)
     d = graph.diameter()
     flags = {i: Flags(d, False) for i in graph.ids}
     ups = [dict.fromkeys(graph.ids, False)]
@@ -107,3 +106,64 @@ def test_until_needs_to_know_whom_an_asynchronous_agent_hears():
     inner.asynchronous = True
     with pytest.raises(ConfigError, match="Until: neighbors"):
         Until(inner, Settled(0.1), 2)
+
+
+class Endless:
+    done, k = False, 0
+
+    def message(self):
+        return self.k
+
+    def step(self, heard):
+        self.k += 1
+
+
+@pytest.mark.parametrize("graph", [path(5), ring(6, directed=True), complete(3), path(1)])
+def test_who_stops_stops_all_in_one_round(graph):
+    agents = {i: Stoppable(Endless(), graph.diameter()) for i in graph.ids}
+    run_in_step(agents, graph, 7)
+    agents[0].stop()
+    run_in_step(agents, graph, 1)
+    agents[graph.ids[-1]].stop()
+    assert run_in_step(agents, graph) + 1 == max(graph.diameter(), 1)
+    assert {agent.algorithm.k for agent in agents.values()} == {7 + max(graph.diameter(), 1)}
+
+
+def test_who_stops_between_its_message_and_its_step_stops_all_in_one_round_too():
+    graph = path(4)
+    agents = {i: Stoppable(Endless(), 3) for i in graph.ids}
+
+    def watch(team):
+        if team[1].k == 10:
+            team[1].stop()
+
+    simulate(agents, graph, loss=0.4, record=(), watch=watch)
+    assert {agent.algorithm.k for agent in agents.values()} == {13}
+
+
+def test_who_stops_asynchronous_agents_ends_them_when_they_hear():
+    class Awake(Endless):
+        asynchronous = True
+
+    graph = path(5)
+    agents = {i: Stoppable(Awake(), 4) for i in graph.ids}
+
+    def watch(team):
+        if team[4].algorithm.k == 20:
+            team[4].stop()
+
+    simulate(agents, graph, loss=0.5, record=(), watch=watch, seed=1)
+    assert 20 <= agents[4].algorithm.k <= 21
+    assert all(agent.algorithm.k < 150 for agent in agents.values())
+
+
+def test_a_flag_of_an_asynchronous_agent_that_was_up_once_counts():
+    class Awake(Endless):
+        asynchronous = True
+
+    graph = path(4)
+    agents = {
+        i: Until(Awake(), lambda agent, i=i: agent.k == 10 + 5 * i, 3, graph.neighbors(i)) for i in graph.ids
+    }
+    simulate(agents, graph, loss=0.3, record=(), rounds=500)
+    assert all(agent.done and 25 <= agent.k < 120 for agent in agents.values())

@@ -70,6 +70,7 @@ def test_what_a_robot_cannot_do_stays_unserved_at_the_penalty():
 def test_a_robot_without_any_task_prices_at_the_penalty():
     raw = random_instance(2, 3, seed=1).to_json()
     raw["capability"], raw["capacity"] = [[True] * 3, [False] * 3], [9.0, 9.0]
-    solution = ColumnProgram(RouteTable(Instance.parse(raw).local(1).vehicle), np.full(3, PENALTY)).solve(np.full(3, 0.5))
+    table = RouteTable(Instance.parse(raw).local(1).vehicle)
+    solution = ColumnProgram(table, np.full(3, PENALTY)).solve(np.full(3, 0.5))
     assert solution.mu.tolist() == [PENALTY] * 3
     assert solution.value == pytest.approx(1.5 * PENALTY)

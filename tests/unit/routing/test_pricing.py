@@ -80,10 +80,10 @@ def test_more_than_sixty_four_tasks_use_the_second_word():
     points = [[0.1 * j, 1.0] for j in range(70)]
     raw = {"home": [[0.0, 0.0]], "pickup": points, "delivery": points, "load": [1.0] * 70, "capacity": [1.0]}
     local = Instance.parse(raw | {"route_length_limit": 15.0}).local(0).vehicle
-    table = RouteTable(local.vehicle, most=30_000)
+    table = RouteTable(local, most=30_000)
     assert table.find([66]).length == pytest.approx(2 * np.hypot(6.6, 1.0))
     assert table.find([63, 64]).length == pytest.approx(np.hypot(6.3, 1) + 0.1 + np.hypot(6.4, 1))
-    nodes, length = shortest_route(local.vehicle, [3, 63, 64, 69])
+    nodes, length = shortest_route(local, [3, 63, 64, 69])
     assert nodes == [3, 73, 63, 133, 64, 134, 69, 139] or nodes[::2] == [69, 64, 63, 3]
     assert length == pytest.approx(np.hypot(0.3, 1) + 6.6 + np.hypot(6.9, 1))
 
@@ -117,14 +117,9 @@ def test_a_set_that_does_not_fit_is_refused(change):
 
 def test_capacity_holds_along_the_route():
     points = {"pickup": [[1.0, 0.0], [2.0, 0.0]], "delivery": [[3.0, 0.0], [4.0, 0.0]]}
-    lengths = [
-        RouteTable(
-            Instance.parse({"home": [[0.0, 0.0]], **points, "load": [1.0, 1.0], "capacity": [capacity]}).local(0).vehicle
-        )
-        .find([0, 1])
-        .length
-        for capacity in (1.0, 2.0)
-    ]
+    raw = {"home": [[0.0, 0.0]], **points, "load": [1.0, 1.0]}
+    locals_ = [Instance.parse(raw | {"capacity": [capacity]}).local(0) for capacity in (1.0, 2.0)]
+    lengths = [RouteTable(local.vehicle).find([0, 1]).length for local in locals_]
     assert lengths == pytest.approx([10.0, 8.0])
 
 

@@ -10,7 +10,7 @@ import pytest
 from crazychoir.bus.codec import MAX_PAYLOAD, decode, encode
 from crazychoir.errors import ConfigError, SolverError
 from crazychoir.routing.checker import check
-from crazychoir.routing.column_recovery import _packed
+from crazychoir.routing.packing import packed
 from crazychoir.routing.generate import random_instance
 from crazychoir.routing.instance import Instance
 from crazychoir.routing.master import partition
@@ -201,7 +201,7 @@ def test_columns_shared_a_few_at_a_time_still_prove_the_optimum(small, graph):
 
 def test_what_is_relayed_for_all_robots_together_fits_into_a_payload(small, graph):
     robots, columns = 50, [Column(1.0, tuple(range(20)))] * (Settings().most_relayed // 50)
-    assert len(encode([[i, [_packed(columns), False, False]] for i in range(robots)])) < MAX_PAYLOAD
+    assert len(encode([[i, [packed(columns), False, False]] for i in range(robots)])) < MAX_PAYLOAD
     instance, optimum = small("limited")
     whole = Settings(price_rounds=3, first_gap=10.0)
     plain = solve_in_loop(instance, graph("star", 4), settings=whole)

@@ -86,9 +86,10 @@ def vehicle_of(seed, m, kind):
     if "release" in kind:
         earliest[:m] = draw.uniform(0, 30, size=m)
     aboard = draw.random(m) < 0.4 if "aboard" in kind else np.zeros(m, dtype=bool)
+    load = draw.integers(1, 4, size=m).astype(float)
     return Vehicle(
-        distance, duration, earliest, latest, draw.integers(1, 4, size=m).astype(float),
-        float(draw.integers(3, 8)), draw.uniform(10, 40) if "limit" in kind else np.inf, draw.random(m) < 0.9, aboard,
+        distance, duration, earliest, latest, load, max(float(draw.integers(3, 8)), load[aboard].sum()),
+        draw.uniform(10, 40) if "limit" in kind else np.inf, draw.random(m) < 0.9, aboard,
         fixed=draw.uniform(-2, 5), trips=int(draw.integers(2, 4)) if "trips" in kind else 1,
         limit_again=draw.uniform(10, 40) if "limit" in kind else np.inf,
     )  # fmt: skip

@@ -106,7 +106,7 @@ CASES = {
         'graph = "rng"',
         "",
         "x.toml: graph: found rng; allowed: ring, path, star, complete, empty, k-regular:K, erdos-renyi:P, "
-        "grid:ROWSxCOLUMNS.",
+        "geometric:R, grid:ROWSxCOLUMNS.",
     ),
     "graph that cannot be": (
         'graph = "k-regular:4"',

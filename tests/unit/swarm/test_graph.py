@@ -119,6 +119,27 @@ def test_erdos_renyi_is_connected_and_repeats(n: int, seed: int, directed: bool)
     assert graph == shapes.erdos_renyi_connected(n, 0.7, seed, directed)
 
 
+@pytest.mark.parametrize("seed", range(5))
+def test_geometric_is_connected_and_grows_with_the_radius(seed: int) -> None:
+    few, many = shapes.geometric(20, 0.35, seed), shapes.geometric(20, 0.6, seed)
+    assert few.is_connected
+    assert few.is_undirected
+    assert few == shapes.geometric(20, 0.35, seed)
+    assert few != shapes.geometric(20, 0.35, seed + 100)
+    assert len(few.edges()) < len(many.edges())
+
+
+@pytest.mark.parametrize("radius", [0.0, 2.5, float("nan")])
+def test_geometric_refuses_other_radii(radius: float) -> None:
+    with pytest.raises(ConfigError, match="radius"):
+        shapes.geometric(5, radius, 1)
+
+
+def test_a_radius_that_never_connects_is_named() -> None:
+    with pytest.raises(ConfigError, match="none of 1000 draws is connected"):
+        shapes.geometric(30, 0.01, 1)
+
+
 def test_erdos_renyi_has_about_p_of_the_edges_and_depends_on_the_seed() -> None:
     drawn = [shapes.erdos_renyi_connected(20, 0.4, seed) for seed in range(20)]
     assert sum(len(graph.edges()) for graph in drawn) / (20 * 190) == pytest.approx(0.4, abs=0.03)
@@ -148,6 +169,8 @@ def test_the_same_graph_whatever_the_hash_seed() -> None:
         ("k-regular:4", shapes.k_regular(6, 4)),
         ("erdos-renyi:0.5", shapes.erdos_renyi_connected(6, 0.5, 3)),
         ("erdos-renyi:1", shapes.complete(6)),
+        ("geometric:0.6", shapes.geometric(6, 0.6, 3)),
+        ("geometric:1.5", shapes.complete(6)),
         ("grid:2x3", shapes.grid(2, 3)),
     ],
 )
@@ -159,7 +182,8 @@ def test_a_wrong_name_lists_the_known_ones() -> None:
     with pytest.raises(ConfigError) as caught:
         shapes.named("rng", 6)
     assert str(caught.value) == (
-        "graph: found rng; allowed: ring, path, star, complete, empty, k-regular:K, erdos-renyi:P, grid:ROWSxCOLUMNS."
+        "graph: found rng; allowed: ring, path, star, complete, empty, k-regular:K, erdos-renyi:P, geometric:R, "
+        "grid:ROWSxCOLUMNS."
     )
 
 

@@ -1,0 +1,57 @@
+"""Ours: agents of one process run a distributed algorithm; processes are joined by Zenoh."""
+
+import asyncio
+from collections.abc import Mapping
+from typing import Any
+
+from crazychoir.bus.local import Bus
+from crazychoir.bus.zenoh import ZenohLink
+from crazychoir.cli.peers import report, say, specification, wait_for_go
+from crazychoir.cli.peers_crazychoir import joined
+from crazychoir.cli.peers_optimization import algorithm
+from crazychoir.runtime.clock import Clock, run_wall
+from crazychoir.swarm.communicator import Communicator
+from crazychoir.swarm.graph import Graph
+from crazychoir.swarm.running import run_algorithm
+
+
+class Counted:
+    """An algorithm whose rounds are counted; it never ends."""
+
+    done = False
+
+    def __init__(self, agent: Any, i: int, rounds: dict[int, int]) -> None:
+        self.agent, self.i, self.rounds = agent, i, rounds
+        self.heavy, self.message = getattr(agent, "heavy", False), agent.message
+
+    def step(self, heard: Mapping[int, Any]) -> None:
+        """One round more."""
+        self.agent.step(heard)
+        self.rounds[self.i] += 1
+
+
+async def main(clock: Clock) -> None:
+    """Join, wait for the word, run until killed."""
+    spec: dict[str, Any] = specification()
+    neighbors = spec["neighbors"]
+    bus = Bus(clock, process=spec["process"], host="bench")
+    team = Graph.from_neighbors(neighbors)
+    rounds = dict.fromkeys(spec["mine"], 0)
+    agents = {i: Counted(algorithm(spec["algorithm"], neighbors, i), i, rounds) for i in spec["mine"]}
+    members = {i: Communicator(bus.port(i), team) for i in spec["mine"]}
+    async with asyncio.TaskGroup() as group:
+        if spec["connect"]:
+            endpoints = {"listen": spec["listen"], "connect": spec["connect"]}
+            link = ZenohLink(bus, spec["swarm"], incarnation=1, version="bench", **endpoints)
+            link.open()
+            group.create_task(link.run())
+            await joined(link, neighbors)
+        say({"ready": True})
+        await asyncio.to_thread(wait_for_go)
+        report(rounds, spec)
+        for i, agent in agents.items():
+            group.create_task(run_algorithm(members[i], agent))
+
+
+if __name__ == "__main__":
+    run_wall(main)

@@ -1,0 +1,131 @@
+"""crazychoir simulate: a distributed algorithm on simulated agents, over a bad network, without flying."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich.console import Group
+from rich.table import Table
+
+from crazychoir.cli.show import STDERR, Progress, fail, prints_aside, set_up_logging, write_json
+from crazychoir.errors import ConfigError, CrazyChoirError
+
+if TYPE_CHECKING:
+    from crazychoir.simulate import History
+    from crazychoir.swarm.graph import Graph
+    from crazychoir.swarm.round import Round
+
+SHOWN_AGENTS = 20
+ENTRIES = 6
+"""Of an array that a table shows."""
+
+
+def simulate(
+    file: Annotated[Path, typer.Argument(help="Python file that defines agent(i, graph).")],
+    agents: Annotated[int, typer.Option(min=1, help="So many agents.")] = 10,
+    graph: Annotated[
+        str, typer.Option(help="Who talks to whom: ring, path, complete, star, k-regular:4, erdos-renyi:0.3, ...")
+    ] = "ring",
+    directed: Annotated[bool, typer.Option("--directed", help="One way only: of ring and erdos-renyi.")] = False,
+    loss: Annotated[float, typer.Option(help="Share of messages between agents that is lost.")] = 0.0,
+    rounds: Annotated[int | None, typer.Option(min=1, help="Stop after so many, if they are not done before.")] = None,
+    seed: Annotated[int, typer.Option(help="Seed of the graph, the network and the agents' waking.")] = 0,
+    sleep: Annotated[float, typer.Option(help="Asynchronous agents: longest s between two steps.")] = 0.02,
+    compute: Annotated[float, typer.Option(help="Asynchronous agents: longest s that a step takes.")] = 0.0,
+    record: Annotated[str, typer.Option(help="Attributes of the agents to keep, as x,average.")] = "x",
+    save: Annotated[Path | None, typer.Option(help="Where to write the histories (.csv, .json, .npz).")] = None,
+    picture: Annotated[Path | None, typer.Option(help="Where to draw the convergence (PNG).")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object, nothing else.")] = False,
+) -> None:
+    """Run a distributed algorithm on simulated agents, over a network that loses messages.
+
+    The file defines agent(i, graph), which returns agent i: an object with `message()`, `step(heard)` and `done`, as
+    those of crazychoir.optimization. Its attribute x is what is recorded, unless --record names others.
+    """
+    set_up_logging()
+    from crazychoir import simulate as simulation  # numerics: 1 s that --help does not need
+
+    names = tuple(name.strip() for name in record.split(",") if name.strip())
+    try:
+        with prints_aside():
+            links, team = _team(file, agents, graph, seed, directed)
+            with Progress(_progress_table, enabled=not as_json) as progress:
+                history = simulation.simulate(
+                    team, links, loss=loss, seed=seed, rounds=rounds, record=names, watch=progress,
+                    sleep=(0.0, sleep), compute=(0.0, compute),
+                )  # fmt: skip
+            if save is not None:
+                history.save(save)
+            if picture is not None:
+                _draw(history, names, picture, f"{file.stem}: {agents} agents, {graph}, {loss:.0%} lost")
+    except CrazyChoirError as error:
+        fail(error, as_json)
+    if as_json:
+        write_json(history.to_json())
+    else:
+        STDERR.print(_tables(history, file.stem))
+
+
+def _team(file: Path, agents: int, graph: str, seed: int, directed: bool) -> "tuple[Graph, dict[int, Round]]":
+    """The graph, and the agents that the file makes for it."""
+    from crazychoir.guidance.hooks import Hook
+    from crazychoir.guidance.mission import from_file
+    from crazychoir.swarm.graph import named
+    from crazychoir.swarm.round import Round
+
+    links = named(graph, agents, seed, directed)
+    module = from_file(file, "algorithm")
+    make = getattr(module, "agent", None)
+    if make is None:
+        allowed = "a file that defines agent(i, graph)"
+        raise ConfigError(f"algorithm {file}", "no function agent(i, graph)", allowed)
+    hook = Hook(str(module.__file__), "agent", make, ("i", "graph"), "an agent: message(), step(heard), done")
+    hook.check()
+    team = {i: hook(i, links) for i in links.ids}
+    for i, one in team.items():
+        if not isinstance(one, Round):
+            raise hook.wrong(f"{type(one).__name__} for agent {i}")
+    return links, team
+
+
+def _draw(history: "History", names: tuple[str, ...], path: Path, title: str) -> None:
+    from crazychoir.optimization.picture import draw_convergence
+
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if names:
+        series = {i: values[names[0]] for i, values in history.values.items()}
+        draw_convergence(series, history.times, path, names[0], title)
+
+
+def _progress_table(team: "Mapping[int, Any]") -> Table:
+    """One row an agent."""
+    table = Table("agent", "x")
+    for i, agent in list(team.items())[:SHOWN_AGENTS]:
+        table.add_row(str(i), _short(getattr(agent, "x", "")))
+    return table
+
+
+def _tables(history: "History", name: str) -> Group:
+    figures = Table("figure", "value", title=name)
+    result = history.to_json()
+    for key in ("rounds", "disagreement", "messages", "lost", "resent", "bytes", "simulated_s", "wall_s"):
+        value = result[key]
+        if isinstance(value, dict):
+            value = ", ".join(f"{name}: {v:.3g}" for name, v in value.items() if v is not None)
+        figures.add_row(key, f"{value:.4g}" if isinstance(value, float) else str(value))
+    names = list(next(iter(history.values.values())))
+    last = Table("agent", *names, title="at the end")
+    for i in list(history.values)[:SHOWN_AGENTS]:
+        last.add_row(str(i), *(_short(history.values[i][key][-1]) for key in names))
+    return Group(figures, last)
+
+
+def _short(x: Any) -> str:
+    import numpy as np
+
+    if isinstance(x, str):
+        return x
+    entries = np.ravel(np.asarray(x)).tolist()
+    text = ", ".join(f"{entry:.6g}" if isinstance(entry, float) else str(entry) for entry in entries[:ENTRIES])
+    return text + (", ..." if len(entries) > ENTRIES else "")

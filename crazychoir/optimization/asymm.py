@@ -1,0 +1,168 @@
+"""ASYMM: the asynchronous method of multipliers, for problems that need not be convex."""
+
+from collections.abc import Iterable, Mapping
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from crazychoir.errors import ConfigError
+from crazychoir.optimization.iteration import vector
+from crazychoir.optimization.messages import like
+from crazychoir.optimization.smooth import Smooth, descended
+from crazychoir.optimization.stopping import Flags
+from crazychoir.types import PerNeighbor, Vec
+
+MOST_PENALTY: Final = 1e5
+CALM: Final = 5
+"""Times in a row that an agent must find its gradient small: time for the others' last steps to reach it."""
+Heard = tuple[int, bytes, Vec, Vec, float]
+
+
+class ASYMM:
+    """Asynchronous method of multipliers for  min sum_i f_i(x)  s.t.  h_i(x) = 0, g_i(x) <= 0 for all i.
+
+    In an epoch, agent i descends on its part of the augmented Lagrangian, a step each time it wakes, with the latest
+    x_j it has heard:
+
+        L_i(x) = f_i(x) + sum_{j in N_i} [ (nu_ij - nu_ji)'x + (rho_ij + rho_ji)/2 |x - x_j|^2 ]
+                 + l_i'h_i(x) + s_i/2 |h_i(x)|^2 + 1/(2 s_i) sum_r [ max(0, m_ir + s_i g_ir(x))^2 - m_ir^2 ]
+
+    until |grad L_i| <= e. When all agents have been there (a distributed logical and), or a neighbour is in the next
+    epoch, it takes its multipliers there, and waits for the neighbours' own:
+
+        nu_ij <- nu_ij + rho_ij (x_i - x_j),   l_i <- l_i + s_i h_i(x_i),   m_i <- max(0, m_i + s_i g_i(x_i))
+
+    rho_ij and s_i grow, by `growth`, if what they punish has not shrunk to `shrink` of what it was, and is more than e
+    explains; e falls by `sharpen`.
+    A message says all that is new since the first: lost ones are made up for by any later one. No step size.
+    A static undirected graph. f_i, h_i, g_i: twice differentiable, not necessarily convex: x is a local minimum.
+    neighbors: N_i;  diameter: of the graph;  x: (n,) the start;  epochs: until done;  penalty: the first rho and s;
+    tolerance: the first e;  epoch: the present one;  nu, rho: by neighbour;  l, m: multipliers of h_i and g_i.
+    Raises ConfigError, SolverError: a function of a wrong shape, or that is not finite.
+    Source: Farina, Garulli, Giannitrapani & Notarstefano 2019, Automatica 103, 243-253; here with a Newton step.
+    """
+
+    asynchronous = True
+    connected = True
+    undirected = True
+
+    def __init__(
+        self, i: int, neighbors: Iterable[int], diameter: int, x: ArrayLike, objective: Smooth, *,
+        equalities: Smooth | None = None, inequalities: Smooth | None = None, epochs: int = 25, penalty: float = 1.0,
+        tolerance: float = 0.1, growth: float = 2.0, shrink: float = 0.5, sharpen: float = 0.5,
+    ) -> None:  # fmt: skip
+        for name, value, most in (("penalty", penalty, MOST_PENALTY), ("tolerance", tolerance, np.inf)):
+            if not 0.0 < value <= most:
+                raise ConfigError(f"agent {i}: {name}", f"{value}", f"above 0, at most {most:g}")
+        for name, value in (("shrink", shrink), ("sharpen", sharpen), ("1 / growth", 1.0 / growth)):
+            if not 0.0 < value < 1.0:
+                raise ConfigError(f"agent {i}: {name}", f"{value:g}", "above 0, below 1")
+        self.i, self.where, self.neighbors = i, f"agent {i}", tuple(sorted(neighbors))
+        self.x = vector(f"{self.where}: x", x)
+        self.epochs, self.tolerance = epochs, tolerance
+        self.growth, self.shrink, self.sharpen = growth, shrink, sharpen
+        self.epoch, self.k = 0, 0
+        self.nu = {j: np.zeros_like(self.x) for j in self.neighbors}
+        self.rho = dict.fromkeys(self.neighbors, penalty)
+        self._gap = dict.fromkeys(self.neighbors, np.inf)
+        self._own = _Own(self.where, len(self.x), objective, equalities, inequalities, penalty)
+        self._diameter, self._flags = diameter, Flags(diameter, False)
+        self._calm = 0
+        self._heard: dict[int, Heard] = {}
+
+    @property
+    def done(self) -> bool:
+        """Whether the last epoch is over."""
+        return self.epoch >= self.epochs
+
+    def message(self) -> PerNeighbor:
+        """[epoch, bits of the logical and, x_i, nu_ij, rho_ij] for each neighbour."""
+        bits = self._flags.message()
+        return PerNeighbor({j: [self.epoch, bits, self.x, self.nu[j], self.rho[j]] for j in self.neighbors})
+
+    def step(self, heard: Mapping[int, Any]) -> None:
+        """Take what has come; descend, or take the multipliers to the next epoch, or wait."""
+        self.k += 1
+        for j, (epoch, bits, x, nu, rho) in heard.items():
+            self._heard[j] = epoch, bits, like(self.i, j, x, self.x), like(self.i, j, nu, self.x), rho
+        others = [self._heard[j] for j in self.neighbors if j in self._heard]
+        if len(others) < len(self.neighbors) or any(epoch < self.epoch for epoch, *_ in others):
+            return
+        if all(epoch == self.epoch for epoch, *_ in others):
+            self._calm = 0 if self._descend() else self._calm + 1
+            self._flags.step(self._calm >= CALM, {j: bits for j, (_, bits, *_) in self._heard.items()})
+            if not self._flags.agreed:
+                return
+        self._ascend()
+
+    def _descend(self) -> bool:
+        """One step, unless the gradient is small; whether x has changed."""
+        slope, pull, centre = np.zeros_like(self.x), 0.0, np.zeros_like(self.x)
+        for j, (_, _, x, nu, rho) in self._heard.items():
+            both = self.rho[j] + rho
+            slope += self.nu[j] - nu
+            pull += both
+            centre += both * x
+
+        def value(x: Vec) -> float:
+            return self._own.value(x) + float(slope @ x + x @ (0.5 * pull * x - centre))
+
+        def gradient(x: Vec) -> Vec:
+            return self._own.gradient(x) + slope + pull * x - centre
+
+        if np.linalg.norm(gradient(self.x)) <= self.tolerance:
+            return False
+        before, self.x = self.x, descended(value, gradient, self.x)
+        return self.x is not before
+
+    def _ascend(self) -> None:
+        """The multipliers of the next epoch."""
+        for j, (_, _, x, *_) in self._heard.items():
+            self.nu[j] = self.nu[j] + self.rho[j] * (self.x - x)
+            gap = float(np.linalg.norm(self.x - x))
+            if gap > self.shrink * self._gap[j] and self.rho[j] * gap > self.tolerance:
+                self.rho[j] = min(self.growth * self.rho[j], MOST_PENALTY)
+            self._gap[j] = gap
+        self._own.ascend(self.x, self.growth, self.shrink, self.tolerance)
+        self.epoch += 1
+        self.tolerance *= self.sharpen
+        self._flags = Flags(self._diameter, False)
+        self._calm = 0
+
+
+class _Own:
+    """f_i with its constraints in an augmented Lagrangian of its own."""
+
+    def __init__(self, where: str, n: int, f: Smooth, h: Smooth | None, g: Smooth | None, penalty: float) -> None:
+        nothing = Smooth(lambda x: np.zeros(0), lambda x: np.zeros((0, n)))
+        self._f, self._h, self._g = f, h or nothing, g or nothing
+        self._where, self.s, self._missed = where, penalty, np.inf
+        self.l: Vec | float = 0.0
+        self.m: Vec | float = 0.0
+
+    def _parts(self, x: Vec) -> list[tuple[Vec, Any]]:
+        parts = (("objective", self._f), ("equalities", self._h), ("inequalities", self._g))
+        return [part.at(x, f"{self._where}: {name}") for name, part in parts]
+
+    def value(self, x: Vec) -> float:
+        """f + l'h + s/2 |h|^2 + 1/(2s) sum max(0, m + s g)^2, which differs from L_i by a constant."""
+        (f, _), (h, _), (g, _) = self._parts(x)
+        short = np.maximum(0.0, self.m + self.s * g)
+        return float(f[0] + np.sum(h * (self.l + 0.5 * self.s * h)) + short @ short / (2.0 * self.s))
+
+    def gradient(self, x: Vec) -> Vec:
+        """grad f + J_h'(l + s h) + J_g' max(0, m + s g)."""
+        (_, df), (h, dh), (g, dg) = self._parts(x)
+        total: Vec = df[0] + dh.T @ (self.l + self.s * h) + dg.T @ np.maximum(0.0, self.m + self.s * g)
+        return total
+
+    def ascend(self, x: Vec, growth: float, shrink: float, tolerance: float) -> None:
+        """l, m, and s if the constraints are missed by as much as before."""
+        (_, _), (h, _), (g, _) = self._parts(x)
+        m = np.maximum(0.0, self.m + self.s * g)
+        missed = float(np.linalg.norm(np.concatenate([h, (m - self.m) / self.s])))
+        self.l, self.m = self.l + self.s * h, m
+        if missed > shrink * self._missed and self.s * missed > tolerance:
+            self.s = min(growth * self.s, MOST_PENALTY)
+        self._missed = missed

@@ -1,0 +1,138 @@
+"""Constraints consensus: agents exchange the few constraints that matter, and agree in finite time."""
+
+from collections.abc import Mapping
+from typing import Any, Final
+
+import numpy as np
+
+from crazychoir.errors import ConfigError, SolverError
+from crazychoir.optimization.iteration import Iteration
+from crazychoir.optimization.linear import LinearProgram
+from crazychoir.optimization.problems import CommonCost
+from crazychoir.optimization.quadratic import Polyhedron, QuadraticProgram, positive
+from crazychoir.types import Mat, Vec
+
+TOLERANCE: Final = 1e-7
+"""Of a row a'x <= b with |a| = 1, relative to 1 + |b|."""
+TIE: Final = 1e-5
+"""Weight of 1/2 |x|^2 beside a linear objective of length one."""
+BATCH: Final = 4
+"""Violated rows that the local solution takes in at a time, in dimensions of x."""
+
+
+class ConstraintsConsensus(Iteration):
+    """Finite-time solution of  min f(x)  s.t.  x in the intersection of the X_i, by bases of active constraints.
+
+        B_i <- basis of  min f(x)  s.t.  x in X_i, and the rows of B_i and of B_j for all j heard
+
+    A basis is the rows a'x <= b of an optimum that have a positive multiplier, at most n; it is all that travels.
+    f(x_i) never falls, and where no x_i violates what its agent hears, all are the optimum of the team's problem.
+    Static or time-varying graphs, directed too, (jointly, strongly) connected. No step size.
+    f is strictly convex quadratic; to one that is not, as a linear one, TIE |x|^2 / 2 is added, with f scaled to length
+    one: it makes the optimum unique, the one closest to 0, exactly so if TIE is small beside the multipliers.
+    diameter: D of a static graph: all are done in the same round, 2 D after the last change, as each counts the rounds
+    since the last change that it has heard of;  rounds: at most, or where no diameter is given.
+    x: (n,);  basis: (m, n + 1), rows [a', b] with |a| = 1;  unchanged: that count.
+    Raises SolverError as soon as an agent knows constraints that exclude each other.
+    Source: Notarstefano & Bullo 2011, IEEE Trans. Autom. Control 56(10), 2247-2261.
+    """
+
+    connected = True
+
+    def __init__(self, problem: CommonCost, diameter: int | None = None, rounds: int | None = None) -> None:
+        super().__init__(problem.agent, rounds)
+        if diameter is None and rounds is None:
+            raise ConfigError(f"agent {self.i}: diameter, rounds", "None, None", "one of them, the same at all agents")
+        self.problem, self.diameter, self.unchanged = problem, diameter, 0
+        self._P, self._q = _strictly_convex(problem)
+        self._own = _inequalities(problem)
+        self.x, self.basis = np.zeros(problem.n), np.zeros((0, problem.n + 1))
+
+    @property
+    def done(self) -> bool:
+        """Whether nothing has changed anywhere for long enough, or the rounds are over."""
+        return (self.diameter is not None and self.unchanged >= max(1, 2 * self.diameter)) or super().done
+
+    def message(self) -> list[Any]:
+        """[rounds without a change, basis]."""
+        if self.k == 0:
+            self._take(self.basis)
+            self._improve(self._own)
+        return [self.unchanged, self.basis]
+
+    def update(self, heard: Mapping[int, Any]) -> None:
+        """Take the others' bases; if x violates one of their rows, find the new optimum and its basis."""
+        for j, (_, basis) in heard.items():
+            if getattr(basis, "ndim", 0) != 2 or basis.shape[1] != self.basis.shape[1]:
+                allowed = f"(m, {self.basis.shape[1]}), as its own"
+                raise ConfigError(f"agent {self.i}: message of agent {j}", f"a basis {np.shape(basis)}", allowed)
+        changed = self._improve(np.vstack([self._own, *(basis for _, basis in heard.values())]))
+        fewest = min([self.unchanged, *(int(count) for count, _ in heard.values())])
+        self.unchanged = 0 if changed else fewest + 1
+
+    def _improve(self, rows: Mat) -> bool:
+        """Take in what x violates of the rows until it violates nothing; whether it did."""
+        steps = 0
+        while len(worst := self._violated(rows)):
+            steps += 1
+            if steps > len(rows):
+                raise SolverError(f"agent {self.i}: constraints consensus", f"{steps} steps without an optimum")
+            self._take(np.vstack([self.basis, worst]))
+        return steps > 0
+
+    def _violated(self, rows: Mat) -> Mat:
+        """The worst of the rows that x violates."""
+        excess = rows[:, :-1] @ self.x - rows[:, -1] - TOLERANCE * (1.0 + np.abs(rows[:, -1]))
+        worst = np.argsort(-excess, kind="stable")[: BATCH * self.problem.n]
+        return rows[worst[excess[worst] > 0.0]]
+
+    def _take(self, rows: Mat) -> None:
+        """The optimum over these rows, and its basis."""
+        n = self.problem.n
+        over = Polyhedron(np.ascontiguousarray(rows[:, :-1]), rows[:, -1], np.zeros((0, n)), np.zeros(0))
+        program = QuadraticProgram(self._P, self._q, over)
+        found = program.solve(np.zeros(n))
+        if isinstance(found, str):
+            raise SolverError(f"agent {self.i}: constraints that it knows", self._why(found, rows))
+        self.basis = rows[program.u > 0.0] if len(rows) else rows
+        self.x = self._corner(found)
+
+    def _corner(self, near: Vec) -> Vec:
+        """x from its basis alone: P x + A'u + q = 0, A x = b; free of the rounding of a far start."""
+        A, b = self.basis[:, :-1], self.basis[:, -1]
+        if not len(b):
+            return near
+        zero = np.zeros((len(b), len(b)))
+        both = np.linalg.solve(np.block([[self._P, A.T], [A, zero]]), np.concatenate([-self._q, b]))
+        return np.ascontiguousarray(both[: self.problem.n])
+
+    def _why(self, status: str, rows: Mat) -> str:
+        """Of rows that exclude each other, the one that is missed when all together are missed by the least."""
+        if status != "infeasible":
+            return status
+        m, n = len(rows), self.problem.n
+        elastic = np.hstack([rows[:, :-1], -np.eye(m)]), rows[:, -1]
+        bounds = np.r_[np.full(n, -np.inf), np.zeros(m)], np.full(n + m, np.inf)
+        missed = LinearProgram(np.r_[np.zeros(n), np.ones(m)], elastic, bounds=bounds).solve(np.zeros(n + m))
+        if isinstance(missed, str):
+            return status
+        r = int(np.argmax(missed[n:]))
+        row = " ".join(f"{a:+.4g} x[{k}]" for k, a in enumerate(rows[r, :-1]) if a)
+        return f"infeasible: row {row} <= {rows[r, -1]:.4g}: violated by {missed[n + r]:.4g}, at best"
+
+
+def _strictly_convex(problem: CommonCost) -> tuple[Mat, Vec]:
+    """P and q of f, with the tie-break where it needs one."""
+    form = problem.cost
+    try:
+        return positive(form.P), form.q
+    except np.linalg.LinAlgError:
+        length = max(float(np.abs(form.P).max()), float(np.linalg.norm(form.q))) or 1.0
+        return form.P / length + TIE * np.eye(problem.n), form.q / length
+
+
+def _inequalities(problem: CommonCost) -> Mat:
+    """X_i as rows [a', b]; an equality as two of them."""
+    over = problem.polyhedron
+    equal = np.column_stack([over.E, over.e])
+    return np.vstack([np.column_stack([over.A, over.b]), equal, -equal])

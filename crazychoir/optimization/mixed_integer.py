@@ -1,0 +1,152 @@
+"""One agent's part of a mixed-integer linear program that is coupled by resources, as plain arrays."""
+
+from collections.abc import Sequence
+from functools import cached_property
+from typing import Any
+
+import highspy
+import numpy as np
+
+from crazychoir.errors import ConfigError, SolverError
+from crazychoir.optimization.arrays import matrix, vector
+from crazychoir.optimization.linear import MOST_NODES, WORDS, LinearProgram, Mask, quiet_highs
+from crazychoir.types import Mat, Vec
+
+SLACK = 1e-6
+"""What a row may miss its bound by, relative to 1 + |bound|: a solver's tolerance."""
+
+
+class MixedIntegerBlock:
+    """One agent's part of  min sum_i c_i'x_i  s.t.  sum_i A_i x_i <= sum_i b_i,  x_i in X_i.
+
+        X_i = {x : D x <= d,  low <= x <= high,  x_k integer for k in `integer`},   bounded
+
+    c: (n,);  A: (S, n), of S resources;  rows: (D (m, n), d (m,)) or None;  bounds: (low, high), (n,) or numbers;
+    integer: indices of x;  share: b_i (S,); for a common b each of N agents may take b/N.
+    Raises ConfigError for arrays that do not fit or are not finite, SolverError for an X_i that is empty, or has no
+    bound, when it is solved; both name the agent, the row and the value.
+    """
+
+    def __init__(
+        self,
+        agent: int,
+        c: Vec,
+        A: Mat,
+        share: Vec,
+        *,
+        rows: tuple[Mat, Vec] | None = None,
+        bounds: tuple[Any, Any] = (0.0, np.inf),
+        integer: Sequence[int] = (),
+    ) -> None:
+        self.agent, self.where = agent, f"agent {agent}"
+        self.c = vector(c, self.where, "c")
+        self.n = len(self.c)
+        self.share = vector(share, self.where, "share")
+        self.S = len(self.share)
+        self.A = matrix(A, self.where, "A", (self.S, self.n))
+        D, d = (np.zeros((0, self.n)), np.zeros(0)) if rows is None else rows
+        d = vector(d, self.where, "d")
+        self.rows = matrix(D, self.where, "D", (len(d), self.n)), d
+        low, high = self._bound(bounds[0], "low"), self._bound(bounds[1], "high")
+        self.bounds = low, high
+        crossed = np.flatnonzero(low > high)
+        if len(crossed):
+            k = int(crossed[0])
+            raise ConfigError(f"{self.where}: low[{k}]", f"{low[k]}", f"at most high[{k}] = {high[k]}")
+        self.integer = self._mask(integer)
+
+    def _bound(self, bound: Any, name: str) -> Vec:
+        every = np.full(self.n, float(bound)) if np.ndim(bound) == 0 else bound
+        return vector(every, self.where, name, self.n, infinite=True)
+
+    def _mask(self, integer: Sequence[int]) -> Mask:
+        for k in integer:
+            if not 0 <= k < self.n:
+                raise ConfigError(f"{self.where}: integer", k, f"indices 0 to {self.n - 1}")
+        mask = np.zeros(self.n, dtype=bool)
+        mask[list(integer)] = True
+        return mask
+
+    @cached_property
+    def _over(self) -> LinearProgram:
+        return LinearProgram(np.zeros(self.n), self.rows, bounds=self.bounds, integer=self.integer)
+
+    def corner(self, cost: Vec) -> Vec:
+        """argmin cost'x over X_i (n,)."""
+        return self._exact(self._require(self._over.solve(cost)))
+
+    @cached_property
+    def _elastic(self) -> "_Elastic":
+        return _Elastic(self)
+
+    def within(self, y: Vec) -> tuple[Vec, Vec]:
+        """(x, v): the least sum of v >= 0 with A x <= y + v, and with it the least c'x. y: (S,)."""
+        x = self._exact(self._require(self._elastic.solve(y)))
+        return x, np.maximum(self.A @ x - y, 0.0)
+
+    def _exact(self, x: Vec) -> Vec:
+        x[self.integer] = np.round(x[self.integer])
+        return x
+
+    def _require(self, found: Vec | str) -> Vec:
+        if isinstance(found, str):
+            raise SolverError(f"{self.where}: local problem", f"{found}: {self._why(found)}")
+        return found
+
+    def _why(self, status: str) -> str:
+        """What to look at."""
+        low, high = self.bounds
+        if status == "unbounded":
+            free = np.flatnonzero(~np.isfinite(low) | ~np.isfinite(high))
+            return f"x[{', '.join(map(str, free[:10]))}] without a bound; give low and high"
+        return f"{len(self.rows[1])} rows D x <= d, low <= x <= high, {int(self.integer.sum())} integers"
+
+
+class _Elastic:
+    """min c'x over X with A x <= y + v, for many y: in (x, v)."""
+
+    def __init__(self, block: MixedIntegerBlock) -> None:
+        n, S, (D, d) = block.n, block.S, block.rows
+        self._S, self._index = S, np.arange(n + S, dtype=np.int32)
+        self._c, self._zero, self._high = block.c, np.zeros(S), np.concatenate([block.bounds[1], np.zeros(S)])
+        self._low = np.concatenate([block.bounds[0], np.zeros(S)])
+        self._highs = quiet_highs()
+        self._highs.addVars(n + S, self._low, self._high)
+        for s, row in enumerate(block.A):
+            self._add(np.concatenate([row, -np.eye(S)[s]]), 0.0)
+        for row, most in zip(D, d, strict=True):
+            self._add(np.concatenate([row, self._zero]), most)
+        kinds = np.zeros(n + S, np.uint8)
+        kinds[:n][block.integer] = int(highspy.HighsVarType.kInteger)
+        self._highs.changeColsIntegrality(n + S, self._index, kinds)
+        self._highs.setOptionValue("mip_max_nodes", MOST_NODES)
+        self._highs.setOptionValue("mip_rel_gap", 0.0)
+
+    def solve(self, y: Vec) -> Vec | str:
+        """x (n,) of the least sum of v and then of the least c'x; or a word of why there is none."""
+        for s in range(self._S):
+            self._highs.changeRowBounds(s, -np.inf, float(y[s]))
+        within = self._minimise(self._c, self._zero)
+        if not isinstance(within, str):
+            return within
+        missing = self._minimise(np.zeros_like(self._c), np.full(self._S, np.inf))
+        if isinstance(missing, str):
+            return missing
+        return self._minimise(self._c, missing + SLACK * (1.0 + np.abs(y)))
+
+    def _minimise(self, c: Vec, most: Vec) -> Vec | str:
+        """x, or v where c = 0; `most`: of v."""
+        n, free = len(c), not c.any()
+        self._high[n:] = most
+        self._highs.changeColsBounds(n + self._S, self._index, self._low, self._high)
+        self._highs.changeColsCost(n + self._S, self._index, np.concatenate([c, np.full(self._S, float(free))]))
+        self._highs.run()
+        status = self._highs.getModelStatus()
+        if status != highspy.HighsModelStatus.kOptimal:
+            return WORDS.get(status, str(status.name))
+        found = np.array(self._highs.getSolution().col_value)
+        return found[n:] if free else found[:n]
+
+    def _add(self, row: Vec, most: float) -> None:
+        at = np.flatnonzero(row).astype(np.int32)
+        self._highs.addRow(-np.inf, float(most), len(at), at, row[at])

@@ -1,0 +1,78 @@
+"""How a team converges, as a picture for a page or a paper."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from crazychoir.errors import ConfigError
+from crazychoir.types import Vec
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+"""Okabe and Ito's, told apart with every colour vision."""
+DASHES: tuple[Any, ...] = ("-", (0, (5, 2)), (0, (1, 1.2)), (0, (5, 1.5, 1, 1.5)))
+INK = "#303030"
+MOST_ENTRIES = 4
+"""Of x that are drawn."""
+
+
+def draw_convergence(
+    series: Mapping[int, Any], times: Mapping[int, Vec], path: str | Path, name: str = "x", title: str = ""
+) -> None:
+    """Write a PNG (or what the suffix of `path` says): above, each agent's entries of x; below, on a logarithmic axis,
+    the distance of each agent from the team's mean at the end.
+
+    series: {agent: (K+1, ...)};  times: {agent: (K+1,) s}, which are the abscissa where agents made different numbers
+    of steps, else the rounds are.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    x = {i: _entries(i, name, values) for i, values in series.items()}
+    in_step = len({len(values) for values in x.values()}) == 1
+    at = {i: np.arange(len(x[i]), dtype=float) if in_step else times[i] for i in x}
+    figure = Figure(figsize=(6.4, 5.2), dpi=200, layout="constrained")
+    FigureCanvasAgg(figure)
+    above, below = figure.subplots(2, 1, sharex=True)
+    _draw_entries(above, x, at, name)
+    _draw_distances(below, x, at, name)
+    below.set_xlabel("round" if in_step else "time [s]")
+    for axes in (above, below):
+        axes.grid(color="#e6e6e6", linewidth=0.6)
+        axes.set_axisbelow(True)
+        axes.spines[["top", "right"]].set_visible(False)
+    figure.suptitle(title, color=INK, fontsize=10)
+    figure.savefig(path, bbox_inches="tight")
+
+
+def _entries(i: int, name: str, values: Any) -> Vec:
+    """(K+1, entries)."""
+    if not isinstance(values, np.ndarray) or values.dtype.kind not in "fiub":
+        raise ConfigError(f"picture: {name} of agent {i}", "no numbers of one shape", "an array, to draw it")
+    return values.reshape(len(values), -1).astype(float)
+
+
+def _draw_entries(axes: "Axes", x: Mapping[int, Vec], at: Mapping[int, Vec], name: str) -> None:
+    for i, values in x.items():
+        for n in range(min(values.shape[1], MOST_ENTRIES)):
+            label = (f"{name}[{n}]" if values.shape[1] > 1 else name) if i == min(x) else None
+            axes.plot(at[i], values[:, n], color=COLOURS[n], linestyle=DASHES[n], linewidth=0.9, alpha=0.8, label=label)
+    axes.set_ylabel(f"{name} of each agent")
+    axes.legend(frameon=False, fontsize=8, ncols=MOST_ENTRIES)
+
+
+def _draw_distances(axes: "Axes", x: Mapping[int, Vec], at: Mapping[int, Vec], name: str) -> None:
+    """From the mean of all agents' last values, if they are of one size; else each from its own last value."""
+    sizes = {values.shape[1] for values in x.values()}
+    mean = np.mean([values[-1] for values in x.values()], axis=0) if len(sizes) == 1 else None
+    for i, values in x.items():
+        distance = np.abs(values - (values[-1] if mean is None else mean)).max(axis=1)
+        distance[distance == 0.0] = np.nan
+        colour = COLOURS[i % len(COLOURS)]
+        axes.semilogy(at[i], distance, color=colour, linestyle=DASHES[i % len(DASHES)], linewidth=0.9)
+    what = "its own end" if mean is None else "the mean at the end"
+    axes.set_ylabel(f"distance from\n{what}")

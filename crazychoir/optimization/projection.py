@@ -1,0 +1,188 @@
+"""Projections onto convex sets, in closed form where there is one."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from crazychoir.errors import ConfigError, SolverError
+from crazychoir.optimization.iteration import vector
+from crazychoir.types import Vec
+
+MOST_ITERATIONS = 200
+
+
+class ConvexSet(Protocol):
+    """A closed convex set that knows its projection, and how cvxpy writes it."""
+
+    def project(self, x: Vec) -> Vec:
+        """The nearest point of the set."""
+        ...
+
+    def constraints(self, x: Any) -> list[Any]:
+        """cvxpy's constraints that say that x is in the set."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Box:
+    """{x: low <= x <= high}, entry by entry; P(x) = min(max(x, low), high). Bounds may be infinite."""
+
+    low: ArrayLike
+    high: ArrayLike
+
+    def __post_init__(self) -> None:
+        low, high = np.asarray(self.low, dtype=float), np.asarray(self.high, dtype=float)
+        if not np.all(low <= high):
+            raise ConfigError("box", f"low {low.tolist()}, high {high.tolist()}", "low at most high in each entry")
+
+    def project(self, x: Vec) -> Vec:
+        """The nearest point of the set."""
+        return np.minimum(np.maximum(x, self.low), self.high)
+
+    def constraints(self, x: Any) -> list[Any]:
+        """low <= x <= high, where they are finite."""
+        low, high = (np.broadcast_to(np.asarray(bound, dtype=float), x.shape) for bound in (self.low, self.high))
+        below, above = np.flatnonzero(np.isfinite(low)), np.flatnonzero(np.isfinite(high))
+        return [x[below] >= low[below]] * bool(below.size) + [x[above] <= high[above]] * bool(above.size)
+
+
+@dataclass(frozen=True, eq=False)
+class Strip:
+    """{x: |a'x - b| <= width / 2}: what a measurement b of a'x says, with an error of at most width / 2.
+
+        P(x) = x - a (r - min(max(r, -width/2), width/2)) / a'a,   r = a'x - b
+    """
+
+    a: ArrayLike
+    b: float
+    width: float
+
+    def __post_init__(self) -> None:
+        a = vector("strip: a", self.a)
+        if not (a @ a > 0.0 and np.isfinite(self.b) and self.width >= 0.0):
+            found = f"a {a.tolist()}, b {self.b}, width {self.width}"
+            raise ConfigError("strip", found, "a not zero, b finite, width 0 or more")
+
+    def project(self, x: Vec) -> Vec:
+        """The nearest point of the set."""
+        a = np.asarray(self.a, dtype=float)
+        r = float(a @ x - self.b)
+        beyond = r - min(max(r, -self.width / 2), self.width / 2)
+        return np.asarray(x - a * (beyond / (a @ a)))
+
+    def constraints(self, x: Any) -> list[Any]:
+        """-width/2 <= a'x - b <= width/2."""
+        r = np.asarray(self.a, dtype=float) @ x - self.b
+        return [r <= self.width / 2, r >= -self.width / 2]
+
+
+@dataclass(frozen=True, eq=False)
+class Disc:
+    """{x: |x - c| <= radius}, a ball in any dimension: what a measured distance says.
+
+        P(x) = c + (x - c) min(1, radius / |x - c|)
+    """
+
+    c: ArrayLike
+    radius: float
+
+    def __post_init__(self) -> None:
+        vector("disc: c", self.c)
+        if not 0.0 <= self.radius < np.inf:
+            raise ConfigError("disc: radius", self.radius, "0 or more")
+
+    def project(self, x: Vec) -> Vec:
+        """The nearest point of the set."""
+        away = x - np.asarray(self.c, dtype=float)
+        distance = float(np.linalg.norm(away))
+        return np.asarray(x if distance <= self.radius else self.c + away * (self.radius / distance))
+
+    def constraints(self, x: Any) -> list[Any]:
+        """|x - c| <= radius."""
+        return [_cvxpy().norm2(x - np.asarray(self.c, dtype=float)) <= self.radius]
+
+
+class Convex:
+    """A set by cvxpy's constraints on a variable: the projection is a problem that is compiled once.
+
+        P(z) = argmin |x - z|^2  subject to the constraints
+
+    x: cvxpy.Variable of one dimension;  where: what errors call the set, such as "agent 3: set".
+    """
+
+    def __init__(self, x: Any, constraints: Sequence[Any], where: str = "set") -> None:
+        cvxpy = _cvxpy()
+        self.x, self.where, self._given = x, where, list(constraints)
+        self._z = cvxpy.Parameter(x.shape)
+        self._problem = cvxpy.Problem(cvxpy.Minimize(cvxpy.sum_squares(x - self._z)), self._given)
+        if not self._problem.is_dcp():
+            raise ConfigError(where, "constraints that are not convex by cvxpy's rules", "convex ones")
+
+    def project(self, x: Vec) -> Vec:
+        """The nearest point of the set; raises SolverError where it is empty."""
+        cvxpy = _cvxpy()
+        self._z.value = x
+        try:
+            self._problem.solve(solver=cvxpy.CLARABEL, max_iter=MOST_ITERATIONS)
+        except cvxpy.error.SolverError as error:
+            raise SolverError(f"{self.where}: projection of {x.tolist()}", str(error)) from error
+        if self._problem.status not in ("optimal", "optimal_inaccurate"):
+            raise SolverError(f"{self.where}: projection of {x.tolist()}", self._problem.status)
+        return np.array(self.x.value, dtype=float)
+
+    def constraints(self, x: Any) -> list[Any]:
+        """The given ones, of a variable that is the same."""
+        return [*self._given, x == self.x]
+
+
+class Intersection:
+    """The points that are in all of some sets.
+
+    One set: its own projection; several boxes: their common box; else cvxpy's, compiled when a set is added.
+    n: length of x;  where: what errors call the set.  Raises SolverError where nothing is in all sets.
+    """
+
+    def __init__(self, n: int, sets: Sequence[ConvexSet], where: str = "set") -> None:
+        self.n, self.sets, self.where = n, list(sets), where
+        self._whole = self._joined()
+
+    def add(self, one: ConvexSet) -> None:
+        """Make it smaller."""
+        self.sets.append(one)
+        self._whole = self._joined()
+
+    def project(self, x: Vec) -> Vec:
+        """The nearest point of the set."""
+        return x if self._whole is None else self._whole.project(x)
+
+    def constraints(self, x: Any) -> list[Any]:
+        """Of all sets."""
+        return [constraint for one in self.sets for constraint in one.constraints(x)]
+
+    def _joined(self) -> ConvexSet | None:
+        if len(self.sets) <= 1:
+            return self.sets[0] if self.sets else None
+        boxes = [one for one in self.sets if isinstance(one, Box)]
+        if len(boxes) == len(self.sets):
+            return self._box(boxes)
+        x = _cvxpy().Variable(self.n)
+        return Convex(x, self.constraints(x), self.where)
+
+    def _box(self, boxes: Sequence[Box]) -> Box:
+        low = np.max([np.broadcast_to(box.low, self.n) for box in boxes], axis=0)
+        high = np.min([np.broadcast_to(box.high, self.n) for box in boxes], axis=0)
+        empty = np.flatnonzero(low > high)
+        if empty.size:
+            row = int(empty[0])
+            raise SolverError(f"{self.where}: row {row}", f"infeasible: from {low[row]:g} to {high[row]:g}")
+        return Box(low, high)
+
+
+def _cvxpy() -> Any:
+    """1 s that closed forms do not need."""
+    import cvxpy
+
+    return cvxpy

@@ -1,0 +1,76 @@
+"""Twice differentiable functions as two callables, and one descent step on them."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from crazychoir.errors import ConfigError, SolverError
+from crazychoir.types import Mat, Vec
+
+DIFFERENCE: Final = 1e-6
+"""Step of the differences of gradients, relative to 1 + |x_k|."""
+LEAST_CURVATURE: Final = 1e-8
+"""Relative to the largest."""
+HALVINGS: Final = 40
+ARMIJO: Final = 1e-4
+ROUNDING: Final = 1e-14
+"""Of a value: a step that changes it by less is as good as any."""
+
+
+@dataclass(frozen=True)
+class Smooth:
+    """A function of x (n,) by `value(x)`, a number or (S,), and `derivative(x)`, (n,) or (S, n).
+
+    Of a problem modelled with cvxpy: Smooth(problem.value, problem.gradient).
+    """
+
+    value: Callable[[Vec], Any]
+    derivative: Callable[[Vec], Any]
+
+    def at(self, x: Vec, where: str) -> tuple[Vec, Mat]:
+        """Value (S,) and derivative (S, n); raises ConfigError and SolverError that name entry and row."""
+        value = np.atleast_1d(np.asarray(self.value(x), float))
+        derivative = np.atleast_2d(np.asarray(self.derivative(x), float))
+        if value.ndim != 1 or derivative.shape != (len(value), len(x)):
+            found = f"shapes {value.shape} and {derivative.shape}"
+            raise ConfigError(f"{where}: value and derivative", found, f"(S,) and (S, {len(x)})")
+        for name, array in (("value", value), ("derivative", derivative)):
+            if not np.isfinite(array).all():
+                row = int(np.argwhere(~np.isfinite(array))[0][0])
+                raise SolverError(f"{where}: {name}, row {row}, at x = {x.tolist()}", "not finite")
+        return value, derivative
+
+
+def descended(value: Callable[[Vec], float], gradient: Callable[[Vec], Vec], x: Vec) -> Vec:
+    """One step of Newton's method, made to descend whatever the curvature: x - t |H|^-1 g.
+
+    |H|: the Hessian, by differences of gradients, with its eigenvalues' absolute values;  t: 1, halved until the value
+    falls by Armijo's rule. Returns x itself if no such t is found, as at a minimum.
+    Source: Nocedal & Wright 2006, Numerical Optimization, sections 3.1 and 3.4.
+    """
+    g, now = gradient(x), value(x)
+    direction = -_solved(_hessian(gradient, x, g), g)
+    slope = float(g @ direction)
+    t = 1.0
+    for _ in range(HALVINGS):
+        if value(x + t * direction) <= now + ARMIJO * t * slope + ROUNDING * (1.0 + abs(now)):
+            return x + t * direction
+        t /= 2.0
+    return x
+
+
+def _hessian(gradient: Callable[[Vec], Vec], x: Vec, g: Vec) -> Mat:
+    steps = DIFFERENCE * (1.0 + np.abs(x))
+    H = np.array([(gradient(x + h * e) - g) / h for h, e in zip(steps, np.eye(len(x)), strict=True)])
+    symmetric: Mat = (H + H.T) / 2.0
+    return symmetric
+
+
+def _solved(H: Mat, g: Vec) -> Vec:
+    values, vectors = np.linalg.eigh(H)
+    size = np.abs(values)
+    size = np.maximum(size, max(LEAST_CURVATURE * float(size.max()), np.finfo(float).tiny))
+    solved: Vec = vectors @ ((vectors.T @ g) / size)
+    return solved

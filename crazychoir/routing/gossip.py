@@ -1,0 +1,101 @@
+"""Distributed column generation: the robots gossip bases of the master problem and price at their own duals."""
+
+from typing import Any
+
+from crazychoir.optimization.agreement import best_offer
+from crazychoir.optimization.program import Exchange
+from crazychoir.routing.bound import Bound, improve
+from crazychoir.routing.master import Master, Pool, Relaxation
+from crazychoir.routing.member import Member
+from crazychoir.routing.packing import packed, unpacked
+from crazychoir.types import Vec
+
+TOLERANCE = 1e-7
+"""m: a reduced cost above minus this is rounding."""
+SPREAD = 1e-3
+"""Of the master's right-hand sides: with degenerate bases each robot could be content with prices of its own."""
+
+
+class Gossip:
+    """Robot i solves the master over the columns that it knows, and tells its neighbours the basis.
+
+        pool_i <- pool_i + bases of the neighbours + own columns of least reduced cost at (pi_i, sigma_ii)
+        (pi_i, sigma_i), basis_i <- the relaxation over pool_i;   what of basis_i was not yet told is told
+
+    Pools only grow, so it ends: when no robot has learned a column for diameter + 1 rounds, which all know in the
+    same round from `latest`, the last round in which anybody that was heard of learned one; or after `gossip_rounds`.
+    Then the prices of the robot with the least value are everybody's: price exactly, flood, bound; where that bound is
+    below the value, a robot's column was not known to the one that named the prices: again with those columns.
+    bound, value: m, the value of the relaxation;  master: with all columns that robot i has heard of.
+    Source: the idea of distributed simplex (Burger, Notarstefano, Bullo, Allgower 2012, Automatica 48(9)), with columns
+    priced instead of listed.
+    """
+
+    def __init__(self, member: Member) -> None:
+        self._member, self._i = member, member.place.robot
+        self.master = Master(member.penalty, SPREAD)
+        self.pool = Pool(len(member.local.tasks))
+        self.bound = Bound()
+        self._told: set[Any] = set()
+        self._latest = 0
+
+    def run(self) -> Exchange[float]:
+        """Gossip and agree until the bound is the value, which is returned, or `passes` are over."""
+        settings = self._member.settings
+        self._member.report(phase="columns")
+        best = self._priced()
+        for _ in range(settings.passes):
+            best = yield from self._spread(best)
+            value, pi = yield from self._agree(best)
+            news = yield from improve(self.bound, self._member, self.pool, pi, settings.batch)
+            if not news or value - self.bound.value <= settings.tolerance * max(1.0, value):
+                break
+            for robot, column in self.pool.items():
+                self.master.add(robot, [column])
+            best = self._priced()
+        return value
+
+    def _spread(self, best: Relaxation) -> Exchange[Relaxation]:
+        """Rounds until nobody learns."""
+        self._latest = 0
+        for k in range(1, self._member.settings.gossip_rounds + 1):
+            self._member.kind = "bases"
+            heard = yield [self._latest, self._news()]
+            learned = self._learn([news for _, news in heard.values()])
+            self._latest = max([self._latest, *(int(latest) for latest, _ in heard.values())])
+            if learned:
+                size = len(self.master)
+                best = self._priced()
+                self._latest = k if len(self.master) > size or learned else self._latest
+            if k - self._latest > self._member.place.diameter:
+                break
+        return best
+
+    def _news(self) -> list[Any]:
+        """Columns of the basis that were not told yet."""
+        news = [(i, c) for i, c in self.master.basis if (i, c) not in self._told]
+        self._told.update(news)
+        return [[i for i, _ in news], packed([c for _, c in news])]
+
+    def _learn(self, arrived: list[list[Any]]) -> int:
+        new = 0
+        for robots, columns in arrived:
+            for robot, column in zip(robots, unpacked(columns), strict=True):
+                new += self.master.add(robot, [column])
+        return new
+
+    def _priced(self) -> Relaxation:
+        """The relaxation after own pricing, until no own column has a negative reduced cost."""
+        table = self._member.table
+        while True:
+            best = self.master.relax()
+            below = self.master.sigma(self._i) - TOLERANCE
+            if not self.master.add(self._i, table.cheapest(best.prices, self._member.settings.batch, below)):
+                return best
+
+    def _agree(self, best: Relaxation) -> Exchange[tuple[float, Vec]]:
+        """The least value, and the prices of the robot that found it."""
+        self._member.kind = "prices"
+        offer = yield from best_offer([best.value, self._i, best.prices], self._member.place.diameter)
+        assert offer is not None  # everybody makes one
+        return float(offer[0]), offer[2]

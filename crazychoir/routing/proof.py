@@ -1,0 +1,134 @@
+"""Set partitioning with a certificate: the team agrees on one plan and proves how good it is."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from crazychoir.errors import SolverError
+from crazychoir.optimization.agreement import best_offer, flood
+from crazychoir.optimization.program import Exchange
+from crazychoir.routing.bound import Bound
+from crazychoir.routing.master import Pool, Routes, partition
+from crazychoir.routing.member import Member
+from crazychoir.routing.packing import packed, unpacked
+from crazychoir.routing.plan import sha256
+
+
+@dataclass(frozen=True)
+class Assignment:
+    """Who serves what: tasks of each robot that is known;  lower_bound in m, None if none is exact.
+
+    stops: nodes of each robot's route, where they are known; else it is the shortest one for its tasks.
+    """
+
+    routes: Routes
+    lower_bound: float | None
+    stops: Mapping[int, Sequence[int]] | None = None
+
+
+@dataclass(frozen=True)
+class Offer:
+    """A plan that all have heard of: cost in m, tasks of each robot, what its search proved in m."""
+
+    cost: float
+    routes: Routes
+    searched: float = -np.inf
+
+
+class Proof:
+    """A plan with column c of robot i costs at least bound + excess(c), so few columns can be part of a better one.
+
+    Flood all columns of an excess <= gap; each robot solves the set partitioning of those, every task exactly once;
+    min-consensus on (cost, robot) picks one plan, sent with its hash. If its cost is within gap of the bound, it is
+    optimal; else double the gap and again. A partitioning of more than `small` columns is left to the `searchers`
+    lowest ids, because it costs seconds and one answer is enough.
+    Every decision that ends a loop is taken from flooded values, so all robots end in the same round.
+    pool: columns that are known to all;  best: a plan known to all;  prove: search until all is searched.
+    Raises SolverError if there is no plan, or if a plan arrives damaged.
+    """
+
+    def __init__(self, member: Member, pool: Pool, bound: Bound, best: Offer | None = None) -> None:
+        self._member, self._pool, self._bound, self._best = member, pool, bound, best
+        self._i, self._diameter = member.place.robot, member.place.diameter
+        self._infeasible = False
+
+    def run(self) -> Exchange[Assignment]:
+        """Widen the gap until the plan's own gap is inside it."""
+        settings = self._member.settings
+        self._member.report(phase="plan")
+        self._member.kind = "columns"
+        unit = max(1.0, abs(self._bound.value))
+        proven, exhausted = self._bound.value, False
+        gap = min(settings.first_gap * unit, self._own_gap(unit))
+        for _ in range(settings.passes):
+            exhausted = yield from self._widen(gap)
+            found = yield from self._agree(gap)
+            if found is not None:
+                proven = max(proven, min(found.searched, self._bound.value + gap))
+                self._best = found if self._best is None or found.cost < self._best.cost else self._best
+            closed = self._best is not None and self._best.cost - proven <= settings.tolerance * unit
+            if closed or exhausted or self._own_gap(unit) <= gap:
+                break
+            gap = min(2.0 * gap, self._own_gap(unit))
+        if self._best is None:
+            why, status = self._failure(exhausted)
+            raise SolverError(f"{why} (robot {self._i}: set partitioning of {len(self._pool)} columns)", status)
+        return Assignment(self._best.routes, min(proven, self._best.cost) if self._bound.exact else None)
+
+    def _own_gap(self, unit: float) -> float:
+        """Columns beyond it are not part of a better plan than the best."""
+        settings = self._member.settings
+        return np.inf if self._best is None else self._best.cost - self._bound.value + settings.tolerance * unit
+
+    def _failure(self, exhausted: bool) -> tuple[str, str]:
+        """Why there is no plan, and the status."""
+        if not self._bound.exact:
+            why = "no plan found: route tables were cut at most_labels. Narrow capability or route_length_limit"
+            return why, "incomplete"
+        if exhausted and self._infeasible:
+            why = "each can be served alone, but not all together within capability, capacity and route_length_limit"
+            return f"infeasible: no plan serves every task; {why}", "infeasible"
+        return "no plan found within the passes and nodes", "incomplete"
+
+    def _widen(self, gap: float) -> Exchange[bool]:
+        """Flood all columns within the gap, a part at a time; returns whether no robot has any beyond."""
+        pi, table, settings = self._bound.prices, self._member.table, self._member.settings
+        most = max(1, min(settings.most_shared, settings.most_relayed // self._member.place.robots))
+        near = table.cheapest(pi, len(table), below=table.least(pi) + gap)
+        fresh = [c for c in near if c.tasks and not self._pool.has(self._i, c)]
+        while True:
+            own = [packed(fresh[:most]), len(fresh) <= most, len(near) == len(table)]
+            known = yield from flood(self._i, own, self._diameter)
+            for robot, (news, _, _) in known.items():
+                self._pool.add(robot, unpacked(news))
+            if all(last for _, last, _ in known.values()):
+                return all(exhausted for _, _, exhausted in known.values())
+            fresh = fresh[most:]
+
+    def _agree(self, gap: float) -> Exchange[Offer | None]:
+        """The best plan that a robot finds among the columns within the gap."""
+        best = yield from best_offer(self._search(gap), self._diameter)
+        if best is None:
+            return None
+        cost, robot, routes, searched, digest = best
+        if sha256(routes) != digest:
+            raise SolverError(f"robot {self._i}: the plan of robot {robot}", "damaged: its hash differs")
+        self._member.report(cost=float(cost))
+        return Offer(float(cost), {int(i): tuple(int(j) for j in tasks) for i, tasks in routes}, float(searched))
+
+    def _search(self, gap: float) -> list[Any] | None:
+        """Own offer: cost, robot, routes, searched bound, hash. A large search is left to a few robots."""
+        settings = self._member.settings
+        useful = [(i, c) for i, c in self._pool.items() if self._bound.excess(i, c) <= gap]
+        if len(useful) > settings.small and self._i >= settings.searchers:
+            return None
+        known = None if self._best is None else self._best.routes
+        nodes = settings.proof_nodes if settings.prove else settings.nodes
+        found = partition(useful, len(self._member.local.tasks), self._i, nodes, known)
+        self._infeasible = found.bound == np.inf
+        if found.cost == np.inf:
+            return None
+        routes = [[robot, list(tasks)] for robot, tasks in sorted(found.routes.items())]
+        return [found.cost, self._i, routes, found.bound, sha256(routes)]

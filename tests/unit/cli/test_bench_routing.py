@@ -1,0 +1,143 @@
+"""What `bench routing` makes of solvers' answers: rows, gaps, summaries."""
+
+import io
+import math
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from crazychoir.cli import bench_routing, bench_statistics, peers_disropt, peers_routing
+from crazychoir.cli.bench_routing import OURS, PEERS, judged, measured, rated, summary
+from crazychoir.launch.team import best_so_far, critical_path
+from crazychoir.routing.instance import Instance
+from crazychoir.routing.pricing import Column
+
+
+@pytest.fixture
+def instance():
+    """Two robots 10 m apart; a task 3 m from each, that is carried 4 m at a right angle: tours of 3 + 4 + 5 m."""
+    return Instance.parse({
+        "home": [[0.0, 0.0], [10.0, 0.0]], "pickup": [[3.0, 0.0], [7.0, 0.0]], "delivery": [[3.0, 4.0], [7.0, 4.0]],
+        "load": [1, 1], "capacity": [1, 1], "route_length_limit": 30.0,
+    })  # fmt: skip
+
+
+def answer(stops, **more):
+    made = [{"robot": i, "nodes": nodes} for i, nodes in stops.items()]
+    curve = [[0.5, 30.0], [0.7, 31.0], [1.0, 24.0]]
+    return {"routes": made, "wall_s": 2.0, "cpu_s": 1.0, "curve": curve, "note": "one run"} | more
+
+
+def test_the_cost_of_a_peer_is_that_of_its_routes_as_they_are_flown(instance):
+    row = judged(instance, answer({0: [0, 2], 1: [1, 3]}))
+    assert row["cost"] == pytest.approx(24.0)
+    assert row["feasible"]
+    assert row["curve"] == [[0.5, 30.0], [1.0, 24.0]]
+    assert row["note"] == "one run"
+
+
+@pytest.mark.parametrize(
+    ("routes", "fault"),
+    [
+        ({0: [0, 2]}, "task 1 is served 0 times"),
+        ({0: [0, 1, 2, 3]}, "carries 2 after picking up task 1"),
+        ({0: [2, 0], 1: [1, 3]}, "delivers task 0 without having it"),
+        ({0: [0, 2, 1, 3], 1: [1, 3]}, "task 1 is served 2 times"),
+    ],
+)
+def test_what_is_wrong_with_a_plan_is_said(instance, routes, fault):
+    row = judged(instance, answer(routes))
+    assert not row["feasible"]
+    assert fault in row["note"]
+
+
+def test_a_model_that_covers_may_serve_twice_but_not_leave_out(instance):
+    twice = judged(instance, answer({0: [0, 2, 1, 3], 1: [1, 3]}), covers=True)
+    assert twice["feasible"]
+    assert "1 tasks are served by several" in twice["note"]
+    long = 3.0 + 4.0 + math.dist((3, 4), (7, 0)) + 4.0 + math.dist((7, 4), (0, 0))
+    assert twice["cost"] == pytest.approx(12.0 + long)
+    assert not judged(instance, answer({0: [0, 2], 1: [0, 2]}), covers=True)["feasible"]
+
+
+def test_a_solver_without_a_plan_is_a_row_with_its_word(instance):
+    row = judged(instance, answer({}, routes=None, note="no proof"))
+    assert (row["cost"], row["feasible"], row["note"], row["wall_s"]) == (None, False, "no proof", 2.0)
+
+
+def test_a_peer_that_is_not_installed_says_how_to(instance, monkeypatch):
+    monkeypatch.setattr(bench_routing.importlib.util, "find_spec", lambda name: None)
+    assert measured(instance, PEERS[0], "small", {})["note"] == "not measured: pip install crazychoir[bench]"
+
+
+def row(name, seed, cost, bound=None, **more):
+    figures = {"size": "small", "robots": 2, "tasks": 2, "seed": seed, "name": name, "cost": cost, "wall_s": 1.0}
+    figures |= {"cpu_s": 1.0, "critical_path_s": None, "lower_bound": bound, "bound_exact": bound is not None}
+    return figures | {"feasible": cost is not None, "note": "", "curve": []} | more
+
+
+def test_gaps_are_to_the_optimum_where_it_is_proven_and_else_to_the_best_exact_bound():
+    proven = rated([row(OURS, 1, 20.0, 20.0), row("VROOM", 1, 21.0), row("MILP", 1, None)])
+    assert [one["reference"] for one in proven] == ["optimum"] * 3
+    assert [one["gap_percent"] for one in proven] == [0.0, pytest.approx(5.0), None]
+    bounded = rated([row(OURS, 1, 22.0, 20.0), row("VROOM", 1, 21.0, 19.0)])
+    assert bounded[0]["reference"] == "bound"
+    assert bounded[0]["gap_percent"] == pytest.approx(10.0)
+    broken = rated([row(OURS, 1, 22.0, 20.0), row("VROOM", 1, 19.0)])
+    assert [(one["reference"], one["gap_percent"]) for one in broken] == [("broken bound", None)] * 2
+    relaxed = rated([row(OURS, 1, 22.0, 20.0, bound_exact=False)])
+    assert relaxed[0]["gap_percent"] is None
+
+
+def test_the_summary_compares_on_instances_that_both_have_solved():
+    rows = []
+    for seed, (ours, theirs) in enumerate([(10.0, 11.0), (10.0, 12.0), (10.0, 10.0), (10.0, None), (10.0, 9.5)]):
+        rows += rated([row(OURS, seed, ours, 9.0 if seed == 4 else 10.0), row("VROOM", seed, theirs)])
+    team, vroom = summary(rows)
+    assert (team["instances"], team["solved"], team["optimal"]) == (5, 5, 4)
+    assert team["against_team"] is None
+    assert (vroom["solved"], vroom["optimal"]) == (4, 1)
+    versus = vroom["against_team"]
+    assert (versus["pairs"], versus["wins"], versus["ties"]) == (4, 2, 1)
+    console = Console(width=120, record=True, file=io.StringIO())
+    result = {"summary": [team, vroom], "method": "columns", "graph": "ring", "loss": 0.1}
+    console.print(bench_routing.table(result))
+    assert "2/4" in console.export_text()
+
+
+def test_the_paired_test_is_that_of_wilcoxon():
+    ours, gain = np.array([10.0, 11.0, 12.0, 13.0, 14.0]), np.array([1.0, 2.0, 3.0, 4.0, 5.0])
+    found = bench_statistics.paired(ours, ours + gain)
+    assert found["p"] == pytest.approx(2.0**-5)
+    assert bench_statistics.paired(ours, ours - gain)["p"] == 1.0
+    assert bench_statistics.paired(ours, ours)["p"] is None
+
+
+def test_the_spread_has_quartiles():
+    assert bench_statistics.spread([1.0, 2.0, 3.0, 4.0, 9.0]) == {
+        "least": 1.0, "lower": 2.0, "median": 3.0, "upper": 4.0, "most": 9.0}  # fmt: skip
+
+
+def test_the_critical_path_adds_the_slowest_of_each_round_and_the_empty_rounds():
+    assert critical_path([0.5, 0.25], 0.125) == 0.875
+
+
+def test_the_curve_of_a_team_falls():
+    assert best_so_far([[2.0, 9.0], [1.0, 10.0], [1.5, 11.0], [3.0, 9.0]]) == [[1.0, 10.0], [2.0, 9.0]]
+
+
+def test_disropts_rule_serves_what_it_has_a_share_of_as_far_as_a_route_does():
+    columns = [Column(0.0, ()), Column(5.0, (0,)), Column(6.0, (1,)), Column(7.0, (0, 2)), Column(9.0, (0, 1))]
+    assert peers_disropt.served(np.array([0.0, 0.0, 0.0]), columns) == ()
+    assert peers_disropt.served(np.array([0.1, 0.0, 0.0]), columns) == (0,)
+    assert peers_disropt.served(np.array([0.3, 0.2, 0.0]), columns) == (0, 1)
+    assert peers_disropt.served(np.array([0.3, 0.1, 0.2]), columns) == (0, 2)  # no route has all: rho = 0.1
+
+
+def test_whole_distances_keep_the_limit():
+    distance = np.array([[0.0, 1.00005], [1.00005, 0.0]])
+    one = np.ones(1, np.int64)
+    problem = peers_routing.Problem(distance, one, one, np.ones((1, 1), bool), 2.0)
+    assert problem.whole(100.0)[0, 1] == 101
+    assert problem.longest(100.0) == 200

@@ -1,0 +1,96 @@
+"""crazychoir simulate: a user's file, its table, its picture, its errors."""
+
+import json
+import warnings
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from crazychoir.cli.crazychoir import app
+
+AVERAGING = """
+from crazychoir.optimization.consensus import Consensus
+from crazychoir.swarm.graph import metropolis
+
+def agent(i, graph):
+    return Consensus(i, [1.0 * i, -i], metropolis(graph)[i], rounds=30)
+"""
+AWAKE = """
+from crazychoir.optimization.asynchronous_consensus import AsynchronousConsensus
+from crazychoir.swarm.graph import metropolis
+
+def agent(i, graph):
+    return AsynchronousConsensus(i, [1.0 * i], metropolis(graph)[i])
+"""
+
+
+@pytest.fixture
+def simulated(tmp_path, monkeypatch, capfd):
+    """The exit code and what is on standard output and error."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "100")
+
+    def run(text, *options):
+        (tmp_path / "mine.py").write_text(text)
+        result = CliRunner().invoke(app, ["simulate", "mine.py", *map(str, options)])
+        assert result.exception is None or isinstance(result.exception, SystemExit), result.exception
+        return result.exit_code, result.stdout, result.stderr + capfd.readouterr().err
+
+    return run
+
+
+def test_it_prints_one_json_object(simulated):
+    code, out, _ = simulated(AVERAGING, "--agents", 6, "--loss", 0.3, "--json")
+    result = json.loads(out)
+    assert code == 0
+    assert result["rounds"] == 30
+    assert sorted(result["agents"]) == [str(i) for i in range(6)]
+    assert result["agents"]["3"]["x"] == pytest.approx([2.5, -2.5], abs=0.05)
+    assert result["disagreement"]["x"] < 0.05
+    assert result["lost"] == pytest.approx(0.3 * result["messages"], rel=0.3)
+
+
+@pytest.mark.parametrize(("text", "options"), [(AVERAGING, ()), (AWAKE, ("--rounds", 40, "--graph", "complete"))])
+def test_it_writes_histories_and_a_picture(simulated, tmp_path, text, options):
+    code, _, err = simulated(text, *options, "--save", "out/h.npz", "--picture", "out/p.png", "--seed", 3)
+    assert code == 0, err
+    assert (tmp_path / "out/p.png").read_bytes()[:4] == b"\x89PNG"
+    with np.load(tmp_path / "out/h.npz") as arrays:
+        assert len(arrays["x_0"]) == len(arrays["time_0"]) > 30
+
+
+def test_a_picture_of_agents_that_agree_from_the_start_is_drawn(simulated, tmp_path):
+    with warnings.catch_warnings(action="error"):
+        code, _, err = simulated(AVERAGING.replace("[1.0 * i, -i]", "[0.0]"), "--picture", "p.png")
+    assert code == 0, err
+    assert (tmp_path / "p.png").exists()
+
+
+@pytest.mark.parametrize(
+    ("text", "options", "said"),
+    [
+        ("x = 1", (), "no function agent(i, graph); allowed: a file that defines agent(i, graph)"),
+        ("def agent(i): pass", (), "found def agent(i); allowed: def agent(i, graph)"),
+        ("def agent(i, graph): return 3", (), "int for agent 0; allowed: an agent: message(), step(heard), done"),
+        ("def agent(i, graph):\n    return {}[i]", (), "mine.py:2: agent(i, graph): found KeyError: 0"),
+        (AVERAGING, ("--graph", "rink"), "graph: found rink"),
+        (AVERAGING, ("--record", "y"), "record: found y; allowed: attributes of agent 0, a Consensus"),
+        (AVERAGING, ("--save", "h.txt"), "a file that ends in .csv, .json, .npz"),
+        (AVERAGING.replace("metropolis(graph)[i]", "{i: 0.5}"), (), "agent 0: weights = {0: 0.5}: they sum to 0.5"),
+        (AVERAGING + "    ) + (\n", (), "a file that Python can import"),
+    ],
+)
+def test_what_is_wrong_is_said_with_exit_code_2(simulated, text, options, said):
+    code, _, err = simulated(text, *options)
+    assert code == 2
+    assert said in " ".join(err.split())
+
+
+def test_what_a_users_step_raises_is_named_with_its_line(simulated):
+    text = AVERAGING + "\nclass Bad(Consensus):\n    def step(self, heard):\n        heard['x']\n"
+    code, out, _ = simulated(text.replace("return Consensus", "return Bad"), "--json", "--loss", 0.2)
+    result = json.loads(out)
+    assert code == 2
+    assert result["kind"] == "AgentFailed"
+    assert result["error"].endswith("KeyError: 'x' (mine.py:10)")

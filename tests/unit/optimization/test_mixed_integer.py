@@ -1,0 +1,63 @@
+import itertools
+
+import numpy as np
+import pytest
+
+from crazychoir.errors import ConfigError, SolverError
+from crazychoir.optimization.mixed_integer import MixedIntegerBlock
+
+
+def small(**changes):
+    """min -x0 - 2 x1, x0 in 0..3 integer, x1 in [0, 2]; one resource x0 + x1."""
+    given = {"c": [-1.0, -2.0], "A": [[1.0, 1.0]], "share": [2.0], "bounds": (0.0, [3.0, 2.0]), "integer": [0]}
+    return MixedIntegerBlock(4, **(given | changes))
+
+
+def test_a_corner_is_the_best_point_of_the_set():
+    assert small().corner(np.array([-1.0, 1.0])) == pytest.approx([3.0, 0.0])
+    held = small(rows=([[2.0, 0.0]], [5.0]))
+    assert held.corner(np.array([-1.0, 0.0]))[0] == 2.0
+
+
+@pytest.mark.parametrize(
+    ("y", "x", "missing"), [(2.5, [0.0, 2.0], 0.0), (3.5, [1.0, 2.0], 0.0), (0.0, [0.0, 0.0], 0.0), (-1.0, [0, 0], 1.0)]
+)
+def test_within_an_allocation_the_least_excess_comes_first_and_then_the_cost(y, x, missing):
+    found, excess = small().within(np.array([y]))
+    assert found == pytest.approx(x, abs=1e-5)
+    assert excess == pytest.approx([missing], abs=1e-5)
+
+
+def test_within_is_the_best_of_all_points():
+    chance = np.random.default_rng(2)
+    block = MixedIntegerBlock(0, -chance.random(3), chance.random((2, 3)), [1.0, 1.0], bounds=(0, 2), integer=range(3))
+    points = np.array(list(itertools.product(range(3), repeat=3)))
+    for y in chance.uniform(0.0, 3.0, (20, 2)):
+        fitting = points[(points @ block.A.T <= y).all(axis=1)]
+        assert block.c @ block.within(y)[0] == pytest.approx((fitting @ block.c).min())
+
+
+@pytest.mark.parametrize(
+    ("changes", "match"),
+    [
+        ({"c": [1.0, float("nan")]}, r"agent 4: c\[1\]: found nan; allowed: a finite number"),
+        ({"A": [[1.0, float("inf")]]}, r"agent 4: A\[0, 1\]: found inf"),
+        ({"A": [[1.0]]}, r"agent 4: A: found shape \(1, 1\); allowed: \(1, 2\)"),
+        ({"share": [1.0, 2.0]}, r"agent 4: A: found shape \(1, 2\); allowed: \(2, 2\)"),
+        ({"bounds": (0.0, [3.0, -2.0])}, r"agent 4: low\[1\]: found 0.0; allowed: at most high\[1\] = -2.0"),
+        ({"bounds": ([0.0], 1.0)}, r"agent 4: low: found shape \(1,\); allowed: \(2,\)"),
+        ({"bounds": (0.0, float("nan"))}, r"agent 4: high\[0\]: found nan; allowed: a number, or inf"),
+        ({"integer": [2]}, "agent 4: integer: found 2; allowed: indices 0 to 1"),
+        ({"rows": ([[1.0, 1.0]], [1.0, 2.0])}, r"agent 4: D: found shape \(1, 2\); allowed: \(2, 2\)"),
+    ],
+)
+def test_arrays_that_do_not_fit_are_refused_with_agent_row_and_value(changes, match):
+    with pytest.raises(ConfigError, match=match):
+        small(**changes)
+
+
+def test_a_set_without_a_point_or_without_a_bound_is_named():
+    with pytest.raises(SolverError, match=r"agent 4: local problem: .* infeasible: 1 rows D x <= d"):
+        small(rows=([[1.0, 1.0]], [-1.0])).corner(np.zeros(2))
+    with pytest.raises(SolverError, match=r"unbounded: x\[1\] without a bound; give low and high"):
+        small(bounds=(0.0, [3.0, np.inf])).corner(np.array([0.0, -1.0]))

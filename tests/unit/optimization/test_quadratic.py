@@ -1,0 +1,99 @@
+import numpy as np
+import pytest
+
+from crazychoir.optimization.quadratic import Polyhedron, QuadraticProgram
+
+NONE = np.zeros((0, 2)), np.zeros(0)
+
+
+def box(n, low, high):
+    return Polyhedron.of(np.vstack([np.eye(n), -np.eye(n)]), np.r_[np.full(n, high), np.full(n, -low)], *none(n))
+
+
+def none(n):
+    return np.zeros((0, n)), np.zeros(0)
+
+
+def programs(count, seed, degenerate=False):
+    """Feasible ones: P, q, the polyhedron."""
+    draw = np.random.default_rng(seed)
+    for _ in range(count):
+        n, m = int(draw.integers(1, 12)), int(draw.integers(1, 30))
+        equal = int(draw.integers(0, n))
+        L, A, E, x = (draw.normal(size=shape) for shape in ((n, n), (m, n), (equal, n), n))
+        if degenerate:
+            A, x = np.round(A), np.round(x)
+        slack = draw.integers(0, 2, m) * float(not degenerate)
+        over = Polyhedron.of(A, A @ x + slack, E, E @ x)
+        yield QuadraticProgram(L @ L.T + 0.1 * np.eye(n), draw.normal(size=n) * 10.0 ** draw.integers(-1, 3), over)
+
+
+def require_optimal(program, x, p):
+    """The conditions of Karush, Kuhn and Tucker, relative to the size of the data."""
+    over, u = program.over, program.u
+    scale = 1.0 + np.abs(program.q + p).max()
+    gradient = program.P @ x + program.q + p + over.A.T @ u
+    null = np.eye(over.n) - np.linalg.pinv(over.E) @ over.E
+    assert np.abs(null @ gradient).max() < 1e-8 * scale
+    assert np.abs(over.E @ x - over.e).max(initial=0.0) < 1e-9
+    assert (over.A @ x - over.b).max(initial=0.0) < 1e-8 * scale
+    assert u.min(initial=0.0) >= 0.0
+    assert np.abs(u * (over.A @ x - over.b)).max(initial=0.0) < 1e-6 * scale**2
+
+
+@pytest.mark.parametrize("degenerate", [False, True])
+def test_what_it_finds_is_optimal_also_from_the_last_solution(degenerate):
+    for program in programs(150, 3, degenerate):
+        for p in np.random.default_rng(1).normal(size=(3, program.over.n)):
+            require_optimal(program, program.solve(p), p)
+
+
+def test_a_warm_start_does_not_change_the_solution():
+    draw = np.random.default_rng(0)
+    L, A = draw.normal(size=(5, 5)), draw.normal(size=(12, 5))
+    make = lambda: QuadraticProgram(L @ L.T + np.eye(5), np.zeros(5), Polyhedron.of(A, np.ones(12), *none(5)))  # noqa: E731
+    warm = make()
+    for p in draw.normal(size=(50, 5)) * 10:
+        np.testing.assert_allclose(warm.solve(p), make().solve(p), atol=1e-11)
+
+
+def test_without_inequalities_it_is_a_closed_form():
+    line = Polyhedron.of(*NONE, np.ones((1, 2)), np.ones(1))
+    program = QuadraticProgram(np.diag([2.0, 4.0]), np.array([-2.0, 0.0]), line)
+    assert program.name == "closed form"
+    np.testing.assert_allclose(program.solve(np.zeros(2)), [1.0, 0.0], atol=1e-15)
+    assert program.solve(np.array([np.nan, 0.0])) == "not finite"
+
+
+def test_dependent_equalities_count_once():
+    over = Polyhedron.of(*NONE, np.array([[1.0, 1.0], [2.0, 2.0]]), np.array([1.0, 2.0]))
+    np.testing.assert_allclose(QuadraticProgram(np.eye(2), np.zeros(2), over).solve(np.zeros(2)), 0.5)
+
+
+@pytest.mark.parametrize("p", [np.nan, np.inf, -np.inf])
+def test_what_is_not_finite_is_refused(p):
+    assert QuadraticProgram(np.eye(2), np.zeros(2), box(2, -1.0, 1.0)).solve(np.array([0.0, p])) == "not finite"
+
+
+def test_an_empty_polyhedron_is_infeasible_and_the_next_question_is_answered_alike():
+    program = QuadraticProgram(np.eye(2), np.zeros(2), box(2, 1.0, -1.0))
+    assert program.solve(np.zeros(2)) == "infeasible"
+    assert program.solve(np.ones(2)) == "infeasible"
+
+
+def test_a_row_of_zeros_is_left_out_if_it_always_holds():
+    A = np.array([[0.0, 0.0], [1.0, 0.0]])
+    assert len(Polyhedron.of(A, np.array([0.0, 1.0]), *NONE).b) == 1
+    never = Polyhedron.of(A, -np.ones(2), *NONE)
+    assert QuadraticProgram(np.eye(2), np.zeros(2), never).solve(np.zeros(2)) == "infeasible"
+
+
+def test_a_hessian_that_is_flat_somewhere_is_refused():
+    with pytest.raises(np.linalg.LinAlgError):
+        QuadraticProgram(np.diag([1.0, 0.0]), np.zeros(2), box(2, -1.0, 1.0))
+
+
+def test_a_hessian_that_is_flat_where_the_equalities_forbid_to_go_is_not():
+    over = Polyhedron.of(*NONE, np.array([[0.0, 1.0]]), np.array([3.0]))
+    program = QuadraticProgram(np.diag([1.0, 0.0]), np.zeros(2), over)
+    np.testing.assert_allclose(program.solve(np.array([-2.0, 7.0])), [2, 3])

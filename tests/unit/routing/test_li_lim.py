@@ -1,0 +1,70 @@
+import json
+import math
+
+import pytest
+
+from crazychoir.errors import InstanceError
+from crazychoir.routing.checker import check
+from crazychoir.routing.instance import Instance
+from crazychoir.routing.plan import Route
+
+
+@pytest.fixture
+def path(repository):
+    return repository / "tests" / "data" / "li_lim_small.txt"
+
+
+def test_a_file_of_li_and_lim_is_a_fleet_at_one_depot(path):
+    instance = Instance.load(path)
+    assert instance.kinds() == [(0, 1, 2)]
+    assert instance.tasks.pickup.tolist() == [[1, 9], [9, 9], [7, 2]]
+    assert instance.tasks.delivery.tolist() == [[2, 6], [6, 8], [3, 1]]
+    assert instance.tasks.load.tolist() == [4, 6, 5]
+    assert instance.tasks.latest.tolist() == [20, 30, 25, 45, 50, 40]
+    v = instance.local(2).vehicle
+    assert (v.earliest[6], v.latest[7], v.capacity, v.fixed) == (0, 60, 10, 100)
+    assert v.duration[0, 3] == 2 + math.hypot(1, 3)
+
+
+def test_it_is_read_back_from_json(path):
+    instance = Instance.load(path)
+    assert Instance.parse(json.loads(json.dumps(instance.to_json()))).to_json() == instance.to_json()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("4\t2\t6\t-4", "4\t2\t6\t-3", "customer 1: found delivery 4"),
+        ("0\t4\n", "0\t5\n", "customer 1: found delivery 5"),
+        ("3\t3\t1", "3\t3\tone", "line 5"),
+        ("0\t5\t5", "0\t5", "line 2"),
+        ("\n0\t5\t5", "\n7\t5\t5", "no customer 0"),
+    ],
+)
+def test_what_is_wrong_is_named(path, tmp_path, old, new, said):
+    bad = tmp_path / "bad.txt"
+    bad.write_text(path.read_text().replace(old, new))
+    with pytest.raises(InstanceError, match=said):
+        Instance.load(bad)
+
+
+@pytest.mark.parametrize(("name", "vehicles", "length"), [("lc101", 10, 828.94), ("lr101", 19, 1650.80),
+                                                          ("lrc101", 14, 1708.80)])  # fmt: skip
+def test_best_known_solutions_cost_what_is_published(reference_data, name, vehicles, length):
+    folder = reference_data("lilim")
+    instance = Instance.load(folder / f"{name}.txt")
+    rows = [[int(float(w)) for w in line.split()] for line in (folder / f"{name}.txt").read_text().splitlines()[1:]]
+    node, m = {}, len(instance.tasks)
+    for task, row in enumerate(r for r in rows if r and r[0] and r[8]):
+        node[row[0]], node[row[8]] = task, m + task
+    routes = []
+    for line in (folder / f"{name}.sol").read_text().splitlines():
+        if line.startswith("Route"):
+            stops = [node[int(word)] for word in line.split(":")[1].split()]
+            v = instance.local(len(routes)).vehicle
+            routes.append(Route.from_nodes(len(routes), stops, m, v.length(stops), v.finish(stops)))
+    plan = instance.plan(routes)
+    assert check(instance, plan) == []
+    assert len(routes) == vehicles
+    assert plan.cost == pytest.approx(vehicles * instance.fixed_cost + length, abs=0.01)
+    assert instance.fixed_cost > length
