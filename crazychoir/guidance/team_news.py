@@ -116,7 +116,7 @@ class TeamNews:
         return self.book.standings(self.members, self.recover)
 
     def known(self, number: int) -> bool:
-        """Whether more than half of the team, but for those who are out, are known to know that edition of the record."""
+        """Whether more than half of the team, without those who are out, know that edition of the record."""
         witnesses = self.book.witnesses(self.id, self.record.incarnation, number, self.members)
         return witnesses >= (len(self.members) - len(self.book.out(self.members))) // 2
 
