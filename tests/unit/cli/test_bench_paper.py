@@ -4,7 +4,7 @@ import csv
 
 import pytest
 
-from crazychoir.cli import bench_ablation, bench_paper
+from crazychoir.cli import bench_ablation, bench_paper, bench_pictures
 from crazychoir.cli.bench_ablation import GRAPHS, LOSSES, SIZES, Case
 from crazychoir.routing.pickup_delivery import METHODS
 from crazychoir.swarm.graph import named
@@ -78,6 +78,16 @@ def test_all_files_are_written(tmp_path, monkeypatch, rows):
         written = list(csv.DictReader(file))
     assert len(written) == len(of)
     assert {row["same_plan"] for row in written} == {"True"}
+
+
+def test_the_solvers_are_drawn(tmp_path):
+    curve = [[0.5, 30.0], [1.0, 24.0]]
+    of = [(name, seed, tasks) for name in ("crazychoir", "VROOM", "MILP") for seed in (1, 2) for tasks in (5, 20)]
+    common = {"robots": 3, "wall_s": 2.0, "curve": curve}
+    rows = [common | {"name": name, "seed": seed, "tasks": tasks, "cost": 24.0 + seed, "feasible": name != "MILP"}
+            for name, seed, tasks in of]  # fmt: skip
+    for file in bench_pictures.draw_routing(rows, tmp_path):
+        assert file.stat().st_size > 5000
 
 
 def test_nested_figures_become_columns():
