@@ -22,9 +22,17 @@ def test_the_cases_cover_loss_graphs_sizes_and_methods():
     loss, size, method = ([case for case in of if case.study == study] for study in ("loss", "size", "method"))
     assert {(c.graph, c.loss) for c in loss if c.burst is None} == {(g, p) for g in GRAPHS for p in LOSSES}
     assert {(c.graph, c.loss) for c in loss if c.burst} == {(g, p) for g in GRAPHS for p in LOSSES if p}
-    assert {(c.robots, c.graph) for c in size} == {(n, g) for n in SIZES for g in GRAPHS}
+    assert {(c.robots, c.graph) for c in size} >= {(n, g) for n in SIZES for g in GRAPHS if g != "complete"}
+    assert {c.robots for c in size if c.graph == "complete"} == {6, 10, 20, 30}
     assert {c.method for c in method} == set(METHODS)
     assert len(of) == len(set(of))
+
+
+@pytest.mark.parametrize("robots", SIZES)
+def test_every_size_has_an_instance(robots):
+    for seed in (1, 2, 3):
+        of = bench_ablation.instance_of(Case("size", robots, "ring", "columns", 0.1, None, seed))
+        assert (of.robots, len(of.tasks)) == (robots, robots)
 
 
 @pytest.mark.parametrize("robots", SIZES)
