@@ -9,9 +9,10 @@ import numpy as np
 
 from crazychoir.errors import ConfigError
 from crazychoir.guidance.airspace import levels
-from crazychoir.guidance.online_delivery import ADDED, Event, OnlinePDVRPGuidance, Options
+from crazychoir.guidance.online_delivery import OnlinePDVRPGuidance, Options
 from crazychoir.guidance.replanning import AUCTION, KINDS
 from crazychoir.guidance.task_book import Fate, Task
+from crazychoir.guidance.task_source import ADDED, Event
 from crazychoir.routing.instance import Instance
 from crazychoir.safety.guard import EDGE
 from crazychoir.swarm.config import SwarmConfig

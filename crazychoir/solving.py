@@ -16,7 +16,7 @@ Team = Mapping[int, PickupDelivery]
 def solve_here(
     instance: Instance,
     *,
-    method: str = "resource-columns",
+    method: str = "columns",
     loss: float = 0.0,
     graph: str = "ring",
     seed: int = 0,

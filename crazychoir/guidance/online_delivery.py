@@ -16,29 +16,26 @@ import asyncio
 import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache, partial
-from itertools import pairwise
-from typing import Any, NamedTuple
+from functools import partial
+from typing import Any
 
-import msgspec
 import numpy as np
 
-from crazychoir.errors import CodecError, CrazyChoirError, PeerLost, Refused, RosterChanged
+from crazychoir.errors import CrazyChoirError, PeerLost, RosterChanged
 from crazychoir.guidance.airspace import way_round
 from crazychoir.guidance.base import CFGuidance, Interrupted, Member
 from crazychoir.guidance.replanning import AUCTION, Goods, Mark, Replanning, Share, mark
-from crazychoir.guidance.task_book import Deed, Fate, Place, Record, Task, TaskBook
+from crazychoir.guidance.task_book import Deed, Fate, Place, Task
+from crazychoir.guidance.task_source import Event, TaskSource
+from crazychoir.guidance.team_news import PERIOD, Key, TeamNews
 from crazychoir.math3d import Vec
 from crazychoir.planning.point_to_point import duration_for
 from crazychoir.routing.instance import LocalProblem
 from crazychoir.routing.plan import Stop
 from crazychoir.safety.guard import EDGE
-from crazychoir.swarm.graph import Graph
 from crazychoir.types import FullState
 
 log = logging.getLogger(__name__)
-PERIOD = 0.2
-"""s between two looks at the neighbours' books, and two tellings of the own."""
 POLL = 0.05
 """s between two looks at what may have changed."""
 HORIZON = 3.0
@@ -47,25 +44,9 @@ DEADLINE = 30.0
 """s for one round of a planning."""
 LATE = 5.0
 """s by which a robot is later than its plan said when the team plans again."""
-FAREWELL = 2.0
-"""s that a robot goes on telling that the team has ended, while others may not know."""
 REUNION = 30.0
 """s on the ground after which a part of the team that is cut off ends its mission."""
-ADDED = 10_000
-"""Tasks from this id on were added in flight by an operator, at the robot of the last digits."""
-BOOK = "book"
 UNREACHED = "cut off from more than half of the team"
-
-
-class Event(NamedTuple):
-    """A task appears, or is cancelled, t s after GO; those who hear of it tell the others.
-
-    robots: who hear of it, empty: all who are there.
-    """
-
-    t: float
-    task: Task
-    robots: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -95,7 +76,7 @@ class OnlinePDVRPGuidance(CFGuidance):
     def __init__(self, own: LocalProblem, tasks: Sequence[Task], events: Sequence[Event], options: Options) -> None:
         self.own, self.options = own, options
         self.events = tuple(sorted(events, key=lambda event: event.t))
-        self.book = TaskBook(tasks)
+        self.tasks = tuple(tasks)
         self.route: list[Stop] = []
         self.served: list[dict[str, Any]] = []
         self.unserved: tuple[int, ...] = ()
@@ -103,47 +84,43 @@ class OnlinePDVRPGuidance(CFGuidance):
         self.longest_wait = self.flown = 0.0
         self.planning = False
         self.up = False
-        self.quorate = True
         self.reason = ""
         self._bound: dict[int, None] = {}
         self._mark: Mark | None = None
         self._promised = np.inf
         self._serving_until = 0.0
-        self._team: tuple[int, ...] = ()
 
     def bind(self, member: Member) -> None:
         """Meet the drone."""
         super().bind(member)
-        port = member.communicator.port
-        self._record = Record(self.id, port.incarnation, 1, self._here())
-        self.book.hear(self._record)
+        self.news = TeamNews(member.communicator, self.tasks, self._here, self.options.recover)
+        self.source = TaskSource(self.news, member.config, self.options.clearance)
         self._redirected = asyncio.Event()
-        self._rekeyed = asyncio.Event()
         member.report = lambda: {"task": self._task()}
 
     async def mission(self) -> dict[str, Any]:
         """Fly, gossip, hear and plan, until the team agrees that nothing is left to do."""
         try:
             async with asyncio.TaskGroup() as group:
-                jobs = [group.create_task(job) for job in (self._gossip(), self._hear_of_tasks(), self._fly())]
+                work = self.news.gossip(), self.source.hear(self.events), self._fly()
+                jobs = [group.create_task(job) for job in work]
                 await self._plan()
-                await self._say_farewell()
+                await self.news.farewell()
                 for job in jobs:
                     job.cancel()
         except BaseExceptionGroup as errors:
-            await self._last_news()
+            await self.news.last_words()
             raise errors.exceptions[0] from errors
         except BaseException:
-            await self._last_news()
+            await self.news.last_words()
             raise
         return self.outcome()
 
     def outcome(self) -> dict[str, Any]:
         """This drone's part of the report."""
-        standings = self.book.standings(self.graph.ids, self.options.recover)
         return {
             "served": self.served,
-            "tasks": {str(j): [s.fate.value, s.robot] for j, s in standings.items()},
+            "tasks": {str(j): [s.fate.value, s.robot] for j, s in self.news.standings().items()},
             "unserved": list(self.unserved),
             "plannings_s": self.plannings,
             "longest_wait_s": self.longest_wait,
@@ -155,139 +132,26 @@ class OnlinePDVRPGuidance(CFGuidance):
         doing = "planning again, " if self.planning else ""
         return f"{doing}{len(self.served)} stops done, {left} to do, {aboard} aboard"
 
-    # News -----------------------------------------------------------------------------------------------------
-
     @property
     def _now(self) -> float:
         return self.member.clock.now()
-
-    @property
-    def _age(self) -> float:
-        """s since GO."""
-        return self.member.communicator.port.bus.impairment.age(self._now)
 
     def _here(self) -> Place:
         x, y = self.state.p[:2].tolist()
         return float(x), float(y)
 
-    def _say(self, **changes: Any) -> int:
-        """Write a new edition of the own record; returns its number."""
-        self._record = msgspec.structs.replace(self._record, number=self._record.number + 1, **changes)
-        self.book.hear(self._record)
-        return self._record.number
-
-    async def _gossip(self) -> None:
-        """Merge what the neighbours know, tell them what is known here."""
-        while True:
-            try:
-                self._merge(await self.asynchronous_receive(self._links().neighbors(self.id), channel=BOOK))
-                await self._tell()
-            except RosterChanged:
-                self._rekeyed.set()
-            except CodecError as error:
-                log.warning("drone %d: %s", self.id, error)
-            await self.sleep(PERIOD)
-
-    async def _tell(self) -> None:
-        others = [r for _, r in sorted(self.book.records.items()) if r.robot != self.id]
-        seen, knows = tuple((r.robot, r.incarnation, r.number) for r in others), self.book.checksum
-        self._say(place=self._here(), seen=seen, knows=knows)
-        neighbors = self._links().neighbors(self.id)
-        records = [self.book.newest(j) for j in neighbors]
-        lacking = any(record is None or record.knows != knows for record in records)
-        await self.send(self.book.wire(tasks=lacking), neighbors, channel=BOOK)
-
-    def _merge(self, heard: dict[int, Any]) -> None:
-        before = self._key()
-        for wire in heard.values():
-            self.book.merge(TaskBook.of(wire))
-        if self._key() != before:
-            self._rekeyed.set()
-
-    async def _hear_of_tasks(self) -> None:
-        """Learn of each event when it is time."""
-        for event in self.events:
-            while self._age < event.t:
-                await self.sleep(min(max(event.t - self._age, POLL), 1.0))
-            if not event.robots or self.id in event.robots:
-                self.book.learn(event.task)
-
     async def asked(self, verb: str, arguments: dict[str, Any]) -> Any:
-        """An operator adds a task, or cancels one: {"pickup", "delivery", "load", "robots"}, {"id"}."""
-        if verb == "task_add":
-            return self._added(arguments)
-        if verb == "task_cancel":
-            j = arguments.get("id")
-            if j not in self.book.tasks:
-                raise Refused(f"drone {self.id}", f"no task {j}; known: {', '.join(map(str, sorted(self.book.tasks)))}")
-            self.book.cancel(j)
-            return {"id": j}
-        return await super().asked(verb, arguments)
-
-    def _added(self, arguments: dict[str, Any]) -> dict[str, int]:
-        """Ids of added tasks differ by the robot that was asked: two operators may add at the same time."""
-        count = max((j // ADDED for j in self.book.tasks if j >= ADDED and j % ADDED == self.id), default=0) + 1
-        raw = {"load": 1.0, "robots": [], **arguments, "id": ADDED * count + self.id, "version": 1, "cancelled": False}
-        try:
-            task = msgspec.convert([raw.pop(name, None) for name in Task.__struct_fields__], Task)
-        except msgspec.ValidationError as error:
-            raise Refused(f"drone {self.id}", f"task: {error}") from error
-        if raw:
-            raise Refused(f"drone {self.id}", f"task: unknown {', '.join(sorted(raw))}")
-        self.book.learn(task)
-        return {"id": task.id}
-
-    async def _say_farewell(self) -> None:
-        """Stay until all know that the team has ended, or FAREWELL s are over."""
-        self._say(ended=True)
-        ends = self._now + FAREWELL
-        while self._now < ends and not all(r.ended for r in self.book.alive(self.graph.ids).values()):
-            await self.sleep(PERIOD)
-        await self.sleep(2 * PERIOD)
-
-    async def _last_news(self) -> None:
-        """Whatever has ended this mission: it flies no more, and the others should know."""
-        self._say(out=True)
-        for _ in range(5):
-            try:
-                await self._tell()
-            except RosterChanged:
-                continue
-            await self.sleep(PERIOD)
-
-    # The team -------------------------------------------------------------------------------------------------
-
-    def _key(self) -> tuple[int, tuple[int, ...]]:
-        """What a row of plannings holds for: the epoch, and who has said that it flies no more."""
-        return self.member.communicator.epoch, self.book.out(self.graph.ids)
-
-    def _links(self, without: tuple[int, ...] = ()) -> Graph:
-        """Who talks to whom, mended where those who are gone have left it in parts."""
-        return mended(self.graph, without)
-
-    def _count_quorum(self) -> bool:
-        """Whether this part of the team is more than half of the team before, or the half with its lowest id."""
-        members = self.graph.ids
-        team = self._team or members
-        stayed = [i for i in team if i in members]
-        quorate = 2 * len(stayed) > len(team) or (2 * len(stayed) == len(team) and team[0] in stayed)
-        if quorate:
-            self._team = members
-        return quorate
-
-    @property
-    def _ended(self) -> bool:
-        return any(record.ended for record in self.book.alive(self.graph.ids).values())
+        """An operator adds a task, or cancels one; see TaskSource."""
+        return self.source.asked(verb, arguments)
 
     # Planning -------------------------------------------------------------------------------------------------
 
     async def _plan(self) -> None:
         """Plan at the start, when the team has changed, and whenever it is wanted; until the team has ended."""
-        while not self._ended:
-            key = self._key()
-            self._rekeyed.clear()
-            self.quorate = self._count_quorum()
-            if not self.quorate:
+        while not self.news.ended:
+            key = self.news.key()
+            self.news.changed.clear()
+            if not self.news.count():
                 await self._cut_off(key)
             elif self.id in key[1]:
                 await self.sleep(PERIOD)  # out: the others go on without
@@ -297,34 +161,34 @@ class OnlinePDVRPGuidance(CFGuidance):
                 except RosterChanged:
                     continue
 
-    async def _plannings(self, key: tuple[int, tuple[int, ...]]) -> None:
+    async def _plannings(self, key: Key) -> None:
         """The plannings of one team, one after the other; all its robots begin each as soon as one has begun it."""
         n = 0
-        while self._key() == key and not self._ended:
+        while self.news.key() == key and not self.news.ended:
             if n and not self._wanted(key, n):
                 await self.sleep(POLL)
                 continue
             n += 1
             began = self._now
-            self._say(run=(key[0], len(key[1]), n))
+            self.news.say(run=(key[0], len(key[1]), n))
             share = await self._planned(key)
             if share is None:
                 return
             self.plannings.append(self._now - began)
             self._adopt(share)
 
-    def _wanted(self, key: tuple[int, tuple[int, ...]], n: int) -> bool:
+    def _wanted(self, key: Key, n: int) -> bool:
         """Whether somebody plans already, or there is reason to."""
-        alive = self.book.alive(self.graph.ids).values()
+        alive = self.news.book.alive(self.graph.ids).values()
         begun = any(r.run[:2] == (key[0], len(key[1])) and r.run[2] > n for r in alive)
-        return begun or mark(self.book) != self._mark or self._late() or all(r.idle for r in alive)
+        return begun or mark(self.news.book) != self._mark or self._late() or all(r.idle for r in alive)
 
     def _late(self) -> bool:
         return bool(self.route) and self._now + self._seconds(self.route) > self._promised + LATE
 
-    async def _planned(self, key: tuple[int, tuple[int, ...]]) -> Share | None:
+    async def _planned(self, key: Key) -> Share | None:
         """One planning, together; None if the team has changed meanwhile."""
-        links = self._links(without=key[1])
+        links = self.news.links(without=key[1])
         head, start, ready = self._head()
         aboard = self._aboard()
         for stop in head:
@@ -338,7 +202,7 @@ class OnlinePDVRPGuidance(CFGuidance):
         left = max(0.0, self.own.limit - self.flown - float(np.linalg.norm(start - self._here())))
         problem = partial(self._problem, start=start, ready=ready, left=left)
         program = Replanning(
-            self.id, links, self.book, bound, tuple(aboard), problem, self.options.recover, self.options.method
+            self.id, links, self.news.book, bound, tuple(aboard), problem, self.options.recover, self.options.method
         )
         self._planned_head = head
         channel = "-".join(["plan", *map(str, key[1])])
@@ -350,7 +214,7 @@ class OnlinePDVRPGuidance(CFGuidance):
         return program.result
 
     async def _exchange(
-        self, message: Any, neighbors: tuple[int, ...], channel: str, key: tuple[int, tuple[int, ...]]
+        self, message: Any, neighbors: tuple[int, ...], channel: str, key: Key
     ) -> dict[int, Any] | None:
         """One round with the neighbours; None if the team has changed meanwhile.
 
@@ -362,17 +226,17 @@ class OnlinePDVRPGuidance(CFGuidance):
                 self.neighbors_exchange(message, neighbors, neighbors, channel=channel, deadline=DEADLINE)
             )
             try:
-                await self._unless(exchange, self._rekeyed)
+                await self._unless(exchange, self.news.changed)
                 if exchange.done():
                     return exchange.result()
-                if self._key() != key:
+                if self.news.key() != key:
                     return None
-                self._rekeyed.clear()
+                self.news.changed.clear()
             except PeerLost:
                 if self._now > ends:
                     raise
                 await self.sleep(POLL)
-                if self._key() != key:
+                if self.news.key() != key:
                     return None
             finally:
                 await _given_up(exchange)
@@ -394,7 +258,7 @@ class OnlinePDVRPGuidance(CFGuidance):
         head: list[Stop] = []
         p, seconds = np.array(self._here()), max(0.0, self._serving_until - self._now)
         for stop in self.route:
-            new = stop.kind == "pickup" and (self.planning or not self.quorate) and stop.task not in self._bound
+            new = stop.kind == "pickup" and (self.planning or not self.news.quorate) and stop.task not in self._bound
             if new or (head and seconds > HORIZON):
                 break
             goal = self._place(stop)
@@ -419,27 +283,27 @@ class OnlinePDVRPGuidance(CFGuidance):
 
     def _adopt(self, share: Share) -> None:
         """From now on this is the route: what it was bound to and has not done yet, then the new stops."""
-        self.book.merge(share.book)
-        done = {(deed.task, deed.kind): None for deed in self._record.deeds}
+        self.news.book.merge(share.book)
+        done = {(deed.task, deed.kind): None for deed in self.news.record.deeds}
         self.route = [s for s in [*self._planned_head, *share.stops] if (s.task, s.kind) not in done]
         self.planning, self.unserved, self._mark = False, share.unserved, mark(share.book)
         self._promised = self._now + self._seconds(self.route)
         if share.ended:
-            self._say(ended=True)
-        elif self.route and self._record.idle:
-            self._say(idle=False)
+            self.news.say(ended=True)
+        elif self.route and self.news.record.idle:
+            self.news.say(idle=False)
         self._redirected.set()
 
-    async def _cut_off(self, key: tuple[int, tuple[int, ...]]) -> None:
+    async def _cut_off(self, key: Key) -> None:
         """Too few to decide: deliver what is aboard, go home; or, where others may fetch it, stay where one is."""
         log.warning("drone %d: %s", self.id, UNREACHED)
         if self.options.recover and self.up:
             self.reason = UNREACHED
-            self._say(out=True)
+            self.news.say(out=True)
         self.route = [Stop(j, "delivery") for j in self._aboard()]
         self._redirected.set()
         since = self._now
-        while self._key() == key and not self._ended:
+        while self.news.key() == key and not self.news.ended:
             since = self._now if self.up else since
             if self._now > since + REUNION:
                 raise Interrupted(f"drone {self.id}: {UNREACHED} for {REUNION:g} s")
@@ -450,7 +314,7 @@ class OnlinePDVRPGuidance(CFGuidance):
     def _aboard(self) -> dict[int, None]:
         """Tasks whose goods it carries, in the order of their pickups."""
         found: dict[int, None] = {}
-        for deed in self._record.deeds:
+        for deed in self.news.record.deeds:
             if deed.kind == "pickup":
                 found[deed.task] = None
             else:
@@ -460,8 +324,8 @@ class OnlinePDVRPGuidance(CFGuidance):
     def _place(self, stop: Stop) -> Vec:
         """(2,) m, where a stop is."""
         if stop.kind == "delivery":
-            return np.array(self.book.tasks[stop.task].delivery)
-        return np.array(self.book.standings(self.graph.ids, self.options.recover)[stop.task].pickup)
+            return np.array(self.news.book.tasks[stop.task].delivery)
+        return np.array(self.news.standings()[stop.task].pickup)
 
     def _leg(self, a: Vec, b: Vec) -> float:
         flight = self.member.config.flight
@@ -482,7 +346,7 @@ class OnlinePDVRPGuidance(CFGuidance):
             stop = self.route[0]
             if stop.kind == "delivery":
                 return stop
-            standing = self.book.standings(self.graph.ids, self.options.recover)[stop.task]
+            standing = self.news.standings()[stop.task]
             if standing.fate is Fate.OPEN:
                 return stop
             self.route = [other for other in self.route if other.task != stop.task]
@@ -493,7 +357,7 @@ class OnlinePDVRPGuidance(CFGuidance):
     async def _fly(self) -> None:
         """Stop by stop; without stops go home and wait on the ground. Who cannot fly on says so, and stays a talker."""
         try:
-            while not self._record.out:
+            while not self.news.record.out:
                 stop = self._next()
                 if stop is None:
                     await self._rest()
@@ -504,13 +368,13 @@ class OnlinePDVRPGuidance(CFGuidance):
             log.warning("drone %d: %s", self.id, error)
             self.reason = str(error)
         self.up = False
-        self._say(out=True)
+        self.news.say(out=True)
 
     async def _reach(self, stop: Stop) -> bool:
         """Fly to a stop; False if it is not the next one any more."""
         if not self.up:
             self.up = True
-            self._say(landed=False, idle=False)
+            self.news.say(landed=False, idle=False)
             await self.take_off(self.options.levels[self.id])
         return await self._to(self._place(stop), lambda: self._next() == stop)
 
@@ -547,15 +411,15 @@ class OnlinePDVRPGuidance(CFGuidance):
             self.served.append({"task": stop.task, "kind": stop.kind})
 
     def _announce(self, stop: Stop) -> int:
-        standing = self.book.standings(self.graph.ids, self.options.recover)[stop.task]
+        standing = self.news.standings()[stop.task]
         deed = Deed(stop.task, stop.kind, standing.generation + (stop.kind == "pickup"))
-        return self._say(deeds=(*self._record.deeds, deed), place=self._here())
+        return self.news.say(deeds=(*self.news.record.deeds, deed), place=self._here())
 
     async def _permitted(self, stop: Stop) -> bool:
         """Wait, above the stop, while it may be given to somebody else; False if it is not the next one any more."""
         since = self._now
         while self._next() == stop:
-            allowed = self.quorate and (not self.planning or stop.task in self._bound)
+            allowed = self.news.quorate and (not self.planning or stop.task in self._bound)
             if stop.kind == "delivery" or allowed:
                 return True
             await self.sleep(POLL)
@@ -564,14 +428,13 @@ class OnlinePDVRPGuidance(CFGuidance):
 
     async def _known(self, number: int, stop: Stop) -> bool:
         """Wait until more than half of the team have heard of a stop; False for a pickup that is taken back."""
-        since, me = self._now, self._record.incarnation
+        since = self._now
         while True:
-            team = self.graph.ids
-            if self.book.witnesses(self.id, me, number, team) >= len(self.book.alive(team)) // 2:
+            if self.news.known(number):
                 return True
-            if not self.quorate:
+            if not self.news.quorate:
                 if stop.kind == "pickup":
-                    self._say(deeds=tuple(d for d in self._record.deeds if (d.task, d.kind) != (stop.task, stop.kind)))
+                    self.news.say(deeds=tuple(d for d in self.news.record.deeds if d.task != stop.task))
                 return stop.kind == "delivery"
             await self.sleep(POLL)
             self._waited(since)
@@ -586,31 +449,11 @@ class OnlinePDVRPGuidance(CFGuidance):
                 return
             await self.land()
             self.up = False
-            self._say(landed=True)
-        idle = self._age >= self.options.until and not self.route
-        if idle != self._record.idle:
-            self._say(idle=idle)
+            self.news.say(landed=True)
+        idle = self.source.age >= self.options.until and not self.route
+        if idle != self.news.record.idle:
+            self.news.say(idle=idle)
         await self.sleep(POLL)
-
-
-@lru_cache(maxsize=64)
-def mended(graph: Graph, without: tuple[int, ...] = ()) -> Graph:
-    """The graph without some, its parts joined in a row by their lowest ids: all compute the same."""
-    ids = tuple(i for i in graph.ids if i not in without)
-    graph = Graph.from_edges(ids, [arc for arc in graph.arcs if arc[0] in ids and arc[1] in ids])
-    lowest: list[int] = []
-    seen: dict[int, None] = {}
-    for i in graph.ids:
-        if i not in seen:
-            lowest.append(i)
-            queue = [i]
-            while queue:
-                j = queue.pop()
-                if j not in seen:
-                    seen[j] = None
-                    queue.extend(graph.neighbors(j))
-    links = pairwise(lowest)
-    return Graph.from_edges(graph.ids, [*graph.arcs, *links])
 
 
 async def _given_up(task: "asyncio.Future[Any]") -> None:

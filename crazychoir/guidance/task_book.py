@@ -49,9 +49,9 @@ class Record(Struct, frozen=True, order=True, array_like=True):
     """What a robot has last said of itself; it alone writes it, `number` counts its editions.
 
     place: (2,) m, where it is;  deeds: what it has done with goods, oldest first;  seen: (robot, incarnation, number)
-    of the others' records that it has;  knows: checksum of the tasks that it knows;  run: (epoch, how many are out, run),
-    the newest planning that it takes part in;  landed, idle: on the ground, and waiting for nothing more;  out: it
-    flies no more, its goods lie where it is;  ended: the team has agreed to end.
+    of the others' records that it has;  knows: checksum of the tasks that it knows;  run: (epoch, how many are out,
+    run), the newest planning that it takes part in;  landed, idle: on the ground, and waiting for nothing more;
+    out: it flies no more, its goods lie where it is;  ended: the team has agreed to end.
     """
 
     robot: Count

@@ -2,21 +2,17 @@
 
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from crazychoir.optimization.picture import COLOURS, DASHES, INK
 from crazychoir.routing.instance import Instance
 from crazychoir.routing.plan import Plan, Route
 from crazychoir.types import Mat, Vec
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
-"""Okabe and Ito's, told apart with every colour vision; the lines' dashes repeat what they say."""
-DASHES: tuple[Any, ...] = ("-", (0, (5, 2)), (0, (1, 1.2)), (0, (5, 1.5, 1, 1.5)))
-INK = "#303030"
 
 
 def draw_routes(instance: Instance, plan: Plan, path: str | Path) -> None:

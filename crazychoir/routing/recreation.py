@@ -1,6 +1,5 @@
 """How a step of the search puts tasks back, and what it takes back."""
 
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,6 +12,8 @@ from crazychoir.types import Mat, Vec
 
 BLINK = 0.01
 """How often the cheapest place is not seen."""
+SERVE, REFUSE = 0.4, 0.05
+"""How often a task that can be refused is served anyway, and refused anyway."""
 NONE = -9
 """No place."""
 RANDOM, LOAD, FAR, CLOSE, WIDTH, OPENING, CLOSING = range(7)
@@ -35,14 +36,13 @@ class Memory(NamedTuple):
     closed: Bools
 
     @classmethod
-    def of(cls, tours: Tours, closed: Sequence[int]) -> "Memory":
-        """Nothing is known."""
+    def of(cls, tours: Tours, closed: Bools) -> "Memory":
+        """Nothing is known; the search may close more."""
         (k, length), m = tours.stop.shape, len(tours.at)
-        shut = np.zeros(k, np.bool_)
-        shut[list(closed)] = True
         unknown = np.full((m, k), -1, np.int64)
         place = np.zeros((m, k, 2), np.int64)
-        return cls(np.zeros((m, k)), place, unknown, np.zeros(m, np.int64), np.zeros(m), np.zeros((2, length)), shut)
+        bank, extra = np.zeros(m, np.int64), np.zeros((2, length))
+        return cls(np.zeros((m, k)), place, unknown, bank, np.zeros(m), extra, closed.copy())
 
 
 @kernel(_nrt=False)
@@ -50,9 +50,7 @@ def recreate(fleet: Any, tours: Any, step: Any, memory: Any, random: Words) -> N
     """Put each task without a vehicle where it is cheapest, one after the other; now and then where it is next best."""
     for b in range(_order(fleet, tours, memory, random)):
         j = memory.bank[b]
-        best, vehicle, first, second = fleet.penalty[j], -1, 0, 0
-        if fleet.on_finish > 0.0:
-            best = np.inf
+        best, vehicle, first, second = _most(fleet, tours, random, j), -1, 0, 0
         for k in range(len(fleet.start)):
             if memory.closed[k] or _has_twin(fleet, tours, memory, k):
                 continue
@@ -62,6 +60,28 @@ def recreate(fleet: Any, tours: Any, step: Any, memory: Any, random: Words) -> N
         if vehicle >= 0:
             touch(tours, step, vehicle)
             insert(fleet, tours, vehicle, j, first, second)
+
+
+@kernel(**OPTIONS)
+def _most(fleet: Any, tours: Any, random: Words, j: int) -> Any:
+    """What task j may cost.
+
+    One that can be refused is served at times even if that costs more, since two of them together can be worth a way
+    that neither is alone; and is refused at times, where the last finish counts, since two of them can delay it.
+    """
+    if fleet.penalty[j] == np.inf:
+        return np.inf
+    u = draw(random)
+    if u < SERVE:
+        return np.inf
+    if fleet.on_finish == 0.0:
+        return fleet.penalty[j]
+    finish = 0.0
+    for k in range(len(fleet.start)):
+        finish = max(finish, tours.finish[k])
+    if u > 1.0 - REFUSE and fleet.penalty[j] < finish:
+        return -np.inf
+    return fleet.penalty[j] + fleet.on_finish * finish
 
 
 @kernel(**OPTIONS)

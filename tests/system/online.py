@@ -33,7 +33,7 @@ def crash(agent: Agent, i: int) -> None:
 def carried(agent: Agent, i: int) -> list[int]:
     """Goods that drone i has picked up and, as far as the team has confirmed, not delivered."""
     guidance = agent.drones[i].guidance
-    picked = [deed.task for deed in guidance._record.deeds if deed.kind == "pickup"]
+    picked = [deed.task for deed in guidance.news.record.deeds if deed.kind == "pickup"]
     return [j for j in picked if {"task": j, "kind": "delivery"} not in guidance.served]
 
 

@@ -48,6 +48,9 @@ def test_all_that_the_living_can_serve_is_served_over_200_seeds():
 
 # A drone that is killed at a stop ------------------------------------------------------------------------------
 
+MOMENTS = [0.0, 0.25, 0.9, *(pytest.param(s, marks=pytest.mark.slow) for s in (0.1, 0.5, 1.3))]
+"""s after it has announced a stop."""
+
 
 def killed_at_stop(kind, after, **options):
     """Five drones, four tasks; the first that announces a stop of this kind is killed so many s later."""
@@ -82,7 +85,7 @@ def killed_at_stop(kind, after, **options):
 
 
 @pytest.mark.parametrize("recover", [False, True])
-@pytest.mark.parametrize("after", [0.0, 0.1, 0.25, 0.5, 0.9, 1.3])
+@pytest.mark.parametrize("after", MOMENTS)
 def test_goods_are_not_picked_up_before_anybody_has_heard_of_it(after, recover):
     outcome, task = killed_at_stop("pickup", after, recover=recover)
     assert outcome.reasons == []
@@ -96,7 +99,7 @@ def test_goods_are_not_picked_up_before_anybody_has_heard_of_it(after, recover):
 
 
 @pytest.mark.parametrize("recover", [False, True])
-@pytest.mark.parametrize("after", [0.0, 0.1, 0.25, 0.5, 0.9, 1.3])
+@pytest.mark.parametrize("after", MOMENTS)
 def test_goods_are_not_delivered_twice_though_who_has_delivered_them_is_killed(after, recover):
     outcome, task = killed_at_stop("delivery", after, recover=recover)
     assert outcome.reasons == []
@@ -193,8 +196,10 @@ def test_a_drone_that_is_landed_by_its_operator_leaves_its_tasks_to_the_others()
     assert all(len(by) == 1 for by in outcome.delivered.values())
 
 
-@pytest.mark.parametrize("recover", [False, True])
-@pytest.mark.parametrize("who", [0, 3])
+@pytest.mark.parametrize(
+    ("who", "recover"),
+    [(0, True), (3, False), *(pytest.param(*both, marks=pytest.mark.slow) for both in ((0, False), (3, True)))],
+)
 def test_a_drone_that_is_cut_off_and_comes_back_serves_nothing_that_others_serve(who, recover):
     config = drawn(8, 0.2, drones=5, tasks=8, later=0, recover=recover, until=40.0)
     config = config.replace(network={"loss": 0.2, "partitions": [{"at": 6.0, "until": 18.0, "groups": [[who]]}]})

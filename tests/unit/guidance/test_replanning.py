@@ -1,6 +1,7 @@
 """One planning of a team in flight: the same plan for all, from where they are, of what is free."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -26,22 +27,21 @@ def problem(i, start, robots=None):
     """Robot i: capacity 2, capable of what names it, or nobody."""
 
     def of(goods):
-        may = np.array([not t.robots or i in t.robots for t in goods.tasks])
+        may = np.array([not t.robots or i in t.robots for t in goods.tasks], bool)
         return replace(
-            OWN.local(0), robot=i, home=np.array(HOMES[i]), start=np.array(start), capacity=2.0, tasks=goods.public(1.0),
-            capable=may & (np.array(goods.free, bool) | np.array(goods.mine, bool)), aboard=np.array(goods.mine, bool),
+            OWN.local(0), robot=i, home=np.array(HOMES[i]), start=np.array(start), capacity=2.0,
+            tasks=goods.public(1.0), aboard=np.array(goods.mine, bool),
+            capable=may & (np.array(goods.free, bool) | np.array(goods.mine, bool)),
         )  # fmt: skip
 
     return of
 
 
 def planned(books, bound=None, carried=None, graph=GRAPH, method=AUCTION, starts=HOMES, recover=False):
-    agents = {
-        i: Replanning(
-            i, graph, books[i], (bound or {}).get(i, ()), (carried or {}).get(i, ()), problem(i, starts[i]), recover, method
-        )
-        for i in graph.ids
-    }
+    agents = {}
+    for i in graph.ids:
+        bonds, goods = (bound or {}).get(i, ()), (carried or {}).get(i, ())
+        agents[i] = Replanning(i, graph, books[i], bonds, goods, problem(i, starts[i]), recover, method)
     while not all(agent.done for agent in agents.values()):
         assert not any(agent.done for agent in agents.values()), "all end in one round"
         messages = {i: decode(encode(agent.message())) for i, agent in agents.items()}
@@ -80,7 +80,7 @@ def test_the_plan_begins_where_the_robots_are():
 
 
 def test_what_somebody_is_bound_to_or_carries_is_not_shared_out():
-    gone = task(7, (5.0, 5.0), (1.0, 1.0))
+    gone = task(7, (5.0, 5.0), (1.0, 9.0))
     books = {i: TaskBook([NEAR_2, NEAR_8, gone], records()) for i in IDS}
     shares = planned(books, bound={3: (6,)}, carried={5: (7,)})
     assert stops(shares[5]) == [(7, "delivery")]
@@ -102,13 +102,15 @@ def test_what_nobody_can_serve_is_named_and_nothing_is_left_to_do():
     assert {(share.unserved, share.ended) for share in planned(books).values()} == {((1, 9), True)}
 
 
-@pytest.mark.parametrize(
-    "busy", [{"bound": {3: (6,)}}, {"carried": {3: (6,)}}, {"idle": False}, {"task": NEAR_2}], ids=lambda busy: next(iter(busy))
-)
+BUSY = [{"bound": {3: (6,)}}, {"carried": {3: (6,)}}, {"idle": False}, {"task": NEAR_2}]
+
+
+@pytest.mark.parametrize("busy", BUSY, ids=lambda busy: next(iter(busy)))
 def test_the_team_ends_when_all_are_idle_and_nobody_has_anything_to_do(busy):
     books = {i: TaskBook([NEAR_8], records(idle=True)) for i in IDS}
     for book in books.values():
-        book.hear(Record(2, 1, 2, HOMES[2], (Deed(6, "pickup", 1), Deed(6, "delivery", 1)), idle=busy.get("idle", True)))
+        done = Deed(6, "pickup", 1), Deed(6, "delivery", 1)
+        book.hear(Record(2, 1, 2, HOMES[2], done, idle=busy.get("idle", True)))
     assert all(share.ended for share in planned(books).values()) == ("idle" not in busy)
     if "task" in busy:
         books[8].learn(busy["task"])
@@ -124,14 +126,14 @@ def test_one_robot_alone_plans_without_anybody():
 
 
 def length(share, start, home, tasks):
-    points = [start, *(tasks[s.task].pickup if s.kind == "pickup" else tasks[s.task].delivery for s in share.stops), home]
-    return sum(np.linalg.norm(np.subtract(a, b)) for a, b in zip(points, points[1:], strict=False))
+    points = [start, *(getattr(tasks[stop.task], stop.kind) for stop in share.stops), home]
+    return sum(np.linalg.norm(np.subtract(a, b)) for a, b in pairwise(points))
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_a_method_of_pickup_delivery_finds_no_longer_plan_and_serves_the_same(seed):
     draw = np.random.default_rng(seed)
-    tasks = {j: task(j, tuple(draw.uniform(0, 10, 2)), tuple(draw.uniform(0, 10, 2))) for j in range(1, 8)}
+    tasks = {j: task(j, *map(tuple, draw.uniform(0, 10, (2, 2)).tolist())) for j in range(1, 8)}
     nobody = task(9, (1.0, 1.0), (2.0, 2.0), robots=(77,))
     books = {i: TaskBook([*tasks.values(), nobody], records()) for i in IDS}
     starts = {i: tuple(draw.uniform(0, 10, 2)) for i in IDS}

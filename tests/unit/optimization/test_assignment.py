@@ -5,6 +5,7 @@ from teams import run_team
 
 from crazychoir.errors import ConfigError, SolverError
 from crazychoir.optimization.assignment import Table, Task, TaskAssignment
+from crazychoir.simulate import simulate
 from crazychoir.swarm.graph import erdos_renyi_connected, path, ring
 
 
@@ -136,3 +137,13 @@ def test_nothing_to_do_is_agreed_upon_too():
     agents = team(np.ones((3, 1)), 1, {1: table([])})
     run_team(agents, ring(3))
     assert all(agent.solution.task is None and agent.solution.cost == 0.0 for agent in agents.values())
+
+
+def test_the_assignment_is_the_same_whatever_is_lost():
+    costs, graph, outcomes = np.random.default_rng(8).random((5, 5)), ring(5), []
+    for loss in (0.0, 0.4):
+        agents = team(costs, 2, {3: table(range(5))})
+        history = simulate(agents, graph, loss=loss, record=())
+        outcomes.append([(a.outcome.task.id, a.outcome.cost, a.outcome.rounds) for a in agents.values()])
+    assert history.lost > 10
+    assert outcomes[0] == outcomes[1]

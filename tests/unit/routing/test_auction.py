@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from crazychoir.optimization.program import Program
-from crazychoir.routing.generate import random_instance
 from crazychoir.routing.auction import Insertion, auction
+from crazychoir.routing.generate import random_instance
 from crazychoir.swarm.graph import named
 
 

@@ -1,0 +1,167 @@
+"""What one robot knows of its team in flight: its task book, kept equal to the others' by gossip, and who is there."""
+
+import asyncio
+import logging
+from collections.abc import Callable
+from functools import lru_cache
+from itertools import pairwise
+from typing import Any
+
+import msgspec
+
+from crazychoir.errors import CodecError, RosterChanged
+from crazychoir.guidance.task_book import Place, Record, Standing, Task, TaskBook
+from crazychoir.swarm.communicator import Communicator
+from crazychoir.swarm.graph import Graph
+
+log = logging.getLogger(__name__)
+PERIOD = 0.2
+"""s between two looks at the neighbours' books, and two tellings of the own."""
+FAREWELL = 2.0
+"""s that a robot goes on telling that the team has ended, while others may not know."""
+LAST = 5
+"""Times that a robot tells of the end of its own mission."""
+BOOK = "book"
+Key = tuple[int, tuple[int, ...]]
+"""What a row of plannings holds for: the epoch, and who has said that it flies no more."""
+
+
+class TeamNews:
+    """The news of the robot of this communicator.
+
+    tasks: that it knows from the start;  here: says where it is, (2,) m;  recover: see TaskBook.standings;
+    changed: set when the team is another one;  quorate: whether its part of the team may decide.
+    """
+
+    def __init__(
+        self, communicator: Communicator, tasks: tuple[Task, ...], here: Callable[[], Place], recover: bool
+    ) -> None:
+        self.communicator, self.here, self.recover = communicator, here, recover
+        self.clock, self.id = communicator.port.bus.clock, communicator.id
+        self.record = Record(self.id, communicator.port.incarnation, 1, here())
+        self.book = TaskBook(tasks, [self.record])
+        self.changed = asyncio.Event()
+        self.quorate = True
+        self._team: tuple[int, ...] = ()
+
+    # Saying and hearing ---------------------------------------------------------------------------------------
+
+    def say(self, **changes: Any) -> int:
+        """Write a new edition of the own record; returns its number."""
+        self.record = msgspec.structs.replace(self.record, number=self.record.number + 1, **changes)
+        self.book.hear(self.record)
+        return self.record.number
+
+    async def gossip(self) -> None:
+        """Merge what the neighbours know, tell them what is known here; for good."""
+        while True:
+            try:
+                neighbors = self.links().neighbors(self.id)
+                self._merge(await self.communicator.asynchronous_receive(neighbors, channel=BOOK))
+                await self._tell()
+            except RosterChanged:
+                self.changed.set()
+            except CodecError as error:
+                log.warning("drone %d: %s", self.id, error)
+            await self._pause()
+
+    async def _tell(self) -> None:
+        """The book to the neighbours; the tasks only if one of them has others."""
+        others = [record for _, record in sorted(self.book.records.items()) if record.robot != self.id]
+        seen, knows = tuple((r.robot, r.incarnation, r.number) for r in others), self.book.checksum
+        self.say(place=self.here(), seen=seen, knows=knows)
+        neighbors = self.links().neighbors(self.id)
+        records = [self.book.newest(j) for j in neighbors]
+        lacking = any(record is None or record.knows != knows for record in records)
+        await self.communicator.send(self.book.wire(tasks=lacking), neighbors, channel=BOOK)
+
+    def _merge(self, heard: dict[int, Any]) -> None:
+        before = self.key()
+        for wire in heard.values():
+            self.book.merge(TaskBook.of(wire))
+        if self.key() != before:
+            self.changed.set()
+
+    async def farewell(self) -> None:
+        """Stay until all know that the team has ended, or FAREWELL s are over; beside `gossip`."""
+        self.say(ended=True)
+        ends = self.clock.now() + FAREWELL
+        while self.clock.now() < ends and not all(r.ended for r in self.book.alive(self.members).values()):
+            await self._pause()
+        await self._pause()  # the last to know is told that all do
+        await self._pause()
+
+    async def last_words(self) -> None:
+        """This robot flies no more, and the others should know."""
+        self.say(out=True)
+        for _ in range(LAST):
+            try:
+                await self._tell()
+            except RosterChanged:
+                continue
+            await self._pause()
+
+    async def _pause(self) -> None:
+        await self.clock.sleep(PERIOD, drone=self.id)
+
+    # What is known --------------------------------------------------------------------------------------------
+
+    @property
+    def members(self) -> tuple[int, ...]:
+        """The team of the present epoch."""
+        return self.communicator.graph.at(0).ids
+
+    def standings(self) -> dict[int, Standing]:
+        """Each task as it stands, as far as it is known here."""
+        return self.book.standings(self.members, self.recover)
+
+    def known(self, number: int) -> bool:
+        """Whether more than half of the team, without those who are out, know that edition of the record."""
+        witnesses = self.book.witnesses(self.id, self.record.incarnation, number, self.members)
+        return witnesses >= (len(self.members) - len(self.book.out(self.members))) // 2
+
+    @property
+    def ended(self) -> bool:
+        """Whether the team has agreed to end."""
+        return any(record.ended for record in self.book.alive(self.members).values())
+
+    # The team -------------------------------------------------------------------------------------------------
+
+    def key(self) -> Key:
+        """The present one."""
+        return self.communicator.epoch, self.book.out(self.members)
+
+    def links(self, without: tuple[int, ...] = ()) -> Graph:
+        """Who talks to whom, mended where those who are gone have left it in parts."""
+        return mended(self.communicator.graph.at(0), without)
+
+    def count(self) -> bool:
+        """Count who of the last team that could decide is left: this part decides if it is more than half of that.
+
+        Of two halves it is the one with the lowest id.
+        """
+        team = self._team or self.members
+        stayed = [i for i in team if i in self.members]
+        self.quorate = 2 * len(stayed) > len(team) or (2 * len(stayed) == len(team) and team[0] in stayed)
+        if self.quorate:
+            self._team = self.members
+        return self.quorate
+
+
+@lru_cache(maxsize=64)
+def mended(graph: Graph, without: tuple[int, ...] = ()) -> Graph:
+    """The graph without some, its parts joined in a row by their lowest ids: all compute the same."""
+    ids = tuple(i for i in graph.ids if i not in without)
+    arcs = [arc for arc in graph.arcs if arc[0] in ids and arc[1] in ids]
+    graph = Graph.from_edges(ids, arcs)
+    lowest, seen = list[int](), dict[int, None]()
+    for i in ids:
+        if i not in seen:
+            lowest.append(i)
+            queue = [i]
+            while queue:
+                j = queue.pop()
+                if j not in seen:
+                    seen[j] = None
+                    queue.extend(graph.neighbors(j))
+    return Graph.from_edges(ids, [*arcs, *pairwise(lowest)])
