@@ -9,6 +9,7 @@ import cvxpy as cp
 import numpy as np
 
 from crazychoir.errors import ConfigError
+from crazychoir.optimization.quadratic import Polyhedron
 from crazychoir.types import Mat, Vec
 
 
@@ -212,6 +213,11 @@ def require_polyhedral(constraints: Sequence[cp.Constraint], x: cp.Variable, whe
 def polyhedral(constraints: Sequence[cp.Constraint], x: cp.Variable) -> bool:
     """Whether all are linear (in)equalities of x alone."""
     return all(isinstance(c, LINEAR) and c.expr.is_affine() and only(c, x) for c in constraints)
+
+
+def polyhedron(constraints: Sequence[cp.Constraint], x: cp.Variable) -> Polyhedron | None:
+    """The set of all; None if it is no polyhedron, or one in more variables than x."""
+    return Polyhedron.of(*rows(constraints, x)) if polyhedral(constraints, x) else None
 
 
 def rows(constraints: Sequence[cp.Constraint], x: cp.Variable) -> tuple[Mat, Vec, Mat, Vec]:

@@ -58,8 +58,7 @@ class CostCoupled:
     @cached_property
     def over(self) -> Polyhedron | None:
         """X_i as a polyhedron; None if it is another set, or in more variables than x."""
-        linear = ex.polyhedral(self.constraints, self.x)
-        return Polyhedron.of(*ex.rows(self.constraints, self.x)) if linear else None
+        return ex.polyhedron(self.constraints, self.x)
 
     # Values ---------------------------------------------------------------------------------------------------
 

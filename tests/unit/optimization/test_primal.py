@@ -325,7 +325,7 @@ def test_measurements_without_a_common_point_are_named():
 
 def test_a_set_that_cvxpy_does_not_know_as_convex():
     x = cvxpy.Variable(2)
-    with pytest.raises(ConfigError, match="agent 1: set: found constraints that are not convex"):
+    with pytest.raises(ConfigError, match=r"agent 1: set: constraints\[0\]: .* a convex set"):
         Convex(x, [cvxpy.norm(x) >= 1.0], "agent 1: set")
 
 
