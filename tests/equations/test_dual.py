@@ -184,6 +184,21 @@ def test_the_gradient_of_asymm_is_that_of_its_augmented_lagrangian():
         np.testing.assert_allclose(own.gradient(x), slopes, atol=1e-6)
 
 
+def test_the_multipliers_of_asymm_are_those_of_the_method_of_multipliers():
+    h = Smooth(lambda x: np.array([x[0] - 1.0]), lambda x: np.array([[1.0, 0.0]]))
+    g = Smooth(lambda x: np.array([x[1] - 0.2, x[0] - 9.0]), lambda x: np.array([[0.0, 1.0], [1.0, 0.0]]))
+    own = ASYMM(0, (1,), 1, [0.0, 0.0], Smooth(lambda x: 0.0, np.zeros_like), equalities=h, inequalities=g)._own
+    own.l, own.m, own.s, x = np.array([0.7]), np.array([0.1, 0.3]), 2.0, np.array([3.0, 1.0])
+    own.ascend(x, growth=4.0, shrink=0.5, tolerance=1e-3)
+    np.testing.assert_allclose(own.l, 0.7 + 2.0 * 2.0)
+    np.testing.assert_allclose(own.m, [0.1 + 2.0 * 0.8, 0.0])
+    assert own.s == 2.0  # there is nothing to compare with yet
+    own.ascend(x, growth=4.0, shrink=0.5, tolerance=1e-3)
+    assert own.s == 8.0  # missed by as much as before
+    own.ascend(x, growth=4.0, shrink=0.5, tolerance=1e3)
+    assert own.s == 8.0  # by no more than the tolerance explains
+
+
 def test_asymm_descends_on_the_lagrangian_with_its_neighbors():
     """One step from x on f + (nu_ij - nu_ji)'x + (rho_ij + rho_ji)/2 |x - x_j|^2, here a quadratic: to its minimum."""
     q, nu, other = np.array([1.0, -2.0]), np.array([0.3, 0.1]), np.array([2.0, 5.0])
