@@ -185,7 +185,7 @@ def test_constraints_by_their_class_are_rows_too():
     at_least, cost = cp.constraints.NonNeg(X[0] - 2), cp.sum_squares(X)
     np.testing.assert_allclose(CostCoupled(3, X, cost, [at_least]).argmin(), [2.0, 0.0], atol=1e-12)
     with pytest.raises(SolverError, match=r"agent 3: .*row 0: violated by"):
-        CostCoupled(3, X, cost, [at_least, X[0] <= 1]).argmin()
+        CostCoupled(3, X, cost, [at_least, cp.constraints.NonNeg(1 - X[0])]).argmin()
 
 
 @pytest.mark.parametrize("objective", [Q @ X, cp.norm1(X) + 2 * Q @ X])
