@@ -3,15 +3,17 @@
 crazychoir run online_delivery --fast --loss 0.2
 """
 
-from typing import Any
+from typing import Annotated, Any, TypeVar
 
+import msgspec
 import numpy as np
+from msgspec import Meta, Struct
 
 from crazychoir.errors import ConfigError
 from crazychoir.guidance.airspace import levels
 from crazychoir.guidance.online_delivery import OnlinePDVRPGuidance, Options
 from crazychoir.guidance.replanning import AUCTION, KINDS
-from crazychoir.guidance.task_book import Fate, Task
+from crazychoir.guidance.task_book import Fate, Place, Task
 from crazychoir.guidance.task_source import ADDED, Event
 from crazychoir.routing.instance import Instance
 from crazychoir.safety.guard import EDGE
@@ -25,6 +27,28 @@ ALLOWED = (
     "instance", "tasks", "later", "appear", "cancel", "recover", "service_time", "until", "level_spacing", "clearance",
     "method",
 )  # fmt: skip
+Seconds = Annotated[float, Meta(ge=0.0)]
+Ids = tuple[Annotated[int, Meta(ge=0)], ...]
+Row = TypeVar("Row")
+
+
+class Appearance(Struct, frozen=True, forbid_unknown_fields=True):
+    """One [[mission_options.appear]]: a task, t s after the start; robots: who alone may serve it, empty: all."""
+
+    t: Seconds
+    pickup: Place
+    delivery: Place
+    load: Annotated[float, Meta(ge=0.0)] = 1.0
+    robots: Ids = ()
+    heard_by: Ids = ()
+
+
+class Cancellation(Struct, frozen=True, forbid_unknown_fields=True):
+    """One [[mission_options.cancel]]."""
+
+    t: Seconds
+    task: int
+    heard_by: Ids = ()
 
 
 def guidance(i: int, config: SwarmConfig) -> OnlinePDVRPGuidance:
@@ -89,36 +113,39 @@ def known(config: SwarmConfig) -> list[Task]:
 
 def events(config: SwarmConfig) -> list[Event]:
     """Tasks that appear, numbered after those of the instance, and cancellations."""
-    first = known(config)
-    tasks = {task.id: task for task in first}
+    tasks = {task.id: task for task in known(config)}
     found = []
-    for n, row in enumerate(_appearing(config)):
-        task = Task(
-            len(first) + n, 0, False, _place(row["pickup"]), _place(row["delivery"]), float(row.get("load", 1.0)),
-            tuple(row.get("robots", ())),
-        )  # fmt: skip
+    for row in _appearing(config):
+        task = Task(len(tasks), 0, False, row.pickup, row.delivery, row.load, row.robots)
         tasks[task.id] = task
-        found.append(Event(float(row["t"]), task, tuple(row.get("heard_by", ()))))
-    for row in config.mission_options.get("cancel", ()):
-        task = tasks[row["task"]]
-        found.append(Event(float(row["t"]), Task(task.id, 1, True, *_rest(task)), tuple(row.get("heard_by", ()))))
+        found.append(Event(row.t, task, row.heard_by))
+    for cancel in _rows(config, "cancel", Cancellation):
+        if cancel.task not in tasks:
+            where = f"swarm {config.name}: mission_options.cancel"
+            raise ConfigError(where, f"task {cancel.task}", f"0 to {len(tasks) - 1}")
+        gone = msgspec.structs.replace(tasks[cancel.task], cancelled=True)
+        found.append(Event(cancel.t, gone, cancel.heard_by))
     return found
 
 
-def _rest(task: Task) -> tuple[Any, ...]:
-    return task.pickup, task.delivery, task.load, task.robots
+def _rows(config: SwarmConfig, key: str, kind: type[Row]) -> list[Row]:
+    try:
+        return msgspec.convert(list(config.mission_options.get(key, ())), list[kind])  # type: ignore[valid-type]
+    except (msgspec.ValidationError, TypeError) as error:
+        allowed = f"tables of {', '.join(kind.__annotations__)}"
+        raise ConfigError(f"swarm {config.name}: mission_options.{key}", str(error), allowed) from error
 
 
-def _appearing(config: SwarmConfig) -> list[dict[str, Any]]:
+def _appearing(config: SwarmConfig) -> list[Appearance]:
     """What `appear` says; without it and without an instance, `later` (5) tasks, each heard of by three robots."""
     options = config.mission_options
     if "appear" in options or "instance" in options:
-        return list(options.get("appear", ()))
+        return _rows(config, "appear", Appearance)
     draw, n = np.random.default_rng([config.seed, 1]), options.get("later", 5)
     times, points = draw.uniform(3.0, 20.0, size=(n, 1)), draw.uniform(0.0, ROOM, size=(n, 2, 2))
     hears = [draw.choice(config.ids, size=min(3, len(config.ids)), replace=False).tolist() for _ in range(n)]
     return [
-        {"t": float(t[0]), "pickup": p[0].tolist(), "delivery": p[1].tolist(), "load": 1.0, "heard_by": who}
+        Appearance(float(t[0]), _place(p[0]), _place(p[1]), heard_by=tuple(who))
         for t, p, who in zip(times, points, hears, strict=True)
     ]
 

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 from crazychoir.cli.bench_ablation import GRAPHS
 from crazychoir.cli.bench_statistics import relative
+from crazychoir.optimization.picture import COLOURS, DASHES
 from crazychoir.recording.plots import STYLE, WIDTH
 from crazychoir.routing.pickup_delivery import METHODS
-from crazychoir.routing.picture import COLOURS, DASHES
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

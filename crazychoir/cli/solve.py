@@ -30,6 +30,7 @@ def solve(
     processes: Annotated[
         int | None, typer.Option(help="Real time, over Zenoh: the robots in so many processes; else virtual time.")
     ] = None,
+    prove: Annotated[bool, typer.Option("--prove", help="Prove the plan optimal, whatever it costs.")] = False,
     picture: Annotated[Path | None, typer.Option(help="Where to draw the routes (PNG).")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object, nothing else.")] = False,
 ) -> None:
@@ -47,11 +48,13 @@ def solve(
     set_up_logging()
     from crazychoir.launch.team import solve_in_processes  # kernels and solvers: 1 s that --help does not need
     from crazychoir.routing.instance import Instance
+    from crazychoir.routing.member import Settings
     from crazychoir.solving import solve_here
 
     try:
         problem = Instance.load(instance)
-        options: dict[str, Any] = {"method": method, "loss": loss, "graph": graph, "seed": seed}
+        options: dict[str, Any] = {"method": method, "loss": loss, "graph": graph, "seed": seed,
+                                   "settings": Settings(prove=prove)}  # fmt: skip
         if processes is None:
             with Progress(_team_table, enabled=not as_json) as shown:
                 result = solve_here(problem, watch=shown, **options)

@@ -9,7 +9,7 @@ from crazychoir.errors import ConfigError, SolverError
 from crazychoir.optimization.agreement import best_offer, flood, greatest
 from crazychoir.optimization.convexified import Convexified
 from crazychoir.optimization.mixed_integer import SLACK, MixedIntegerBlock
-from crazychoir.optimization.mixing import Rows
+from crazychoir.optimization.mixing import Rows, checked_rows
 from crazychoir.optimization.options import Options, Pool, column_sums, exceeded
 from crazychoir.optimization.primal_decomposition import PrimalDecomposition
 from crazychoir.optimization.program import Exchange, Program
@@ -84,7 +84,7 @@ class PrimalDecompositionMILP(Program[MixedIntegerSolution]):
         for name, value, least in (("agents", agents, 1), ("rounds", rounds, 1), ("options", options, 1)):
             if value < least:
                 raise ConfigError(f"{self._where}: {name}", value, f"at least {least}")
-        self._block, self._i, self.weights = block, block.agent, weights
+        self._block, self._i, self.weights = block, block.agent, checked_rows(block.agent, weights)
         self._agents, self._diameter, self._step = agents, diameter, step
         self._rounds, self._penalty, self._options = rounds, penalty, options
         self._local = Convexified(block, penalty)

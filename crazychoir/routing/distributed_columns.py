@@ -1,5 +1,6 @@
 """The method `columns`: distributed column generation, then clusters of robots that improve one plan side by side."""
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -13,9 +14,10 @@ from crazychoir.routing.gossip import Gossip
 from crazychoir.routing.instance import LocalProblem
 from crazychoir.routing.introduction import introduce, restricted
 from crazychoir.routing.member import Member
-from crazychoir.routing.neighborhood import cost_of, renamed, reoptimize
+from crazychoir.routing.neighborhood import flown, renamed, reoptimize
 from crazychoir.routing.proof import Assignment, Offer, Proof
 from crazychoir.routing.pricing import shortest_route
+from crazychoir.routing.vehicle import MAKESPAN, TOTAL
 from crazychoir.types import Vec
 
 DISCLOSED: tuple[str, ...] = (
@@ -48,7 +50,7 @@ class DistributedColumns:
         self._member, self._i, self._diameter = member, member.place.robot, member.place.diameter
         self._m = len(member.local.tasks)
         self._robots: dict[int, LocalProblem] = {}
-        self._costs: dict[tuple[int, tuple[int, ...]], float] = {}
+        self._costs: dict[tuple[int, tuple[int, ...]], tuple[float, float]] = {}
         self.routes: dict[int, list[int]] = {}
 
     def run(self) -> Exchange[Assignment]:
@@ -69,11 +71,14 @@ class DistributedColumns:
 
     @property
     def _penalty(self) -> Vec:
-        """(M,) m: what the search pays for a task left out, more than any plan could save by it."""
-        return 10.0 * self._member.penalty + 1.0
+        """(M,) m: what the search pays for a task left out: its refusal, or more than any plan could save by it."""
+        refusal = self._member.local.tasks.refusal
+        return np.asarray(np.where(np.isfinite(refusal), refusal, 10.0 * self._member.penalty + 1.0))
 
     def _relax(self) -> Exchange[Gossip | None]:
-        """Column generation, if every robot can list its routes."""
+        """Column generation, if lengths are what is minimised, and every robot can list its routes."""
+        if self._member.local.objective != (TOTAL,):
+            return None
         servable = yield from flood(self._i, len(self._member.local.servable), self._diameter)
         if max(servable.values()) > self._member.settings.most_listed:
             return None
@@ -90,12 +95,12 @@ class DistributedColumns:
         if self._i < settings.starters:
             everybody = Cluster(tuple(sorted(self._robots)), tuple(range(self._m)), (self._i,))
             routes = reoptimize(self._robots, {}, everybody, self._penalty, settings.first_steps, self._i)
-            mine = [self._cost(routes), self._i, _flat(routes)]
+            mine = [self._worth(routes), self._i, _flat(routes)]
         best = yield from best_offer(mine, self._diameter)
         if best is None:
             raise SolverError(f"robot {self._i}: first plan", "nobody offered one")
         self.routes = _unflat(best[2])
-        self._member.report(cost=self._cost(self.routes))
+        self._member.report(cost=self._worth(self.routes)[0])
 
     def _improve(self, bound: float) -> Exchange[None]:
         """Passes of clusters, until the bound is met, or nothing got better for `still_passes`."""
@@ -105,38 +110,40 @@ class DistributedColumns:
         passes = max(settings.least_passes, min(settings.most_passes, settings.cluster_rounds // max(1, self._diameter)))
         near, still = Neighbors(self._robots), 0
         for k in range(passes):
-            cost = self._cost(self.routes)
+            cost = self._worth(self.routes)[0]
             if still == settings.still_passes or cost - bound <= settings.tolerance * max(1.0, cost):
                 return
             clusters = near.draw(self.routes, settings.cluster, settings.leaders, [k])
             offers = yield from flood(self._i, self._lead(clusters, settings.steps // passes, k), self._diameter)
             still = 0 if self._accept(clusters, offers) else still + 1
-            self._member.report(cost=self._cost(self.routes))
+            self._member.report(cost=self._worth(self.routes)[0])
 
     def _lead(self, clusters: Sequence[Cluster], steps: int, k: int) -> list[Any] | None:
-        """What this robot saved in the cluster that it leads, if it leads one, and its new routes."""
+        """The worth of the better routes that this robot found for the cluster that it leads, and these routes."""
         own = next((c for c in clusters if self._i in c.leaders), None)
         if own is None or not own.tasks:
             return None
         seed = k * self._member.place.robots + self._i
         new = reoptimize(self._robots, self.routes, own, self._penalty, steps, seed)
         old = {i: self.routes.get(i, []) for i in own.robots}
-        saved = self._cost(old, own.tasks) - self._cost(new, own.tasks)
-        return [saved, _flat({i: stops for i, stops in new.items() if stops != old[i]})] if saved > BETTER else None
+        worth = self._worth(new, own.tasks)
+        if not _better(worth, self._worth(old, own.tasks)):
+            return None
+        return [worth, _flat({i: stops for i, stops in new.items() if stops != old[i]})]
 
     def _accept(self, clusters: Sequence[Cluster], offers: Mapping[int, Any]) -> bool:
         """Take over the best offer of each cluster; returns whether there was any."""
         better = False
         for cluster in clusters:
-            made = [(-float(offers[i][0]), i) for i in cluster.leaders if offers[i] is not None]
+            made = [(list(offers[i][0]), i) for i in cluster.leaders if offers[i] is not None]
             if made:
                 self.routes.update(_unflat(offers[min(made)[1]][1]))
                 better = True
         return better
 
     def _offer(self) -> Offer | None:
-        """The plan in force, if it serves all."""
-        return None if unserved(self.routes, self._m) else Offer(self._cost(self.routes), self._sets())
+        """The plan in force, if it serves all that must be served."""
+        return None if self._missing() else Offer(self._worth(self.routes)[0], self._sets())
 
     def _take_over(self, proof: Proof) -> None:
         """The routes of the proof's plan, where it is better than the one in force."""
@@ -156,26 +163,42 @@ class DistributedColumns:
         return renamed(inner[0], chosen, self._m)
 
     def _assignment(self, bound: float | None) -> Assignment:
-        left = unserved(self.routes, self._m)
+        left = self._missing()
         if left:
             why = f"incomplete: no plan found that serves task(s) {', '.join(map(str, left))}"
             raise SolverError(f"robot {self._i}: clusters", why)
+        if (self._member.local.tasks.priority > 0).any():
+            bound = None  # it is one of refusals weighed by priority
         return Assignment(self._sets(), bound, self.routes)
+
+    def _missing(self) -> list[int]:
+        """Tasks that must be served and are not."""
+        return [j for j in unserved(self.routes, self._m) if np.isinf(self._member.local.tasks.refusal[j])]
 
     def _sets(self) -> dict[int, tuple[int, ...]]:
         sets = {i: tuple(tasks_of(stops, self._m)) for i, stops in self.routes.items()}
         return {i: tasks for i, tasks in sorted(sets.items()) if tasks}
 
-    def _cost(self, routes: Mapping[int, Sequence[int]], tasks: Sequence[int] | None = None) -> float:
-        """m: distances, fixed costs, and the penalty of what is left out of `tasks`, all if None."""
+    def _worth(self, routes: Mapping[int, Sequence[int]], tasks: Sequence[int] | None = None) -> list[float]:
+        """What is minimised, in order, the first with the penalty of what is left out of `tasks`, all if None."""
         left = [j for j in unserved(routes, self._m) if tasks is None or j in tasks]
-        flown = [self._route_cost(i, tuple(stops)) for i, stops in sorted(routes.items()) if len(stops)]
-        return sum(flown, 0.0) + float(self._penalty[left].sum())
+        flights = [self._flown(i, tuple(stops)) for i, stops in sorted(routes.items()) if len(stops)]
+        value = {
+            TOTAL: math.fsum(length for length, _ in flights),
+            MAKESPAN: max((finish for _, finish in flights), default=0.0),
+        }
+        first, *rest = (value[name] for name in self._member.local.objective)
+        return [first + float(self._penalty[left].sum()), *rest]
 
-    def _route_cost(self, i: int, stops: tuple[int, ...]) -> float:
+    def _flown(self, i: int, stops: tuple[int, ...]) -> tuple[float, float]:
         if (i, stops) not in self._costs:
-            self._costs[i, stops] = cost_of(self._robots[i], stops)
+            self._costs[i, stops] = flown(self._robots[i], stops)
         return self._costs[i, stops]
+
+
+def _better(new: Sequence[float], old: Sequence[float]) -> bool:
+    """Whether `new` is less at the first place where they differ."""
+    return next((a < b for a, b in zip(new, old, strict=True) if abs(a - b) > BETTER), False)
 
 
 def _flat(routes: Mapping[int, Sequence[int]]) -> list[Any]:

@@ -46,8 +46,8 @@ class Settings:
     first_steps: int = 1_000
     cluster: tuple[int, int] = (25, 60)
     leaders: int = 3
-    steps: int = 500_000
-    cluster_rounds: int = 160
+    steps: int = 300_000
+    cluster_rounds: int = 120
     least_passes: int = 8
     most_passes: int = 40
     still_passes: int = 8
@@ -116,6 +116,12 @@ class Member:
         tasks = self.local.tasks
         points = np.vstack([tasks.pickup, tasks.delivery, self.local.home])
         return np.full(len(tasks), self.settings.penalty * float(np.linalg.norm(np.ptp(points, axis=0))))
+
+    @cached_property
+    def unserved(self) -> Vec:
+        """(M,) m: what a task left out costs: its refusal if it may be refused, else the penalty."""
+        refusal = self.local.tasks.refusal
+        return np.asarray(np.where(np.isfinite(refusal), refusal, self.penalty))
 
     @cached_property
     def scale(self) -> float:

@@ -1,4 +1,4 @@
-"""The joint problem of a cluster, solved by one of its leaders; and what routes cost."""
+"""The joint problem of a cluster, solved by one of its leaders; and what a route costs."""
 
 from collections.abc import Mapping, Sequence
 
@@ -28,15 +28,15 @@ def reoptimize(
     return {i: renamed(stops, chosen, len(penalty)) for i, stops in zip(cluster.robots, found.routes, strict=True)}
 
 
-def cost_of(local: LocalProblem, stops: Sequence[int]) -> float:
-    """m: distance and fixed cost of a route; only what it touches is looked at."""
+def flown(local: LocalProblem, stops: Sequence[int]) -> tuple[float, float]:
+    """m and s: distance with the fixed cost, and when it is done, of a route; only what it touches is looked at."""
     if not len(stops):
-        return 0.0
+        return 0.0, 0.0
     m = len(local.tasks)
     chosen = np.array(tasks_of(stops, m), dtype=np.int64)
-    inner = _inner(chosen, m)
-    vehicle = restricted(local, chosen).vehicle
-    return vehicle.length([inner[s] for s in stops]) + vehicle.fixed
+    inner, vehicle = _inner(chosen, m), restricted(local, chosen).vehicle
+    route = [inner[s] for s in stops]
+    return vehicle.length(route) + vehicle.fixed, vehicle.finish(route)
 
 
 def renamed(stops: Sequence[int], chosen: Ints, m: int) -> list[int]:

@@ -15,6 +15,7 @@ from crazychoir.routing.master import Pool, Routes, partition
 from crazychoir.routing.member import Member
 from crazychoir.routing.packing import packed, unpacked
 from crazychoir.routing.plan import sha256
+from crazychoir.routing.pricing import Column
 
 
 @dataclass(frozen=True)
@@ -152,11 +153,23 @@ class Proof:
         useful = [(i, c) for i, c in self._pool.items() if self._bound.excess(i, c) <= gap]
         if len(useful) > settings.small and self._i >= settings.searchers:
             return None
-        known = None if self.best is None else self.best.routes
+        refusals = self._refusals()
+        useful += refusals
+        known = None if self.best is None else self._with_refusals(self.best.routes, refusals)
         nodes = settings.proof_nodes if settings.prove else settings.nodes
         found = partition(useful, len(self._member.local.tasks), self._i, nodes, known)
         self._none = found.bound == np.inf
         if found.cost == np.inf:
             return None
-        routes = [[robot, list(tasks)] for robot, tasks in sorted(found.routes.items())]
+        robots = self._member.place.robots
+        routes = [[robot, list(tasks)] for robot, tasks in sorted(found.routes.items()) if robot < robots]
         return [found.cost, self._i, routes, found.bound, sha256(routes)]
+
+    def _refusals(self) -> list[tuple[int, Column]]:
+        """Tasks that may be refused, each as the column of a robot that does not exist, N + j."""
+        refusal, n = self._member.local.tasks.refusal, self._member.place.robots
+        return [(n + int(j), Column(float(refusal[j]), (int(j),))) for j in np.flatnonzero(np.isfinite(refusal))]
+
+    def _with_refusals(self, routes: Routes, refusals: list[tuple[int, Column]]) -> Routes:
+        served = {j for tasks in routes.values() for j in tasks}
+        return routes | {robot: column.tasks for robot, column in refusals if column.tasks[0] not in served}

@@ -10,7 +10,7 @@ from crazychoir.routing.ruin import draw, touch
 from crazychoir.routing.tours import OPTIONS, Bools, Ints, Tours, Words, insert, refresh
 from crazychoir.types import Mat, Vec
 
-BLINK = 0.01
+BLINK = 0.05
 """How often the cheapest place is not seen."""
 SERVE, REFUSE = 0.4, 0.05
 """How often a task that can be refused is served anyway, and refused anyway."""
@@ -93,17 +93,14 @@ def _has_twin(fleet: Any, tours: Any, memory: Any, k: int) -> bool:
 
 @kernel(**OPTIONS)
 def _best_place(fleet: Any, tours: Any, memory: Any, random: Words, j: int, k: int, best: float) -> Any:
-    """Cost and places of task j in route k, from memory if the route is as it was."""
-    known, blink, first, second = memory.version[j, k] == tours.version[k], False, NONE, NONE
-    if known and memory.cost[j, k] < best and draw(random) < BLINK:
-        known, blink, first, second = False, True, memory.place[j, k, 0], memory.place[j, k, 1]
-    if known:
-        return memory.cost[j, k], memory.place[j, k, 0], memory.place[j, k, 1]
-    cost, first, second = cheapest(fleet, tours, memory.extra, j, k, first, second)
-    if not blink:
+    """Cost and places of task j in route k, from memory if the route is as it was; at times the next best."""
+    if memory.version[j, k] != tours.version[k]:
+        cost, first, second = cheapest(fleet, tours, memory.extra, j, k, NONE, NONE)
         memory.cost[j, k], memory.version[j, k] = cost, tours.version[k]
         memory.place[j, k, 0], memory.place[j, k, 1] = first, second
-    return cost, first, second
+    if memory.cost[j, k] < best and draw(random) < BLINK:
+        return cheapest(fleet, tours, memory.extra, j, k, memory.place[j, k, 0], memory.place[j, k, 1])
+    return memory.cost[j, k], memory.place[j, k, 0], memory.place[j, k, 1]
 
 
 @kernel(**OPTIONS)

@@ -6,7 +6,7 @@ from teams import run_team
 from crazychoir.errors import ConfigError, SolverError
 from crazychoir.optimization.assignment import Table, Task, TaskAssignment
 from crazychoir.simulate import simulate
-from crazychoir.swarm.graph import erdos_renyi_connected, path, ring
+from crazychoir.swarm.graph import GraphSequence, erdos_renyi_connected, path, ring
 
 
 def table(ids, label=1, last=True):
@@ -39,14 +39,22 @@ def served_at_best(costs):
     return int(np.isfinite(chosen).sum()), float(chosen[np.isfinite(chosen)].sum())
 
 
+def links(robots, seed):
+    """A path, a directed ring, or graphs that are connected together only; with the longest time of a flood."""
+    if seed % 5 == 0:
+        return GraphSequence.draw(path(robots), 0.3, 3, seed), 3 * (robots - 1)
+    graph = path(robots) if seed % 2 or robots == 1 else ring(robots, directed=True)
+    return graph, graph.diameter()
+
+
 @pytest.mark.parametrize("seeds", [range(k, k + 20) for k in range(0, 200, 20)], ids=lambda seeds: f"{seeds[0]}-")
 def test_the_assignment_is_the_central_one(seeds):
     infeasible = 0
     for seed in seeds:
         costs = draw(seed)
         robots, tasks = costs.shape
-        graph = path(robots) if seed % 2 or robots == 1 else ring(robots, directed=True)
-        agents = team(costs, graph.diameter(), {seed % robots: table(range(tasks))})
+        graph, diameter = links(robots, seed)
+        agents = team(costs, diameter, {seed % robots: table(range(tasks))})
         run_team(agents, graph)
         outcomes = [agent.outcome for agent in agents.values()]
         pairs = {i: outcome.task.id for i, outcome in enumerate(outcomes) if outcome.task}

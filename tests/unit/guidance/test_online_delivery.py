@@ -1,0 +1,177 @@
+"""OnlinePDVRPGuidance on the ground: to what a robot is bound, what it may pick up, when it may leave a stop."""
+
+import asyncio
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from virtual_time import virtual
+
+from crazychoir.bus.local import Bus
+from crazychoir.guidance.base import Member
+from crazychoir.guidance.mission import load
+from crazychoir.guidance.online_delivery import HORIZON, OnlinePDVRPGuidance
+from crazychoir.guidance.replanning import Goods, Share
+from crazychoir.guidance.task_book import Deed, Record, Task, TaskBook
+from crazychoir.routing.plan import Stop
+from crazychoir.swarm.communicator import Communicator
+
+MISSION = load("online_delivery")
+CONFIG = MISSION.swarm(5)
+TASKS = [Task(j, 0, False, (1.0 * j, 1.0), (1.0 * j, 4.0)) for j in range(4)]
+PICK, DROP = "pickup", "delivery"
+
+
+def robot(clock, i=0):
+    """Robot i of five, all of whom it has heard of, with the tasks 0 to 3 known."""
+    guidance = OnlinePDVRPGuidance(MISSION.instance(CONFIG).local(i), TASKS, (), MISSION.options(CONFIG))
+    communicator = Communicator(Bus(clock).port(i), CONFIG.graph())
+    guidance.bind(Member(i, CONFIG, clock, communicator, SimpleNamespace(state=None)))
+    for j in CONFIG.ids:
+        if j != i:
+            guidance.news.book.hear(Record(j, 1, 1, (0.0, 0.0)))
+    return guidance
+
+
+def stops(*pairs):
+    return [Stop(j, kind) for j, kind in pairs]
+
+
+ROUTE = stops((0, PICK), (1, PICK), (0, DROP), (1, DROP), (2, PICK), (2, DROP))
+
+
+@virtual
+async def test_a_robot_is_bound_to_where_it_flies_and_to_what_follows_soon(clock):
+    guidance = robot(clock)
+    assert guidance._head()[0] == []
+    guidance.route = list(ROUTE)
+    head, start, ready = guidance._head()
+    assert head == ROUTE[: len(head)]
+    assert 0 < len(head) < len(ROUTE)
+    assert start == pytest.approx(guidance._place(head[-1]))
+    assert ready == pytest.approx(guidance._seconds(head))
+    assert ready > HORIZON or head == ROUTE
+    assert guidance._seconds(head[:-1]) <= HORIZON
+    guidance.route = stops((3, DROP))
+    assert guidance._head()[0] == guidance.route, "however far"
+
+
+@virtual
+async def test_while_others_may_have_a_new_plan_it_is_bound_to_no_new_pickup(clock):
+    guidance = robot(clock)
+    guidance.route, guidance.planning = list(ROUTE), True
+    assert guidance._head()[0] == []
+    guidance._bound = {0: None}
+    assert guidance._head()[0] == ROUTE[:1]
+    guidance.route = stops((0, DROP), (1, PICK))
+    assert guidance._head()[0] == stops((0, DROP)), "what is aboard is nobody else's"
+    guidance.planning, guidance.news.quorate, guidance._bound = False, False, {}
+    assert guidance._head()[0] == stops((0, DROP))
+
+
+@virtual
+async def test_a_pickup_waits_while_it_may_be_given_to_somebody_else(clock):
+    guidance = robot(clock)
+    guidance.route, guidance.planning = stops((1, PICK), (1, DROP)), True
+    waits = asyncio.ensure_future(guidance._permitted(Stop(1, PICK)))
+    await clock.sleep(1.0)
+    assert not waits.done()
+    guidance.planning = False
+    await clock.sleep(0.1)
+    assert waits.result()
+    assert guidance.longest_wait == pytest.approx(1.0, abs=0.1)
+    guidance.planning, guidance._bound = True, {1: None}
+    assert await guidance._permitted(Stop(1, PICK))
+    guidance.news.quorate = False
+    waits = asyncio.ensure_future(guidance._permitted(Stop(1, PICK)))
+    await clock.sleep(1.0)
+    guidance.route = stops((2, PICK), (2, DROP))
+    await clock.sleep(0.1)
+    assert not waits.result(), "it has another route now"
+    guidance.route = stops((2, DROP))
+    assert await guidance._permitted(Stop(2, DROP)), "what is aboard may always be delivered"
+
+
+@virtual
+async def test_a_drone_leaves_a_stop_when_more_than_half_know_of_it(clock):
+    guidance = robot(clock)
+    guidance.route = stops((1, PICK), (1, DROP))
+    serves = asyncio.ensure_future(guidance._serve(Stop(1, PICK)))
+    await clock.sleep(3.0)
+    assert guidance._aboard() == {1: None}
+    assert guidance.route == stops((1, DROP))
+    assert not guidance.served
+    number = guidance.news.record.number
+    for j, news in ((1, number), (2, number - 1), (3, number)):
+        assert not serves.done()
+        guidance.news.book.hear(Record(j, 1, 2, (0.0, 0.0), seen=((0, 1, news),)))
+        await clock.sleep(0.1)
+    assert serves.done()
+    assert guidance.served == [{"task": 1, "kind": PICK}]
+
+
+@virtual
+async def test_a_stop_takes_its_time_though_all_know(clock):
+    guidance = robot(clock)
+    for j in (1, 2, 3, 4):
+        guidance.news.book.hear(Record(j, 1, 2, (0.0, 0.0), seen=((0, 1, 1 << 40),)))
+    guidance.route = stops((1, PICK), (1, DROP))
+    await guidance._serve(Stop(1, PICK))
+    assert clock.now() == pytest.approx(guidance.options.service_time)
+
+
+@pytest.mark.parametrize("kind", [PICK, DROP])
+def test_who_is_cut_off_at_a_stop_leaves_the_goods_there(kind):
+    @virtual
+    async def test(clock):
+        guidance = robot(clock)
+        guidance.news.say(deeds=() if kind == PICK else (Deed(1, PICK, 1),))
+        guidance.route = stops((1, kind))
+        serves = asyncio.ensure_future(guidance._serve(Stop(1, kind)))
+        await clock.sleep(2.0)
+        guidance.news.quorate = False
+        await serves
+        assert guidance._aboard() == {}
+        assert len(guidance.news.record.deeds) == (0 if kind == PICK else 2)
+
+    test()
+
+
+@virtual
+async def test_goods_that_are_not_there_are_left_out(clock):
+    guidance = robot(clock)
+    guidance.news.book.hear(Record(3, 1, 2, (0.0, 0.0), (Deed(0, PICK, 1),)))
+    guidance.news.book.cancel(1)
+    guidance.route = list(ROUTE)
+    assert guidance._next() == Stop(2, PICK)
+    assert guidance.route == stops((2, PICK), (2, DROP))
+
+
+@virtual
+async def test_a_new_plan_keeps_what_it_was_bound_to_and_leaves_out_what_is_done(clock):
+    guidance = robot(clock)
+    guidance.planning, guidance._planned_head = True, ROUTE[:2]
+    guidance.news.say(deeds=(Deed(0, PICK, 1),), idle=True)
+    new = Task(9, 0, False, (2.0, 2.0), (3.0, 3.0))
+    shared = stops((9, PICK), (0, DROP), (1, DROP), (9, DROP))
+    guidance._adopt(Share(tuple(shared), (3,), TaskBook([*TASKS, new]), False))
+    assert guidance.route == stops((1, PICK), (9, PICK), (0, DROP), (1, DROP), (9, DROP))
+    assert not guidance.planning
+    assert guidance.unserved == (3,)
+    assert not guidance.news.record.idle
+    assert guidance.news.book.tasks[9] == new, "it may hear of it by the plan first"
+
+
+@virtual
+async def test_its_own_problem_begins_where_it_will_be_with_what_it_may(clock):
+    guidance = robot(clock, 1)
+    later = Task(20, 0, False, (2.0, 2.0), (3.0, 3.0), robots=(4,))
+    tasks = (*TASKS, later)
+    mine, free = (False, True, False, False, False), (True, False, False, True, True)
+    goods = Goods(tasks, tuple(t.pickup for t in tasks), mine, free)
+    local = guidance._problem(goods, np.array([2.0, 3.0]), 4.0, 7.0)
+    capable = guidance.own.capable[:4]
+    assert local.capable.tolist() == [capable[0], capable[1], False, capable[3], False]
+    assert local.aboard.tolist() == [False, True, False, False, False]
+    assert (local.start.tolist(), local.start_time, local.left) == ([2.0, 3.0], 4.0, 7.0)
+    assert local.vehicle.tasks == 5
