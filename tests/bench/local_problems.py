@@ -1,6 +1,6 @@
 """What an agent's local problem costs: ours, beside cvxpy solving it again with another cost (a DPP parameter).
 
-python tests/bench/local_problems.py prints microseconds a solve, and cvxpy's as a multiple of ours.
+python tests/bench/local_problems.py prints microseconds of CPU a solve, and cvxpy's as a multiple of ours.
 """
 
 import statistics
@@ -37,14 +37,14 @@ def problems() -> dict[str, tuple[cp.Variable, cp.Expression, list[cp.Constraint
 
 
 def microseconds(solve: Callable[[np.ndarray], object], costs: np.ndarray, n: int) -> float:
-    """Median over five repetitions of n solves, us a solve."""
+    """Median over five repetitions of n solves, us of CPU a solve."""
     solve(costs[0])
     took = []
     for repetition in range(5):
-        start = time.perf_counter()
+        start = time.process_time()
         for k in range(n):
             solve(costs[(repetition * n + k) % len(costs)])
-        took.append((time.perf_counter() - start) / n * 1e6)
+        took.append((time.process_time() - start) / n * 1e6)
     return statistics.median(took)
 
 
