@@ -95,7 +95,8 @@ def test_the_convex_hull_is_that_of_all_points():
 
 def test_the_tightening_is_that_of_all_points():
     for n in range(4):
-        block = MixedIntegerBlock(n, [0.0] * 3, DRAW.normal(size=(2, 3)), [0.0, 0.0], bounds=(0, 2), integer=range(3))
+        A = DRAW.normal(size=(3, 3)) * [[1.0], [1.0], [0.02]]  # the last is hardly used: U - L is the smaller there
+        block = MixedIntegerBlock(n, [0.0] * 3, A, [0.0] * 3, bounds=(0, 2), integer=range(3))
         use = np.array(list(itertools.product(range(3), repeat=3))) @ block.A.T
         low, high = use.min(axis=0), use.max(axis=0)
         assert block.tightening() == pytest.approx(np.minimum(high - low, (use - low).max(axis=1).min()))
