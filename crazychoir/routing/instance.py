@@ -233,7 +233,8 @@ class Instance:
         )
         instance = replace(instance, tasks=replace(instance.tasks, span=instance._span()))
         instance._require_few_priorities()
-        require_servable(instance)
+        vehicles = [instance.local(same[0]).vehicle for same in instance.kinds()]
+        require_servable(vehicles, instance.tasks.penalty, where)
         return instance
 
     @property

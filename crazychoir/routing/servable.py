@@ -1,33 +1,33 @@
 """Whether every task of an instance has a robot that could serve it, and if not, which limit is in the way."""
 
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
 import numpy as np
 
 from crazychoir.errors import InstanceError
 from crazychoir.routing.vehicle import SLACK, Vehicle
-
-if TYPE_CHECKING:
-    from crazychoir.routing.instance import Instance
+from crazychoir.types import Vec
 
 
-def require_servable(instance: "Instance") -> None:
-    """Raise InstanceError for a good that must be served and that no robot can bring home."""
-    vehicles = [instance.local(same[0]).vehicle for same in instance.kinds()]
-    served = np.isfinite(instance.tasks.penalty)
+def require_servable(vehicles: Sequence[Vehicle], penalty: Vec, where: str) -> None:
+    """Raise InstanceError for a good that must be served and that no robot can bring home.
+
+    penalty: (M,), inf where the task must be served;  where: what the error calls the instance.
+    """
+    served = np.isfinite(penalty)
     for vehicle in vehicles:
         served[vehicle.servable] = True
     for j in np.flatnonzero(~served):
-        found, allowed, do = _why(instance, vehicles, int(j))
-        raise InstanceError(f"{instance.name}: task {j}", found, allowed, do)
+        found, allowed, do = _why(vehicles, int(j))
+        raise InstanceError(f"{where}: task {j}", found, allowed, do)
 
 
-def _why(instance: "Instance", vehicles: list[Vehicle], j: int) -> tuple[str, str, str]:
+def _why(vehicles: Sequence[Vehicle], j: int) -> tuple[str, str, str]:
     """The limit that keeps the last robot from task j: what was found, what is allowed, what to do."""
     capable = [v for v in vehicles if v.capable[j]]
     if not capable:
         return "no robot that is capable of it", "at least one", f"Look at column {j} of capability."
-    load = float(instance.tasks.load[j])
+    load = float(capable[0].load[j])
     carriers = [v for v in capable if load <= v.capacity + SLACK]
     if not carriers:
         most = f"{max(v.capacity for v in capable):g}, the largest capacity of the robots capable of it"
@@ -36,12 +36,12 @@ def _why(instance: "Instance", vehicles: list[Vehicle], j: int) -> tuple[str, st
     if not near:
         shortest, robot = min((float(v.shortest_trip[j]), v.robot) for v in carriers)
         found = f"a tour of {shortest:.6g} m for it alone, by robot {robot}, the shortest of those that can carry it"
-        allowed = f"at most {instance.route_length_limit:g} m, the route_length_limit"
+        allowed = f"at most {carriers[0].farthest:g} m, the route_length_limit"
         return found, allowed, f"Look at route_length_limit, home, pickup[{j}] and delivery[{j}]."
     return _too_late(near, j)
 
 
-def _too_late(vehicles: list[Vehicle], j: int) -> tuple[str, str, str]:
+def _too_late(vehicles: Sequence[Vehicle], j: int) -> tuple[str, str, str]:
     """Which window has closed when the soonest robot comes."""
     m = vehicles[0].tasks
     for part, name in enumerate(("pickup", "delivery")):

@@ -9,6 +9,7 @@ from crazychoir.errors import SolverError
 from crazychoir.routing.generate import random_instance
 from crazychoir.routing.least import columns_below, least_reduced_cost, relaxed_reduced_cost, route_of
 from crazychoir.routing.pricing import RouteTable, shortest_route
+from crazychoir.routing.vehicle import Vehicle
 from tests.unit.routing.test_vehicle_routes import KINDS, flown, vehicle_of
 
 
@@ -93,3 +94,18 @@ def test_routes_of_many_tasks_are_good_and_flagged():
     long = route_of(more, range(40))
     assert not long.exact
     assert long.length == pytest.approx(flown(more, long.nodes)[0])
+
+
+@pytest.mark.parametrize("limit", [13.0, np.inf])
+@pytest.mark.parametrize("price", [2.05, 2.5, 6.0])
+def test_a_route_of_the_shortest_ways_alone_is_not_cut(limit, price):
+    """Stops in a row, one metre apart, with nothing to spare: bounds of what follows are exact there."""
+    x = np.array([1.0, 3, 5, 7, 9, 11, 2, 4, 6, 8, 10, 12, 0, 13])
+    distance = np.abs(x[:, None] - x[None, :])
+    v = Vehicle(distance, distance, np.zeros(14), np.full(14, np.inf), np.ones(6), 1.0, limit,
+                np.ones(6, bool), np.zeros(6, bool), fixed=-1.0)  # fmt: skip
+    found = least_reduced_cost(v, np.full(6, price), width=1)
+    assert found.value == pytest.approx(12.0 - 6 * price)
+    assert found.columns[0].tasks == (0, 1, 2, 3, 4, 5)
+    below = columns_below(v, np.full(6, price), 12.0 - 6 * price + 0.1)
+    assert [c.tasks for c in below.columns] == [(0, 1, 2, 3, 4, 5)]
