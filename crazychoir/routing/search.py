@@ -67,7 +67,7 @@ def search(
     seed: int,
     *,
     objective: Sequence[str] = (TOTAL,),
-    fleet_steps: int = 0,
+    fleet_steps: int | None = None,
     hot: float = HOT,
     average: float = AVERAGE,
     rounds: int = ROUNDS,
@@ -76,8 +76,9 @@ def search(
 
     routes: stops of each vehicle, as Vehicle says;  penalty: (M,) m, of a task that is not served, inf where it must
     be;  seed: the same one gives the same plan on every machine;  objective: TOTAL, MAKESPAN, or both in their order;
-    fleet_steps: before, at most so many to leave vehicles out, which stay out then, whatever that costs;  hot: first
-    temperature, as a share of the median distance of a task alone;  average: stops that a step takes out, about;
+    fleet_steps: before, at most so many to leave vehicles out, which stay out then, whatever that costs; None: as many
+    as `steps` where a vehicle costs more than all tasks one by one, 0 elsewhere;  hot: first temperature, as a share of
+    the median distance of a task alone;  average: stops that a step takes out, about;
     rounds: the steps are parted into so many; if there is more than one, and no makespan first, each ends with set
     partitioning of the routes seen.
     Tasks that must be served can be in `unserved`: then the search has found no place for them.
@@ -98,7 +99,9 @@ def emptied(
     """
     closed = [k for k, route in enumerate(routes) if k == victim or not route]
     rest = [[] if k == victim else route for k, route in enumerate(routes)]
-    found = Search(vehicles, penalty).run(rest, steps, seed, hot=FLEET_HOT, rounds=1, closed=closed)
+    found = Search(vehicles, penalty).run(
+        rest, steps, seed, fleet_steps=0, hot=FLEET_HOT, rounds=1, closed=closed
+    )
     return None if np.isinf(found.total) else found
 
 
@@ -115,7 +118,7 @@ class Search:
         steps: int,
         seed: int,
         *,
-        fleet_steps: int = 0,
+        fleet_steps: int | None = None,
         hot: float = HOT,
         average: float = AVERAGE,
         rounds: int = ROUNDS,
@@ -126,6 +129,8 @@ class Search:
         shut[list(closed)] = True
         tours, random = Tours.of(fleet, routes), np.array([seed], np.uint64)
         pool = Pool.of(fleet, tours)
+        if fleet_steps is None:
+            fleet_steps = steps if fleet.fixed.min() > fleet.traits[:, 1].sum() else 0
         if fleet_steps:
             tours = self._anneal(tours, pool, random, shut, fleet_steps, FLEET_HOT, average, fewer=True)
             shut |= tours.stops == 0
@@ -140,8 +145,11 @@ class Search:
         fewer: bool = False,
     ) -> Tours:  # fmt: skip
         step, memory, best, absence = Step.of(tours), Memory.of(tours, shut), Best.of(tours), np.zeros(len(tours.at))
-        scaled = hot * self._scale
-        anneal(self._fleet, tours, step, memory, best, pool, random, absence, steps, scaled, average, fewer)
+        scaled, fleet = hot * self._scale, self._fleet
+        if fewer:  # a vehicle is not left out at the price of a task that is worth one
+            dear = np.where(fleet.penalty > fleet.fixed.min(), np.inf, fleet.penalty)
+            fleet = fleet._replace(penalty=dear)
+        anneal(fleet, tours, step, memory, best, pool, random, absence, steps, scaled, average, fewer)
         return best.tours(self._fleet)
 
     def _found(self, tours: Tours, pool: Pool) -> Found:

@@ -206,6 +206,17 @@ def test_fleet_steps_leave_out_what_is_not_needed():
     assert sum(map(bool, found.routes)) == 1
 
 
+def test_vehicles_that_cost_much_are_left_out_but_no_task_that_costs_more():
+    team, _ = identical(5)
+    penalty = np.where(np.arange(8) == 3, 0.5, 5000.0)
+    dear = [replace(v, fixed=1000.0) for v in team]
+    spread = [[j, 8 + j, j + 4, 12 + j] if j < 4 else [] for j in range(5)]
+    found = search(dear, spread, penalty, 200, 1)
+    check(dear, penalty, found)
+    assert sum(map(bool, found.routes)) == 1
+    assert found.unserved == [3]
+
+
 def test_a_route_is_emptied_into_those_of_others():
     team, penalty = identical(4)
     spread = [[j, 8 + j, j + 3, 11 + j] if j < 2 else [] for j in range(4)]
