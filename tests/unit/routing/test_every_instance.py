@@ -9,7 +9,6 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from crazychoir.errors import InstanceError, SolverError
-from crazychoir.routing import insertion_bids
 from crazychoir.routing.checker import check
 from crazychoir.routing.compact import solve_compact
 from crazychoir.routing.generate import random_instance

@@ -10,11 +10,11 @@ import pytest
 from crazychoir.bus.codec import MAX_PAYLOAD, decode, encode
 from crazychoir.errors import ConfigError, SolverError
 from crazychoir.routing.checker import check
-from crazychoir.routing.packing import packed
 from crazychoir.routing.generate import random_instance
 from crazychoir.routing.instance import Instance
 from crazychoir.routing.master import partition
 from crazychoir.routing.member import Settings
+from crazychoir.routing.packing import packed
 from crazychoir.routing.pickup_delivery import METHODS, PickupDelivery
 from crazychoir.routing.pricing import Column, RouteTable
 from crazychoir.routing.solve import diameter, joined, solve_in_loop, team
