@@ -119,4 +119,4 @@ def _ways(a: Mat, b: Mat) -> Mat:
 
 
 def _least(to_stops: Mat, to_start: Vec) -> Vec:
-    return np.minimum(to_stops.min(axis=1), to_start) if to_stops.shape[1] else to_start
+    return np.asarray(np.minimum(to_stops.min(axis=1), to_start)) if to_stops.shape[1] else to_start

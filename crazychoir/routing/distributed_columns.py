@@ -15,8 +15,8 @@ from crazychoir.routing.instance import LocalProblem
 from crazychoir.routing.introduction import introduce, restricted
 from crazychoir.routing.member import Member
 from crazychoir.routing.neighborhood import flown, renamed, reoptimize
-from crazychoir.routing.proof import Assignment, Offer, Proof
 from crazychoir.routing.pricing import shortest_route
+from crazychoir.routing.proof import Assignment, Offer, Proof
 from crazychoir.routing.vehicle import MAKESPAN, TOTAL
 from crazychoir.types import Vec
 

@@ -119,7 +119,7 @@ class Proof:
         if most == np.inf:
             return False
         counts = yield from flood(self._i, len(near), self._diameter)
-        return sum(counts.values()) > most
+        return bool(sum(counts.values()) > most)
 
     def _widen(self, near: Ints) -> Exchange[bool]:
         """Flood the columns `near`, a part at a time; returns whether no robot has any beyond."""

@@ -1,0 +1,200 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from crazychoir.bus.codec import decode, encode
+from crazychoir.errors import SolverError
+from crazychoir.routing import introduction
+from crazychoir.routing.checker import check
+from crazychoir.routing.clusters import Neighbors, tasks_of, unserved
+from crazychoir.routing.compact import solve_compact
+from crazychoir.routing.generate import random_instance
+from crazychoir.routing.gossip import Gossip
+from crazychoir.routing.instance import Instance
+from crazychoir.routing.introduction import introduce, restricted
+from crazychoir.routing.master import Pool
+from crazychoir.routing.member import Member, Place, Settings
+from crazychoir.routing.neighborhood import flown, reoptimize
+from crazychoir.routing.pricing import RouteTable
+from crazychoir.routing.solve import diameter, solve_in_loop
+
+WINDOWS = {"pickup": [[0, 20]] * 4 + [None], "delivery": [[0, 40]] * 5, "home": [[0, 90]] * 3}
+
+
+def members(instance, links, settings=None):
+    n, span = instance.robots, diameter(links)
+    places = [Place(i, n, tuple(links[i]), span, {j: len(links[j]) for j in links[i]}) for i in range(n)]
+    return [Member(instance.local(i), place, settings or Settings()) for i, place in enumerate(places)]
+
+
+def run_all(programs, links):
+    """Results of generators of all robots, run together; messages pass the codec."""
+    messages, results = [next(program) for program in programs], [None] * len(programs)
+    while True:
+        sent = [decode(encode(message)) for message in messages]
+        for i, program in enumerate(programs):
+            try:
+                messages[i] = program.send({j: sent[j] for j in links[i]})
+            except StopIteration as end:
+                results[i] = (end.value,)
+        if any(results):
+            assert all(results), "not all robots end in the same round"
+            return [value for (value,) in results]
+
+
+@pytest.mark.parametrize("shape", ["ring", "path", "star"])
+@pytest.mark.parametrize("seed", [1, 2])
+def test_the_gossip_reaches_the_relaxation_over_all_columns_and_proves_it(graph, shape, seed):
+    instance, links = random_instance(6, 10, seed, capable=0.8, route_length_limit=27.0), graph(shape, 6)
+    team = members(instance, links)
+    gossips = [Gossip(member) for member in team]
+    values = run_all([gossip.run() for gossip in gossips], links)
+    everything = Pool(10)
+    for i in range(6):
+        table = RouteTable(instance.local(i).vehicle)
+        everything.add(i, [table.column(c) for c in range(1, len(table))])
+    relaxed = everything.relax(team[0].penalty).value
+    for value, gossip in zip(values, gossips, strict=True):
+        assert value == pytest.approx(relaxed, abs=1e-6)
+        assert gossip.bound.value == pytest.approx(relaxed, abs=1e-5)
+        assert gossip.bound.value == gossips[0].bound.value
+        assert gossip.bound.exact
+
+
+def test_the_bound_of_a_cut_table_is_not_exact(graph):
+    links = graph("ring", 3)
+    team = members(random_instance(3, 6, 4), links, Settings(most_labels=100))
+    gossips = [Gossip(member) for member in team]
+    run_all([gossip.run() for gossip in gossips], links)
+    assert not any(gossip.bound.exact for gossip in gossips)
+
+
+@pytest.mark.parametrize("most_bytes", [introduction.MOST_BYTES, 1])
+def test_introductions_tell_all_that_a_route_depends_on(graph, monkeypatch, most_bytes):
+    monkeypatch.setattr(introduction, "MOST_BYTES", most_bytes)
+    raw = random_instance(3, 5, 6, capable=0.7, loads=(1, 1)).to_json()
+    distance = np.random.default_rng(3).uniform(1, 9, size=(3, 13, 13)).tolist()
+    raw |= {"distance": distance, "speed": [1, 2, 3], "time_windows": WINDOWS, "initial_load": [1, 0, 2], "recharge": 2}
+    instance, links = Instance.parse(raw), graph("path", 3)
+    for known in run_all([introduce(member) for member in members(instance, links)], links):
+        for i in range(3):
+            mine, told = instance.local(i).vehicle, known[i].vehicle
+            for name, value in vars(replace(mine)).items():
+                np.testing.assert_array_equal(getattr(told, name), value, err_msg=name)
+
+
+def test_a_robot_restricted_to_some_tasks_is_that_vehicle_with_these_tasks_only():
+    local, chosen = random_instance(2, 7, 3, route_length_limit=30.0).local(1), np.array([1, 4, 6])
+    part, whole = restricted(local, chosen).vehicle, local.vehicle.only(chosen)
+    for name, value in vars(replace(whole)).items():
+        np.testing.assert_array_equal(getattr(part, name), value, err_msg=name)
+
+
+def test_clusters_are_disjoint_hold_every_task_and_differ_from_pass_to_pass():
+    instance = random_instance(12, 20, 5)
+    near = Neighbors({i: instance.local(i) for i in range(12)})
+    routes = {i: [i, 20 + i] for i in range(10)}
+    draws = [near.draw(routes, (5, 6), 2, [k]) for k in range(8)]
+    for clusters in draws:
+        assert sorted(i for c in clusters for i in c.robots) == list(range(12))
+        assert sorted(j for c in clusters for j in c.tasks) == list(range(20)), "open tasks too"
+        for c in clusters:
+            assert set(c.leaders) <= set(c.robots)
+            assert len(c.leaders) == min(2, len(c.robots))
+            assert len(c.robots) <= 5
+            assert len([i for i in c.robots if i in routes]) <= 6
+    assert draws[0] == near.draw(routes, (5, 6), 2, [0])
+    assert any(draws[0] != other for other in draws[1:])
+
+
+def test_robots_whose_routes_lie_along_each_other_are_near():
+    points = [[0.0, 0.0], [0.0, 1.0], [9.0, 9.0], [9.0, 8.0]]
+    raw = {"home": [[0.5, 0.0], [0.0, 0.5], [9.0, 9.0]], "pickup": points, "delivery": points, "load": [1.0] * 4}
+    instance = Instance.parse(raw | {"capacity": [4.0] * 3})
+    near = Neighbors({i: instance.local(i) for i in range(3)})
+    far = near.nearness({0: [0, 4], 1: [1, 5], 2: [2, 6]})
+    assert far[0, 1] < 1.0 < 5.0 < far[0, 2]
+    np.testing.assert_array_equal(far, far.T)
+
+
+def test_a_cluster_gets_better_and_keeps_its_tasks():
+    instance = random_instance(4, 8, 2, capacities=(5, 5))
+    robots = {i: instance.local(i) for i in range(4)}
+    routes = {i: [i, 8 + i, 4 + i, 12 + i] for i in range(4)}
+    near = Neighbors(robots)
+    (cluster,) = near.draw(routes, (8, 40), 1, [0])
+    new = reoptimize(robots, routes, cluster, np.full(8, 1e3), 500, 1)
+    assert unserved(new, 8) == []
+    assert sum(flown(robots[i], new[i])[0] for i in robots) < sum(flown(robots[i], routes[i])[0] for i in robots) - 1.0
+    assert tasks_of([3, 11, 17, 0, 8], 8) == [0, 3]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_where_routes_are_not_listed_the_plan_is_good_and_has_no_bound(graph, seed):
+    instance = random_instance(6, 10, seed, route_length_limit=30.0)
+    proven = solve_in_loop(instance, graph("ring", 6))
+    assert proven.lower_bound == pytest.approx(proven.cost, abs=1e-4)
+    searched = solve_in_loop(instance, graph("ring", 6), settings=Settings(most_listed=0, steps=40_000))
+    assert (searched.feasible, searched.lower_bound, searched.bound_exact) == (True, None, False)
+    assert proven.cost - 1e-6 <= searched.cost <= 1.05 * proven.cost
+
+
+def test_a_proof_that_would_be_too_long_is_left_out_unless_asked_for(graph):
+    instance = random_instance(5, 9, 39, capable=0.8, route_length_limit=32.0)
+    few = Settings(most_proven=0, still_passes=2, steps=4_000)
+    found = solve_in_loop(instance, graph("ring", 5), settings=few)
+    proven = solve_in_loop(instance, graph("ring", 5), settings=replace(few, prove=True))
+    assert found.bound_exact
+    assert found.lower_bound <= proven.cost + 1e-6 <= found.cost + 2e-6
+    assert proven.lower_bound == pytest.approx(proven.cost, abs=1e-4)
+
+
+FIELDS = {
+    "refusals": {"penalty": [3.0, None, 30.0]},
+    "windows and service": {"time_windows": {"delivery": [[0, 30], None, [0, 40]]}, "service_time": 0.5},
+    "a fixed cost": {"fixed_cost": 5.0},
+    "makespan": {"objective": "makespan"},
+    "makespan, then total": {"objective": ["makespan", "total"]},
+    "open tours": {"open_tours": True},
+}
+
+
+@pytest.mark.parametrize("name", FIELDS)
+def test_the_optimum_of_the_arc_flow_model_is_found(graph, name):
+    raw = random_instance(2, 3, 9, route_length_limit=40.0).to_json() | FIELDS[name]
+    instance = Instance.parse(raw)
+    best = solve_compact(instance)
+    solution = solve_in_loop(instance, graph("path", 2))
+    plan = instance.plan(solution.routes)
+    assert check(instance, plan) == []
+    assert plan.values == pytest.approx(best.values, abs=1e-4)
+    assert solution.cost == pytest.approx(plan.cost)
+    if "makespan" in name:
+        assert solution.lower_bound is None
+    else:
+        assert solution.lower_bound == pytest.approx(best.cost, abs=1e-4)
+
+
+def test_no_bound_where_refusals_are_weighed_by_priority(graph):
+    raw = random_instance(3, 5, 9, route_length_limit=40.0).to_json()
+    solution = solve_in_loop(Instance.parse(raw | {"penalty": [2.0] * 5, "priority": [0, 1, 0, 1, 0]}), graph("path", 3))
+    assert solution.lower_bound is None
+    assert solution.feasible
+
+
+def test_infeasible_without_listed_routes_is_an_error_at_the_end(graph):
+    points = [[1.0, 0.0], [9.0, 0.0]]
+    raw = {"pickup": points, "delivery": points, "load": [1.0, 1.0], "home": [[5.0, 0.0]], "capacity": [1.0]}
+    instance = Instance.parse(raw | {"route_length_limit": 9.0})
+    with pytest.raises(SolverError, match=r"robot 0: clusters: .* no plan found that serves task"):
+        solve_in_loop(instance, {0: []}, settings=Settings(most_listed=0, steps=100))
+
+
+def test_bytes_are_told_by_kind(graph):
+    instance = random_instance(4, 6, 1, route_length_limit=30.0)
+    kinds = solve_in_loop(instance, graph("ring", 4)).bytes_by_kind
+    assert set(kinds) >= {"start", "introductions", "bases", "prices", "plans", "columns"}
+    assert all(size > 0 for size in kinds.values())
+    claims = solve_in_loop(instance, graph("ring", 4), "resource").bytes_by_kind
+    assert set(claims) == {"start", "prices", "claims", "plans"}
