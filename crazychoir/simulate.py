@@ -164,14 +164,14 @@ def simulate(
             errors[communicator.id] = error
 
     async def main(clock: Clock) -> tuple[Bus, float]:
-        bus = Bus(clock, Impairment(seed, [rule]))
+        bus, start = Bus(clock, Impairment(seed, [rule])), clock.now()
         for agent in followed.values():
             agent.begin(clock)
         communicators = {i: Communicator(bus.port(i), graph) for i in followed}
         async with asyncio.TaskGroup() as group:
             for i, agent in followed.items():
                 group.create_task(part(communicators[i], agent), name=f"agent {i}")
-        return bus, clock.now()
+        return bus, clock.now() - start
 
     bus, simulated_s = _unwrapped(run, main)
     if errors:
@@ -206,7 +206,7 @@ class _Followed:
 
     def begin(self, clock: Clock) -> None:
         """Keep what it is at the start."""
-        self.clock = clock
+        self.clock, self.began = clock, clock.now()
         self._keep()
 
     @property
@@ -225,7 +225,7 @@ class _Followed:
         self.watch()
 
     def _keep(self) -> None:
-        self.times.append(self.clock.now())
+        self.times.append(self.clock.now() - self.began)
         for name, series in self.kept.items():
             try:
                 series.append(np.array(getattr(self.agent, name)))

@@ -4,6 +4,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from crazychoir.routing.instance import Instance
+from crazychoir.routing.member import Settings
 from crazychoir.routing.pickup_delivery import PickupDelivery
 from crazychoir.routing.solve import joined, team
 from crazychoir.runtime.clock import run_virtual
@@ -16,10 +17,11 @@ Team = Mapping[int, PickupDelivery]
 def solve_here(
     instance: Instance,
     *,
-    method: str = "resource-columns",
+    method: str = "columns",
     loss: float = 0.0,
     graph: str = "ring",
     seed: int = 0,
+    settings: Settings | None = None,
     watch: Callable[[Team], None] = lambda team: None,
     run: Run = run_virtual,
 ) -> dict[str, Any]:
@@ -29,7 +31,7 @@ def solve_here(
     Raises InstanceError, SolverError, ConfigError.
     """
     links = named(graph, instance.robots, seed)
-    agents = team(instance, {i: list(links.neighbors(i)) for i in links.ids}, method)
+    agents = team(instance, {i: list(links.neighbors(i)) for i in links.ids}, method, settings)
     history = simulate(
         agents, links, loss=loss, network={"delay": 0.0}, seed=seed, record=(), watch=watch, run=run,
         channel="pickup_delivery",

@@ -96,11 +96,12 @@ def paper(
 
 @app.command(name="all")
 def everything(quick: QuickOption = False) -> None:
-    """All of them, one after the other."""
+    """All of them but routing and paper, which take long, one after the other."""
     exchange(quick=quick)
     flight(quick=quick)
     tracking(quick=quick)
     filters(quick=quick)
+    optimization(quick=quick)
     latency()
 
 

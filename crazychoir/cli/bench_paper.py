@@ -29,7 +29,7 @@ def run(
 
 
 def _solvers(folder: Path, quick: bool, say: Callable[[str], None]) -> list[Path]:
-    found = bench_routing.run(quick=quick, say=say)
+    found = bench_routing.run(prove=True, quick=quick, say=say)
     (folder / "routing.json").write_text(json.dumps(found))
     runs = [{key: value for key, value in row.items() if key != "curve"} for row in found["rows"]]
     files = [folder / "routing.json", write_csv(folder / "routing_runs.csv", runs)]

@@ -1,19 +1,24 @@
 """The benchmarks' pictures for a column of a paper: lines told apart by colour, dash and mark."""
 
+import math
 from collections.abc import Callable, Iterable
 from pathlib import Path
+from statistics import median
 from typing import TYPE_CHECKING, Any
 
 from crazychoir.cli.bench_ablation import GRAPHS
+from crazychoir.cli.bench_statistics import relative
+from crazychoir.optimization.picture import COLOURS, DASHES
 from crazychoir.recording.plots import STYLE, WIDTH
 from crazychoir.routing.pickup_delivery import METHODS
-from crazychoir.routing.picture import COLOURS, DASHES
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 MARKS = "os^vDPX"
+TICKS = (0, 1, 2, 5, 10, 20, 50, 100, 200, 500)
+"""%, on a scale that is linear up to 1."""
 Rows = list[dict[str, Any]]
 
 
@@ -109,7 +114,8 @@ def _draw_anytime(figure: "Figure", rows: Rows) -> None:
     for number, row in enumerate(rows):
         times, costs = zip(*row["curve"], strict=True)
         ends = max(row["wall_s"] or 0.0, times[-1])
-        axes.step([*times, ends], [*costs, costs[-1]], where="post", label=row["name"], **_look(number), markersize=2.5)
+        axes.step([*times, ends], [*costs, costs[-1]], where="post", label=row["name"], markersize=2.5,
+                  markevery=1 + len(times) // 10, **_look(number))  # fmt: skip
     if rows:
         axes.set_title(f"{rows[0]['robots']} robots, {rows[0]['tasks']} tasks", fontsize=8)
         _logarithmic(axes, "x")
@@ -120,27 +126,36 @@ def _draw_anytime(figure: "Figure", rows: Rows) -> None:
 def _draw_solvers(figure: "Figure", rows: Rows) -> None:
     """How much more than the best plan of the run each solver's plan costs: a point an instance, a bar the median."""
     axes = figure.add_subplot()
-    names = list(dict.fromkeys(row["name"] for row in rows if row["feasible"]))
-    sizes = sorted({row["tasks"] for row in rows})
-    best = {key: min(r["cost"] for r in rows if _key(r) == key and r["feasible"])
-            for key in {_key(row) for row in rows if row["feasible"]}}  # fmt: skip
+    over = _over_best([row for row in rows if row["feasible"]])
+    names, sizes = list(dict.fromkeys(name for name, _ in over)), sorted({tasks for _, tasks in over})
+    width = 0.8 / max(len(names), 1)
     for number, name in enumerate(names):
-        for place, tasks in enumerate(sizes):
-            mine = [r for r in rows if r["name"] == name and r["tasks"] == tasks and r["feasible"]]
-            over = sorted(100.0 * (row["cost"] / best[_key(row)] - 1.0) for row in mine)
-            x = place + (number - (len(names) - 1) / 2) * 0.8 / len(names)
-            label = name if place == next(p for p, m in enumerate(sizes) if _solved(rows, name, m)) else None
-            if over:
-                axes.plot([x] * len(over), over, MARKS[number % len(MARKS)], markersize=2.5, label=label,
-                          color=COLOURS[number % len(COLOURS)])  # fmt: skip
+        colour, mark = COLOURS[number % len(COLOURS)], MARKS[number % len(MARKS)]
+        of = {place: over[name, tasks] for place, tasks in enumerate(sizes) if (name, tasks) in over}
+        offset = (number - (len(names) - 1) / 2) * width
+        xs = [place + offset for place, values in of.items() for _ in values]
+        ys = [value for values in of.values() for value in values]
+        axes.plot(xs, ys, mark, markersize=2.5, color=colour, label=name)
+        for place, values in of.items():
+            at = place + offset
+            axes.hlines(median(values), at - 0.4 * width, at + 0.4 * width, color=colour, linewidth=1.2)
     axes.set_yscale("symlog", linthresh=1.0)
+    axes.set_yticks(TICKS, [str(tick) for tick in TICKS])
+    axes.set_ylim(-0.1, 2.0 * max((max(values) for values in over.values()), default=1.0) + 0.1)
     axes.set_xticks(range(len(sizes)), [f"{tasks} tasks" for tasks in sizes])
     axes.set_ylabel("cost over the best [%]")
     _legend(figure, axes, columns=2)
 
 
-def _solved(rows: Rows, name: str, tasks: int) -> bool:
-    return any(row["name"] == name and row["tasks"] == tasks and row["feasible"] for row in rows)
+def _over_best(rows: Rows) -> dict[tuple[str, int], list[float]]:
+    """{(solver, tasks): per cent over the best plan of each instance}."""
+    best: dict[tuple[int, int], float] = {}
+    for row in rows:
+        best[_key(row)] = min(row["cost"], best.get(_key(row), math.inf))
+    found: dict[tuple[str, int], list[float]] = {}
+    for row in rows:
+        found.setdefault((row["name"], row["tasks"]), []).append(relative(row["cost"], best[_key(row)]))
+    return found
 
 
 def _key(row: dict[str, Any]) -> tuple[int, int]:
@@ -155,8 +170,8 @@ def _line(
     key, value = of
     mine = sorted((row for row in rows if row[key] == value), key=lambda row: row[x])
     number = [*GRAPHS, *METHODS].index(value) % len(GRAPHS)
-    places, median = [row[x] * x_scale for row in mine], [row[f"{y}_median"] * y_scale for row in mine]
-    axes.plot(places, median, label=value, markersize=2.5, **_look(number))
+    places, middle = [row[x] * x_scale for row in mine], [row[f"{y}_median"] * y_scale for row in mine]
+    axes.plot(places, middle, label=value, markersize=2.5, **_look(number))
     if quartiles:
         low, high = ([row[f"{y}_{end}"] * y_scale for row in mine] for end in ("lower", "upper"))
         axes.vlines(places, low, high, color=COLOURS[number], linewidth=0.8)

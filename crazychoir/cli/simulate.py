@@ -58,7 +58,8 @@ def simulate(
             if save is not None:
                 history.save(save)
             if picture is not None:
-                _draw(history, names, picture, f"{file.stem}: {agents} agents, {graph}, {loss:.0%} lost")
+                awake = any(getattr(agent, "asynchronous", False) for agent in team.values())
+                _draw(history, names, awake, picture, f"{file.stem}: {agents} agents, {graph}, {loss:.0%} lost")
     except CrazyChoirError as error:
         fail(error, as_json)
     if as_json:
@@ -89,13 +90,13 @@ def _team(file: Path, agents: int, graph: str, seed: int, directed: bool) -> "tu
     return links, team
 
 
-def _draw(history: "History", names: tuple[str, ...], path: Path, title: str) -> None:
+def _draw(history: "History", names: tuple[str, ...], awake: bool, path: Path, title: str) -> None:
     from crazychoir.optimization.picture import draw_convergence
 
     path.parent.mkdir(parents=True, exist_ok=True)
     if names:
         series = {i: values[names[0]] for i, values in history.values.items()}
-        draw_convergence(series, history.times, path, names[0], title)
+        draw_convergence(series, path, names[0], title, history.times if awake else None)
 
 
 def _progress_table(team: "Mapping[int, Any]") -> Table:

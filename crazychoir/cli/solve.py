@@ -17,10 +17,11 @@ if TYPE_CHECKING:
 
 
 def solve(
-    instance: Annotated[Path, typer.Argument(help="Instance file (JSON).")],
+    instance: Annotated[Path, typer.Argument(help="Instance file (JSON, or of Li and Lim).")],
     method: Annotated[
-        str, typer.Option(help="Recovery of the plan: resource-columns, resource, resource-argmax.")
-    ] = "resource-columns",
+        str,
+        typer.Option(help="Recovery of the plan: columns, resource-columns, resource, resource-argmax, cbba, auction."),
+    ] = "columns",
     loss: Annotated[float, typer.Option(help="Share of messages between robots that is lost.")] = 0.0,
     graph: Annotated[
         str, typer.Option(help="Communication graph: ring, path, complete, star, k-regular:4, ...")
@@ -29,25 +30,31 @@ def solve(
     processes: Annotated[
         int | None, typer.Option(help="Real time, over Zenoh: the robots in so many processes; else virtual time.")
     ] = None,
+    prove: Annotated[bool, typer.Option("--prove", help="Prove the plan optimal, whatever it costs.")] = False,
     picture: Annotated[Path | None, typer.Option(help="Where to draw the routes (PNG).")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object, nothing else.")] = False,
 ) -> None:
     """Solve an instance: every robot with its own part of it.
 
     The file is one JSON object of N robots and M tasks, in metres: home (N points of 2 or 3 numbers), pickup and
-    delivery (M points), load (M numbers), capacity (N numbers, in the unit of load); if you like route_length_limit
-    (a number) and capability (N rows of M booleans). agents/data/lab6.json is one.
+    delivery (M points), load (M numbers), capacity (N numbers, in the unit of load); agents/data/lab6.json is one.
+    If you like: route_length_limit (m), capability (N rows of M booleans), initial_load (N numbers), end (N points),
+    open_tours (boolean), distance (N + 2M rows of m: homes, pickups, deliveries), recharge (trips), speed (m/s),
+    service_time (s), time_windows and release (s), penalty (of refusing a task), priority, fixed_cost, objective
+    (total, makespan, or both in order); the README says how each is written. Files of Li and Lim are read too.
 
     lower_bound: m; no plan costs less. bound_exact: that is proven. A plan that costs its lower_bound is optimal.
     """
     set_up_logging()
     from crazychoir.launch.team import solve_in_processes  # kernels and solvers: 1 s that --help does not need
     from crazychoir.routing.instance import Instance
+    from crazychoir.routing.member import Settings
     from crazychoir.solving import solve_here
 
     try:
         problem = Instance.load(instance)
-        options: dict[str, Any] = {"method": method, "loss": loss, "graph": graph, "seed": seed}
+        options: dict[str, Any] = {"method": method, "loss": loss, "graph": graph, "seed": seed,
+                                   "settings": Settings(prove=prove)}  # fmt: skip
         if processes is None:
             with Progress(_team_table, enabled=not as_json) as shown:
                 result = solve_here(problem, watch=shown, **options)

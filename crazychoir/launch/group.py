@@ -12,6 +12,14 @@ from collections.abc import Iterator
 from typing import Any, Self
 
 
+class Ended(TimeoutError):
+    """A program has ended before its answer; number: which, as they were named."""
+
+    def __init__(self, number: int, last_words: str) -> None:
+        self.number = number
+        super().__init__("a process has ended before its answer" + (f": {last_words}" if last_words else ""))
+
+
 class Group:
     """Programs started together; each answers by lines that are JSON objects; of what else it says the last is kept.
 
@@ -55,7 +63,7 @@ class Group:
     def answers(self, count: int, patience: float, complaint: str) -> Iterator[tuple[int, dict[str, Any]]]:
         """The next `count` answers, each with its program's number.
 
-        Raises TimeoutError after `patience` s, and if a program ends instead.
+        Raises TimeoutError after `patience` s, and Ended if a program ends instead.
         """
         ends = time.perf_counter() + patience
         for done in range(count):
@@ -64,12 +72,8 @@ class Group:
             except queue.Empty:
                 raise TimeoutError(f"{count - done} of {count} processes {complaint} in {patience:g} s") from None
             if not line:
-                raise TimeoutError(self._end_of(number))
+                raise Ended(number, self._last_words[number])
             yield number, json.loads(line)
-
-    def _end_of(self, number: int) -> str:
-        last = self._last_words[number]
-        return "a process has ended before its answer" + (f": {last}" if last else "")
 
     def __exit__(self, *exception: object) -> None:
         for process in self._processes:

@@ -121,7 +121,7 @@ class Process:
         instance = Instance.load(spec["instance"])
         links = Graph.from_neighbors({int(i): tuple(js) for i, js in spec["neighbors"].items()})
         bus = Bus(clock, Impairment(spec["seed"], [Rule(spec["effects"])]), spec["process"], "solve")
-        await clock.compute(warm, spec["method"])
+        await clock.compute(warm, instance, spec["method"])
         neighbors = {j: links.neighbors(j) for j in links.ids}
         for i in spec["mine"]:
             agent = member(instance, neighbors, i, links.diameter(), spec["method"], Settings(**spec["settings"]))
@@ -209,9 +209,12 @@ class Process:
             pass
 
 
-def warm(method: str) -> None:
-    """Solve a small instance, so that kernels and solvers are loaded before GO."""
-    solve_in_loop(random_instance(2, 4, seed=0, route_length_limit=60.0), {0: [1], 1: [0]}, method)
+def warm(instance: Instance, method: str) -> None:
+    """Solve a small instance, with trips if `instance` has trips or times: all kernels are loaded before GO."""
+    small, vehicle = random_instance(2, 4, seed=0, route_length_limit=60.0), instance.local(0).vehicle
+    if vehicle.timed or vehicle.trips > 1:
+        small = Instance.parse(small.to_json() | {"recharge": 2})
+    solve_in_loop(small, {0: [1], 1: [0]}, method)
 
 
 def packed(message: Any) -> Packed:

@@ -14,7 +14,7 @@ import numpy as np
 
 from crazychoir.bus.rules import Rule
 from crazychoir.errors import ConfigError, ProcessFailed
-from crazychoir.launch.group import Group
+from crazychoir.launch.group import Ended, Group
 from crazychoir.launch.network import free_ports
 from crazychoir.routing.instance import Instance
 from crazychoir.routing.member import Settings
@@ -107,6 +107,8 @@ class _Run:
         while True:
             try:
                 yield from map(self._look, self._group.answers(1, ends - time.perf_counter(), complaint))
+            except Ended as error:
+                raise ProcessFailed(f"robots {span(self._parts[error.number])}", str(error)) from None
             except TimeoutError as error:
                 raise ProcessFailed("the team's processes", str(error)) from None
 

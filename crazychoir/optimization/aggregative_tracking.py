@@ -30,6 +30,7 @@ class AggregativeTracking(Mixing):
     weights: row i, doubly stochastic, or one for each graph of a sequence.
     step: a, constant; f strongly convex, gradients Lipschitz: linear convergence if a and delta are small enough.
     delta: 0 < delta <= 1; smaller is steadier where sets are tight.  sigma: s_i, what the agent takes for sigma(x).
+    Costs may change while it runs, as when what they follow moves: both trackers go with them.
     Source: Carnevale, Camisa & Notarstefano 2022, "Distributed online aggregative optimization for dynamic multirobot
     coordination", IEEE Trans. Autom. Control; Li, Yi & Xie 2022, IEEE Trans. Autom. Control 67(6), 3165-3171.
     """

@@ -63,6 +63,7 @@ class TaskAssignment:
     """
 
     heavy = True
+    connected = True
 
     def __init__(
         self,

@@ -5,6 +5,7 @@ from typing import Any
 
 from numpy.typing import ArrayLike
 
+from crazychoir.errors import ConfigError
 from crazychoir.optimization.blocks import Blocks, flat
 from crazychoir.optimization.iteration import result, vector
 from crazychoir.optimization.mixing import Mixing, Row, Rows, require_heard
@@ -31,6 +32,8 @@ class BlockConsensus(Mixing):
         awake: float = 1.0, rounds: int | None = None, seed: int = 0,
     ) -> None:  # fmt: skip
         super().__init__(i, weights, rounds)
+        if len(self.weights) > 1:
+            raise ConfigError(f"agent {i}: weights", f"{len(self.weights)} rows", "one: the graph must not change")
         self.x = flat(i, vector(f"agent {i}: x", x))
         self.blocks = Blocks(i, len(self.x), blocks, chances, awake, seed)
         self._known: dict[int, Vec] = {}

@@ -86,6 +86,7 @@ class SequentialAuction(Program[Bundle]):
     """
 
     heavy = True
+    connected = True
 
     def __init__(self, robot: int, bidder: Bidder[Any], tasks: int, diameter: int) -> None:
         self._arguments = robot, bidder, tasks, diameter
@@ -116,6 +117,7 @@ class CBBA(Program[Bundle]):
 
     heavy = True
     connected = True
+    undirected = True
 
     def __init__(
         self,

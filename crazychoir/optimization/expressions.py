@@ -9,6 +9,7 @@ import cvxpy as cp
 import numpy as np
 
 from crazychoir.errors import ConfigError
+from crazychoir.optimization.quadratic import Polyhedron
 from crazychoir.types import Mat, Vec
 
 
@@ -38,6 +39,14 @@ def domain(x: cp.Variable, where: str, whole: bool = False) -> list[cp.Constrain
             flat, limit = cp.vec(x, order="F")[at], np.atleast_1d(bound)[at]
             found.append(flat >= limit if low else flat <= limit)
     return found
+
+
+def require_continuous(expressions: Sequence[Any], where: str) -> None:
+    """Raise ConfigError that names a further variable which must be integer."""
+    for variable in [v for expression in expressions for v in expression.variables()]:
+        if any(variable.attributes[name] for name in ("integer", "boolean")):
+            do = "Integers are for MixedIntegerConstraintCoupled."
+            raise ConfigError(f"{where}: {variable.name()}", "an integer variable", "continuous variables", do)
 
 
 def whole(x: cp.Variable) -> tuple[list[int], list[int]]:
@@ -204,6 +213,11 @@ def require_polyhedral(constraints: Sequence[cp.Constraint], x: cp.Variable, whe
 def polyhedral(constraints: Sequence[cp.Constraint], x: cp.Variable) -> bool:
     """Whether all are linear (in)equalities of x alone."""
     return all(isinstance(c, LINEAR) and c.expr.is_affine() and only(c, x) for c in constraints)
+
+
+def polyhedron(constraints: Sequence[cp.Constraint], x: cp.Variable) -> Polyhedron | None:
+    """The set of all; None if it is no polyhedron, or one in more variables than x."""
+    return Polyhedron.of(*rows(constraints, x)) if polyhedral(constraints, x) else None
 
 
 def rows(constraints: Sequence[cp.Constraint], x: cp.Variable) -> tuple[Mat, Vec, Mat, Vec]:

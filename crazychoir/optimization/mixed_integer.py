@@ -84,6 +84,22 @@ class MixedIntegerBlock:
         x = self._exact(self._require(self._elastic.solve(y)))
         return x, np.maximum(self.A @ x - y, 0.0)
 
+    def tightening(self) -> Vec:
+        """(S,) by how much the agent's use of each resource may have to change when its x becomes a point of X_i.
+
+            min(U - L, r 1),   L, U = min, max of A x over X_i,   r = min r s.t. A x <= L + r 1, x in X_i, r >= 0
+
+        Source: Camisa, Notarnicola & Notarstefano 2022, the restriction of the coupling constraints.
+        """
+        low = np.array([row @ self.corner(row) for row in self.A])
+        high = np.array([row @ self.corner(-row) for row in self.A])
+        D, d = self.rows
+        left = np.vstack([np.hstack([self.A, -np.ones((self.S, 1))]), np.hstack([D, np.zeros((len(d), 1))])])
+        bounds = np.append(self.bounds[0], 0.0), np.append(self.bounds[1], np.inf)
+        c = np.append(np.zeros(self.n), 1.0)
+        program = LinearProgram(c, (left, np.append(low, d)), None, bounds, np.append(self.integer, False))
+        return np.asarray(np.minimum(high - low, self._require(program.solve(np.zeros_like(c)))[-1]))
+
     def _exact(self, x: Vec) -> Vec:
         x[self.integer] = np.round(x[self.integer])
         return x

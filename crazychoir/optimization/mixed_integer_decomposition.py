@@ -8,9 +8,8 @@ import numpy as np
 from crazychoir.errors import ConfigError, SolverError
 from crazychoir.optimization.agreement import best_offer, flood, greatest
 from crazychoir.optimization.convexified import Convexified
-from crazychoir.optimization.linear import LinearProgram
 from crazychoir.optimization.mixed_integer import SLACK, MixedIntegerBlock
-from crazychoir.optimization.mixing import Rows
+from crazychoir.optimization.mixing import Rows, checked_rows
 from crazychoir.optimization.options import Options, Pool, column_sums, exceeded
 from crazychoir.optimization.primal_decomposition import PrimalDecomposition
 from crazychoir.optimization.program import Exchange, Program
@@ -57,8 +56,7 @@ class PrimalDecompositionMILP(Program[MixedIntegerSolution]):
     4. If a resource is exceeded still: again from 1, tightened by the paper's restriction, with which 2 is feasible
        after finitely many rounds:
 
-           b_i <- b_i - sigma / N,   sigma = S max_i min(U_i - L_i, r_i 1),   L_i, U_i = min, max of A_i x over X_i,
-           r_i = min r s.t. A_i x <= L_i + r 1, x in X_i
+           b_i <- b_i - sigma / N,   sigma = S max_i (MixedIntegerBlock.tightening of i)
 
     block: own part;  weights: doubly stochastic, of a graph that does not change;  agents: N;  diameter: D, of the
     graph;  step: a_k;  penalty: M of Convexified.
@@ -86,7 +84,7 @@ class PrimalDecompositionMILP(Program[MixedIntegerSolution]):
         for name, value, least in (("agents", agents, 1), ("rounds", rounds, 1), ("options", options, 1)):
             if value < least:
                 raise ConfigError(f"{self._where}: {name}", value, f"at least {least}")
-        self._block, self._i, self.weights = block, block.agent, weights
+        self._block, self._i, self.weights = block, block.agent, checked_rows(block.agent, weights)
         self._agents, self._diameter, self._step = agents, diameter, step
         self._rounds, self._penalty, self._options = rounds, penalty, options
         self._local = Convexified(block, penalty)
@@ -99,7 +97,7 @@ class PrimalDecompositionMILP(Program[MixedIntegerSolution]):
         yield from self._hello()
         found = yield from self._attempt(np.zeros(self._block.S), restricted=False)
         if found is None:
-            sigma = self._block.S * (yield from greatest(self._tightening(), self._diameter))
+            sigma = self._block.S * (yield from greatest(self._block.tightening(), self._diameter))
             found = yield from self._attempt(sigma, restricted=True)
         if found is None:
             s = int(np.argmax(self._excess))
@@ -204,18 +202,3 @@ class PrimalDecompositionMILP(Program[MixedIntegerSolution]):
             self._cost, self._left = self._cost + change, np.array(after)
             if winner == self._i:
                 self._x = x
-
-    def _tightening(self) -> Vec:
-        """min(U - L, r 1) (S,), the local part of the restriction."""
-        block = self._block
-        low = np.array([row @ block.corner(row) for row in block.A])
-        high = np.array([row @ block.corner(-row) for row in block.A])
-        D, d = block.rows
-        rows = np.vstack([np.hstack([block.A, -np.ones((block.S, 1))]), np.hstack([D, np.zeros((len(d), 1))])])
-        bounds = np.append(block.bounds[0], 0.0), np.append(block.bounds[1], np.inf)
-        c = np.append(np.zeros(block.n), 1.0)
-        solved = LinearProgram(c, (rows, np.concatenate([low, d])), None, bounds, np.append(block.integer, False))
-        found = solved.solve(np.zeros_like(c))
-        if isinstance(found, str):
-            raise SolverError(f"{self._where}: restriction", found)
-        return np.asarray(np.minimum(high - low, found[-1]))

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
-"""Okabe and Ito's, told apart with every colour vision."""
+"""Okabe and Ito's, told apart with every colour vision; the lines' dashes repeat what they say."""
 DASHES: tuple[Any, ...] = ("-", (0, (5, 2)), (0, (1, 1.2)), (0, (5, 1.5, 1, 1.5)))
 INK = "#303030"
 MOST_ENTRIES = 4
@@ -21,26 +21,24 @@ MOST_ENTRIES = 4
 
 
 def draw_convergence(
-    series: Mapping[int, Any], times: Mapping[int, Vec], path: str | Path, name: str = "x", title: str = ""
+    series: Mapping[int, Any], path: str | Path, name: str, title: str = "", times: Mapping[int, Vec] | None = None
 ) -> None:
     """Write a PNG (or what the suffix of `path` says): above, each agent's entries of x; below, on a logarithmic axis,
     the distance of each agent from the team's mean at the end.
 
-    series: {agent: (K+1, ...)};  times: {agent: (K+1,) s}, which are the abscissa where agents made different numbers
-    of steps, else the rounds are.
+    series: {agent: (K+1, ...)};  times: {agent: (K+1,) s}, which are the abscissa of agents that are not in step.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     x = {i: _entries(i, name, values) for i, values in series.items()}
-    in_step = len({len(values) for values in x.values()}) == 1
-    at = {i: np.arange(len(x[i]), dtype=float) if in_step else times[i] for i in x}
+    at = times or {i: np.arange(len(values), dtype=float) for i, values in x.items()}
     figure = Figure(figsize=(6.4, 5.2), dpi=200, layout="constrained")
     FigureCanvasAgg(figure)
     above, below = figure.subplots(2, 1, sharex=True)
     _draw_entries(above, x, at, name)
     _draw_distances(below, x, at, name)
-    below.set_xlabel("round" if in_step else "time [s]")
+    below.set_xlabel("time [s]" if times else "round")
     for axes in (above, below):
         axes.grid(color="#e6e6e6", linewidth=0.6)
         axes.set_axisbelow(True)

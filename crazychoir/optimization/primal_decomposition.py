@@ -49,6 +49,7 @@ class PrimalDecomposition(Mixing):
     """
 
     heavy = True
+    common = False
 
     def __init__(
         self, i: int, weights: Rows, local: Local, share: Vec, step: float | StepSize, rounds: int | None = None

@@ -40,6 +40,7 @@ class CostCoupled:
         self.n = ex.decision(x, self.where)
         self.objective = ex.convex(objective, f"{self.where}: objective")
         self.constraints = [*ex.constraint_list(constraints, self.where), *ex.domain(x, self.where)]
+        ex.require_continuous([self.objective, *self.constraints], self.where)
         self._programs: dict[tuple[float, bool], Program] = {}
 
     def refresh(self) -> None:
@@ -57,8 +58,7 @@ class CostCoupled:
     @cached_property
     def over(self) -> Polyhedron | None:
         """X_i as a polyhedron; None if it is another set, or in more variables than x."""
-        linear = ex.polyhedral(self.constraints, self.x)
-        return Polyhedron.of(*ex.rows(self.constraints, self.x)) if linear else None
+        return ex.polyhedron(self.constraints, self.x)
 
     # Values ---------------------------------------------------------------------------------------------------
 

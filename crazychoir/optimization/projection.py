@@ -11,8 +11,6 @@ from crazychoir.errors import ConfigError, SolverError
 from crazychoir.optimization.iteration import vector
 from crazychoir.types import Vec
 
-MOST_ITERATIONS = 200
-
 
 class ConvexSet(Protocol):
     """A closed convex set that knows its projection, and how cvxpy writes it."""
@@ -106,7 +104,7 @@ class Disc:
 
 
 class Convex:
-    """A set by cvxpy's constraints on a variable: the projection is a problem that is compiled once.
+    """A set by cvxpy's constraints on a variable: the projection is a problem that is compiled once, see programs.py.
 
         P(z) = argmin |x - z|^2  subject to the constraints
 
@@ -114,24 +112,24 @@ class Convex:
     """
 
     def __init__(self, x: Any, constraints: Sequence[Any], where: str = "set") -> None:
-        cvxpy = _cvxpy()
-        self.x, self.where, self._given = x, where, list(constraints)
-        self._z = cvxpy.Parameter(x.shape)
-        self._problem = cvxpy.Problem(cvxpy.Minimize(cvxpy.sum_squares(x - self._z)), self._given)
-        if not self._problem.is_dcp():
-            raise ConfigError(where, "constraints that are not convex by cvxpy's rules", "convex ones")
+        from crazychoir.optimization import expressions, programs  # they import cvxpy
+
+        n = expressions.decision(x, where)
+        self.x, self.where = x, where
+        self._given = [*expressions.constraint_list(constraints, where), *expressions.domain(x, where)]
+        over = expressions.polyhedron(self._given, x)
+        zero, nothing = expressions.Quadratic.zero(n), _cvxpy().Constant(0.0)
+        self._program = programs.compiled(zero, over, x, nothing, self._given, penalty=1.0)
 
     def project(self, x: Vec) -> Vec:
         """The nearest point of the set; raises SolverError where it is empty."""
-        cvxpy = _cvxpy()
-        self._z.value = x
-        try:
-            self._problem.solve(solver=cvxpy.CLARABEL, max_iter=MOST_ITERATIONS)
-        except cvxpy.error.SolverError as error:
-            raise SolverError(f"{self.where}: projection of {x.tolist()}", str(error)) from error
-        if self._problem.status not in ("optimal", "optimal_inaccurate"):
-            raise SolverError(f"{self.where}: projection of {x.tolist()}", self._problem.status)
-        return np.array(self.x.value, dtype=float)
+        found = self._program.solve(-x)
+        if isinstance(found, str):
+            from crazychoir.optimization import diagnosis
+
+            why = diagnosis.infeasible(self._given) if found == "infeasible" else found
+            raise SolverError(f"{self.where}: projection of {x.tolist()}", why)
+        return found
 
     def constraints(self, x: Any) -> list[Any]:
         """The given ones, of a variable that is the same."""

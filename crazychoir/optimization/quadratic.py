@@ -72,10 +72,7 @@ class QuadraticProgram:
             return x if isfinite(x.sum()) else WORDS[NOT_FINITE]
         x = np.empty_like(self.origin)
         steps = minimise(self.inverse, self.origin, self.image, self.slack, self.gram, q, self.u, x)
-        if steps < 0:
-            self.u[:] = 0.0
-            return WORDS[steps]
-        return x
+        return x if steps >= 0 else WORDS[steps]
 
 
 def affine_hull(E: Mat, e: Vec) -> tuple[Vec, Mat]:

@@ -171,6 +171,8 @@ class DistributedSimplex(Program[LinearSolution]):
     """
 
     heavy = True
+    connected = True
+    common = False
 
     def __init__(self, agent: int, c: Vec, A: Mat, b: Vec, diameter: int) -> None:
         where = f"agent {agent}: distributed simplex"
@@ -229,6 +231,7 @@ class DualDistributedSimplex(Program[CommonSolution]):
     """
 
     heavy = True
+    connected = True
 
     def __init__(self, agent: int, c: Vec, A: Mat, b: Vec, diameter: int) -> None:
         where = f"agent {agent}: dual distributed simplex"

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from crazychoir.optimization.picture import COLOURS, DASHES, INK
 from crazychoir.recording.figures import Flight, Track
-from crazychoir.routing.picture import COLOURS, DASHES, INK
 from crazychoir.swarm.checks import TOUCHING
 from crazychoir.types import Mat
 

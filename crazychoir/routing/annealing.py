@@ -7,8 +7,8 @@ import numpy as np
 from crazychoir.math3d import kernel
 from crazychoir.routing.pool import remember
 from crazychoir.routing.recreation import recreate, take_back
-from crazychoir.routing.ruin import begin_step, draw, ruin, touch
-from crazychoir.routing.tours import OPTIONS, Ints, Tours, Words, drop, feasible, refresh
+from crazychoir.routing.ruin import begin_step, draw, empty, ruin
+from crazychoir.routing.tours import OPTIONS, Fleet, Ints, Tours, Words, feasible, refresh
 from crazychoir.types import Vec
 
 LEVELS = 1024
@@ -29,6 +29,13 @@ class Best(NamedTuple):
     def of(cls, tours: Tours) -> "Best":
         """None yet."""
         return cls(np.zeros_like(tours.stop), np.zeros_like(tours.stops), np.zeros(3))
+
+    def tours(self, fleet: Fleet) -> Tours:
+        """Its routes, judged."""
+        tours = Tours.of(fleet, [row[1 : n + 1] for row, n in zip(self.stop, self.stops, strict=True)])
+        for k in range(len(self.stops)):
+            refresh(fleet, tours, k)
+        return tours
 
 
 @kernel(nogil=True, _nrt=False)
@@ -88,17 +95,9 @@ def _start(fleet: Any, tours: Any, step: Any, memory: Any, random: Words) -> Non
     for k in range(len(fleet.start)):
         refresh(fleet, tours, k)
         if tours.stops[k] > 0 and not feasible(fleet, tours, k):
-            _empty(fleet, tours, step, k)
+            empty(fleet, tours, step, k)
     begin_step(step)
     recreate(fleet, tours, step, memory, random)
-
-
-@kernel(**OPTIONS)
-def _empty(fleet: Any, tours: Any, step: Any, k: int) -> None:
-    for j in range(len(fleet.load)):
-        step.gone[j] = tours.at[j] == k
-    touch(tours, step, k)
-    drop(fleet, tours, k, step.gone)
 
 
 @kernel(**OPTIONS)
@@ -197,5 +196,5 @@ def _close_one(fleet: Any, tours: Any, step: Any, memory: Any, absence: Vec) -> 
     if victim < 0:
         return False
     memory.closed[victim] = True
-    _empty(fleet, tours, step, victim)
+    empty(fleet, tours, step, victim)
     return True

@@ -1,5 +1,6 @@
 """The method `columns`: distributed column generation, then clusters of robots that improve one plan side by side."""
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -8,16 +9,15 @@ import numpy as np
 from crazychoir.errors import SolverError
 from crazychoir.optimization.agreement import best_offer, flood
 from crazychoir.optimization.program import Exchange
-from crazychoir.routing.bound import Bound
-from crazychoir.routing.clusters import Cluster, draw_clusters, tasks_of, unserved
+from crazychoir.routing.clusters import Cluster, Neighbors, tasks_of, unserved
 from crazychoir.routing.gossip import Gossip
-from crazychoir.routing.introduction import introduce
-from crazychoir.routing.master import Pool
+from crazychoir.routing.instance import LocalProblem
+from crazychoir.routing.introduction import introduce, restricted
 from crazychoir.routing.member import Member
-from crazychoir.routing.neighborhood import reoptimize
+from crazychoir.routing.neighborhood import flown, renamed, reoptimize
 from crazychoir.routing.proof import Assignment, Offer, Proof
-from crazychoir.routing.search import search
-from crazychoir.routing.vehicle import Vehicle
+from crazychoir.routing.pricing import shortest_route
+from crazychoir.routing.vehicle import MAKESPAN, TOTAL
 from crazychoir.types import Vec
 
 DISCLOSED: tuple[str, ...] = (
@@ -38,10 +38,10 @@ class DistributedColumns:
     1. The robots introduce themselves (introduction.py).
     2. Where the tables of all routes are of a size that can be made, gossip.py solves the relaxation and proves a bound.
     3. Each robot searches for a plan of its own from nothing; the best one, agreed on, is the first that all know.
-    4. Passes: all draw the same disjoint clusters; each leader re-solves the joint problem of its cluster; what got
-       better is flooded and taken over by all. Clusters are disjoint, so that any number of them fits together: the
+    4. Where few enough columns remain that a better plan could contain, or always if `prove`: proof.py.
+    5. Unless the plan is proven optimal, passes: all draw the same disjoint clusters; the leaders of each re-solve its joint problem; the best of what
+       they found is flooded and taken over by all. Clusters are disjoint, so that any number of them fits together: the
        draw is the lock. The plan in force is feasible after each pass.
-    5. Where few enough columns remain that a better plan could contain, or always if `prove`: proof.py.
 
     routes: of the plan in force, the nodes of each robot's stops.
     """
@@ -49,111 +49,156 @@ class DistributedColumns:
     def __init__(self, member: Member) -> None:
         self._member, self._i, self._diameter = member, member.place.robot, member.place.diameter
         self._m = len(member.local.tasks)
-        self._vehicles: dict[int, Vehicle] = {}
+        self._robots: dict[int, LocalProblem] = {}
+        self._costs: dict[tuple[int, tuple[int, ...]], tuple[float, float]] = {}
         self.routes: dict[int, list[int]] = {}
 
     def run(self) -> Exchange[Assignment]:
         """Steps 1 to 5."""
-        known = yield from introduce(self._member)
-        self._vehicles = {i: local.vehicle for i, local in known.items()}
-        pool, bound = yield from self._relax()
+        self._robots = yield from introduce(self._member)
+        gossip = yield from self._relax()
         yield from self._begin()
-        yield from self._improve(bound)
-        if (yield from self._is_provable(bound)):
-            best = Offer(self._cost(self.routes), self._sets()) if not unserved(self.routes, self._m) else None
-            return (yield from Proof(self._member, pool, bound, best).run())
-        return self._assignment(bound)
+        if gossip is None:
+            yield from self._improve(-np.inf)
+            return self._assignment(None)
+        proof = Proof(self._member, gossip.pool, gossip.bound, self._offer())
+        settings = self._member.settings
+        yield from proof.search(np.inf if settings.prove else settings.most_proven)
+        self._take_over(proof)
+        if not proof.closed:
+            yield from self._improve(proof.proven)
+        return self._assignment(proof.proven if gossip.bound.exact else None)
 
     @property
     def _penalty(self) -> Vec:
-        """(M,) m: what the search pays for a task left out, more than any plan could save by it."""
-        return 10.0 * self._member.penalty
+        """(M,) m: what the search pays for a task left out: its refusal, or more than any plan could save by it."""
+        refusal = self._member.local.tasks.refusal
+        return np.asarray(np.where(np.isfinite(refusal), refusal, 10.0 * self._member.penalty + 1.0))
 
-    def _relax(self) -> Exchange[tuple[Pool, Bound]]:
-        """Column generation where every robot can list its routes."""
-        if max(len(v.servable) for v in self._vehicles.values()) > self._member.settings.most_listed:
-            return Pool(self._m), Bound(exact=False)
+    def _relax(self) -> Exchange[Gossip | None]:
+        """Column generation, if lengths are what is minimised, and every robot can list its routes."""
+        if self._member.local.objective != (TOTAL,):
+            return None
+        servable = yield from flood(self._i, len(self._member.local.servable), self._diameter)
+        if max(servable.values()) > self._member.settings.most_listed:
+            return None
         gossip = Gossip(self._member)
         yield from gossip.run()
-        return gossip.pool, gossip.bound
+        return gossip
 
     def _begin(self) -> Exchange[None]:
         """The best of the plans that the robots find from nothing."""
         self._member.report(phase="start")
         self._member.kind = "plans"
-        settings, robots = self._member.settings, sorted(self._vehicles)
+        settings = self._member.settings
         mine = None
         if self._i < settings.starters:
-            empty: list[list[int]] = [[] for _ in robots]
-            fleet = [self._vehicles[i] for i in robots]
-            found = search(fleet, empty, self._penalty, settings.first_steps, self._i)
-            mine = [found.total, self._i, _flat(dict(zip(robots, found.routes, strict=True)))]
+            everybody = Cluster(tuple(sorted(self._robots)), tuple(range(self._m)), (self._i,))
+            routes = reoptimize(self._robots, {}, everybody, self._penalty, settings.first_steps, self._i)
+            mine = [self._worth(routes), self._i, _flat(routes)]
         best = yield from best_offer(mine, self._diameter)
         if best is None:
             raise SolverError(f"robot {self._i}: first plan", "nobody offered one")
         self.routes = _unflat(best[2])
-        self._member.report(cost=self._cost(self.routes))
+        self._member.report(cost=self._worth(self.routes)[0])
 
-    def _improve(self, bound: Bound) -> Exchange[None]:
+    def _improve(self, bound: float) -> Exchange[None]:
         """Passes of clusters, until the bound is met, or nothing got better for `still_passes`."""
         settings = self._member.settings
         self._member.report(phase="clusters")
+        self._member.kind = "plans"
         passes = max(settings.least_passes, min(settings.most_passes, settings.cluster_rounds // max(1, self._diameter)))
-        still = 0
+        near, still = Neighbors(self._robots), 0
         for k in range(passes):
-            cost = self._cost(self.routes)
-            if still == settings.still_passes or cost - bound.value <= settings.tolerance * max(1.0, cost):
+            cost = self._worth(self.routes)[0]
+            if still == settings.still_passes or cost - bound <= settings.tolerance * max(1.0, cost):
                 return
-            clusters = draw_clusters(self._vehicles, self.routes, (settings.cluster_robots, settings.cluster_tasks), [k])
-            mine = self._lead(clusters, settings.steps // passes, k)
-            self._member.kind = "plans"
-            known = yield from flood(self._i, mine, self._diameter)
-            for news in known.values():
-                if news is not None:
-                    self.routes.update(_unflat(news))
-            self._member.report(cost=self._cost(self.routes))
-            still = 0 if any(news is not None for news in known.values()) else still + 1
+            clusters = near.draw(self.routes, settings.cluster, settings.leaders, [k])
+            offers = yield from flood(self._i, self._lead(clusters, settings.steps // passes, k), self._diameter)
+            still = 0 if self._accept(clusters, offers) else still + 1
+            self._member.report(cost=self._worth(self.routes)[0])
 
     def _lead(self, clusters: Sequence[Cluster], steps: int, k: int) -> list[Any] | None:
-        """What got better in the cluster that this robot leads, if it leads one."""
-        own = next((c for c in clusters if c.leader == self._i), None)
+        """The worth of the better routes that this robot found for the cluster that it leads, and these routes."""
+        own = next((c for c in clusters if self._i in c.leaders), None)
         if own is None or not own.tasks:
             return None
         seed = k * self._member.place.robots + self._i
-        new, _ = reoptimize(self._vehicles, self.routes, own, self._penalty, steps, seed)
+        new = reoptimize(self._robots, self.routes, own, self._penalty, steps, seed)
         old = {i: self.routes.get(i, []) for i in own.robots}
-        better = self._cost(new, own.tasks) < self._cost(old, own.tasks) - BETTER
-        return _flat({i: stops for i, stops in new.items() if stops != old[i]}) if better else None
+        worth = self._worth(new, own.tasks)
+        if not _better(worth, self._worth(old, own.tasks)):
+            return None
+        return [worth, _flat({i: stops for i, stops in new.items() if stops != old[i]})]
 
-    def _is_provable(self, bound: Bound) -> Exchange[bool]:
-        """Whether the columns that a better plan could contain are few, or whatever they are to be searched."""
-        if not bound.least:
-            return False
-        if unserved(self.routes, self._m):
-            return True
-        self._member.kind = "columns"
-        table, settings = self._member.table, self._member.settings
-        gap = self._cost(self.routes) - bound.value
-        count = int(np.count_nonzero(table.reduced_costs(bound.prices) <= table.least(bound.prices) + gap))
-        known = yield from flood(self._i, count, self._diameter)
-        return settings.prove or sum(known.values()) <= settings.most_proven
+    def _accept(self, clusters: Sequence[Cluster], offers: Mapping[int, Any]) -> bool:
+        """Take over the best offer of each cluster; returns whether there was any."""
+        better = False
+        for cluster in clusters:
+            made = [(list(offers[i][0]), i) for i in cluster.leaders if offers[i] is not None]
+            if made:
+                self.routes.update(_unflat(offers[min(made)[1]][1]))
+                better = True
+        return better
 
-    def _assignment(self, bound: Bound) -> Assignment:
-        left = unserved(self.routes, self._m)
+    def _offer(self) -> Offer | None:
+        """The plan in force, if it serves all that must be served."""
+        return None if self._missing() else Offer(self._worth(self.routes)[0], self._sets())
+
+    def _take_over(self, proof: Proof) -> None:
+        """The routes of the proof's plan, where it is better than the one in force."""
+        if proof.infeasible:
+            why = "each can be served alone, but not all together within capability, capacity and route_length_limit"
+            raise SolverError(f"infeasible: no plan serves every task; {why} (robot {self._i})", "infeasible")
+        present = self._sets()
+        for i in self._robots:
+            tasks = () if proof.best is None else proof.best.routes.get(i, ())
+            if proof.best is not None and tasks != present.get(i, ()):
+                self.routes[i] = self._shortest(i, tasks)
+
+    def _shortest(self, i: int, tasks: tuple[int, ...]) -> list[int]:
+        """Stops of the shortest route of robot i that serves exactly these."""
+        chosen = np.array(tasks, dtype=np.int64)
+        inner = shortest_route(restricted(self._robots[i], chosen).vehicle, range(len(tasks)), self._member.local.objective)
+        return renamed(inner[0], chosen, self._m)
+
+    def _assignment(self, bound: float | None) -> Assignment:
+        left = self._missing()
         if left:
             why = f"incomplete: no plan found that serves task(s) {', '.join(map(str, left))}"
             raise SolverError(f"robot {self._i}: clusters", why)
-        return Assignment(self._sets(), bound.value if bound.exact else None, self.routes)
+        if (self._member.local.tasks.priority > 0).any():
+            bound = None  # it is one of refusals weighed by priority
+        return Assignment(self._sets(), bound, self.routes)
+
+    def _missing(self) -> list[int]:
+        """Tasks that must be served and are not."""
+        return [j for j in unserved(self.routes, self._m) if np.isinf(self._member.local.tasks.refusal[j])]
 
     def _sets(self) -> dict[int, tuple[int, ...]]:
         sets = {i: tuple(tasks_of(stops, self._m)) for i, stops in self.routes.items()}
         return {i: tasks for i, tasks in sorted(sets.items()) if tasks}
 
-    def _cost(self, routes: Mapping[int, Sequence[int]], tasks: Sequence[int] | None = None) -> float:
-        """m: distances, fixed costs, and the penalty of what is left out of `tasks`, all if None."""
+    def _worth(self, routes: Mapping[int, Sequence[int]], tasks: Sequence[int] | None = None) -> list[float]:
+        """What is minimised, in order, the first with the penalty of what is left out of `tasks`, all if None."""
         left = [j for j in unserved(routes, self._m) if tasks is None or j in tasks]
-        flown = [self._vehicles[i].length(stops) + self._vehicles[i].fixed for i, stops in sorted(routes.items()) if stops]
-        return sum(flown, 0.0) + float(self._penalty[left].sum())
+        flights = [self._flown(i, tuple(stops)) for i, stops in sorted(routes.items()) if len(stops)]
+        value = {
+            TOTAL: math.fsum(length for length, _ in flights),
+            MAKESPAN: max((finish for _, finish in flights), default=0.0),
+        }
+        first, *rest = (value[name] for name in self._member.local.objective)
+        return [first + float(self._penalty[left].sum()), *rest]
+
+    def _flown(self, i: int, stops: tuple[int, ...]) -> tuple[float, float]:
+        if (i, stops) not in self._costs:
+            self._costs[i, stops] = flown(self._robots[i], stops)
+        return self._costs[i, stops]
+
+
+def _better(new: Sequence[float], old: Sequence[float]) -> bool:
+    """Whether `new` is less at the first place where they differ."""
+    return next((a < b for a, b in zip(new, old, strict=True) if abs(a - b) > BETTER), False)
 
 
 def _flat(routes: Mapping[int, Sequence[int]]) -> list[Any]:

@@ -33,7 +33,7 @@ class Gossip:
 
     def __init__(self, member: Member) -> None:
         self._member, self._i = member, member.place.robot
-        self.master = Master(member.penalty, SPREAD)
+        self.master = Master(member.unserved, SPREAD)
         self.pool = Pool(len(member.local.tasks))
         self.bound = Bound()
         self._told: set[Any] = set()

@@ -59,16 +59,17 @@ class Tasks:
         """(M,), what leaving a task out costs where plans are compared: inf if it must be served.
 
             priority 0:  penalty_j
-            priority p:  penalty_j + W_p,   W_p > any cost without refusals + all refusals of lower priorities
+            priority p:  penalty_j + W_p,   W_p = span + sum of all penalties + sum_{j of priority 1..p-1} W_(p_j)
 
-        So one task of a higher priority outweighs everything below it.
+        So plans are compared by how many tasks of the highest priority are refused, then of the next, ..., of 1, and
+        then by the objective with the penalties.
         """
-        cost = self.penalty.astype(float)
-        below = self.span + float(cost[(self.priority == 0) & np.isfinite(cost)].sum())
-        for p in np.unique(self.priority[(self.priority > 0) & np.isfinite(cost)]):
-            same = (self.priority == p) & np.isfinite(cost)
-            cost[same] += below
-            below += float(cost[same].sum())
+        cost, refusable = self.penalty.astype(float), np.isfinite(self.penalty)
+        weight = self.span + float(self.penalty[refusable].sum())
+        for p in np.unique(self.priority[(self.priority > 0) & refusable]):
+            same = (self.priority == p) & refusable
+            cost[same] += weight
+            weight *= 1 + int(same.sum())
         return cost
 
     def to_json(self) -> dict[str, Any]:

@@ -8,7 +8,8 @@ import numpy as np
 
 from crazychoir.optimization.agreement import flood
 from crazychoir.optimization.program import Exchange
-from crazychoir.routing.instance import LocalProblem
+from crazychoir.routing.instance import LocalProblem, Tasks
+from crazychoir.routing.labels import Ints
 from crazychoir.routing.member import Member
 
 PUBLIC = ("robot", "robots", "tasks", "objective")
@@ -27,7 +28,25 @@ def introduce(member: Member) -> Exchange[dict[int, LocalProblem]]:
         turn = range(first, min(first + at_once, place.robots))
         told = yield from flood(place.robot, _told(local) if place.robot in turn else None, place.diameter)
         known |= {i: _understood(local, i, told[i]) for i in turn}
-    return known | {place.robot: local}
+    return known
+
+
+def restricted(local: LocalProblem, chosen: Ints) -> LocalProblem:
+    """The same robot, where there are no tasks but `chosen`, (K,) increasing."""
+    tasks, m = local.tasks, len(local.tasks)
+    stops, nodes = np.concatenate([chosen, m + chosen]), np.concatenate([chosen, m + chosen, [2 * m]])
+    few = Tasks(
+        pickup=tasks.pickup[chosen], delivery=tasks.delivery[chosen], load=tasks.load[chosen],
+        service=tasks.service[stops], earliest=tasks.earliest[stops], latest=tasks.latest[stops],
+        penalty=tasks.penalty[chosen], priority=tasks.priority[chosen], span=tasks.span,
+    )  # fmt: skip
+    return replace(
+        local,
+        tasks=few,
+        capable=local.capable[chosen],
+        aboard=None if local.aboard is None else local.aboard[chosen],
+        distance=None if local.distance is None else local.distance[np.ix_(nodes, nodes)],
+    )
 
 
 def _told(local: LocalProblem) -> dict[str, Any]:

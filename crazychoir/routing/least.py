@@ -18,8 +18,9 @@ WIDTH = 200
 """Labels a number of stops in the quick search that comes first: what it finds is what the exact one is cut by."""
 MOST_COLUMNS = 20
 NEAR = 8
-MOST_OF_SET, STEPS = 300_000, 5_000
-"""Of one set of tasks: labels, as many as all routes of twelve need; steps of the search."""
+FEW, MOST_OF_FEW, MOST_OF_MANY, STEPS = 12, 1_000_000, 50_000, 5_000
+"""One set of tasks: up to FEW of them need at most so many labels; larger sets are worth a try, as narrow windows may
+leave few; steps of the search."""
 
 
 class Least(NamedTuple):
@@ -70,13 +71,15 @@ def columns_below(vehicle: Vehicle, prices: Vec, below: float, most: int = MOST_
 
 
 def route_of(
-    vehicle: Vehicle, tasks: Sequence[int], objective: tuple[str, ...] = (TOTAL,), most: int = MOST_OF_SET
+    vehicle: Vehicle, tasks: Sequence[int], objective: tuple[str, ...] = (TOTAL,), most: int | None = None
 ) -> RouteOf:
     """The best route of `vehicle` that serves exactly `tasks`; a good one where the best needs more than `most` labels.
 
+    most: None is enough for 12 tasks, and a second at most.
     Raises SolverError if there is none, or, where it is not exact, if none was found.
     """
     chosen = np.array(sorted(tasks), dtype=np.int64)
+    most = (MOST_OF_FEW if len(chosen) <= FEW else MOST_OF_MANY) if most is None else most
     if len(chosen) <= MOST_TASKS:
         try:
             return RouteOf(*shortest_route(vehicle, tasks, objective, most), True)

@@ -80,13 +80,13 @@ class Master:
         s.t. sum_{c serves j} x_c + v_j >= 1                     : pi_j >= 0
              sum_{c of i} x_c <= 1                               : sigma_i <= 0,    x >= 0, v >= 0
 
-    penalty: (M,) m, more than any price;  spread: the right-hand sides are raised by up to this, each by another amount,
+    penalty: (M,) m, more than any price, or what it costs to refuse the task;  spread: the right-hand sides are raised by up to this, each by another amount,
     the same at all robots: then no optimal basis is degenerate, so prices are unique;  basis: columns of the last optimal basis, at most M + N.
     Raises SolverError if HiGHS does not reach the optimum.
     """
 
     def __init__(self, penalty: Vec, spread: float = 0.0) -> None:
-        self._spread = spread
+        self._spread, self._penalty = spread, penalty
         self._highs, self._tasks = quiet_highs(), len(penalty)
         self._columns: list[tuple[int, Column]] = []
         self._index: dict[Key, int] = {}
@@ -144,7 +144,7 @@ class Master:
             raise SolverError("restricted master, relaxed", status.name)
         dual = np.array(self._highs.getSolution().row_dual)
         self._sigma = {robot: min(0.0, float(dual[row])) for robot, row in self._row.items()}
-        prices = np.maximum(dual[: self._tasks], 0.0)
+        prices = np.clip(dual[: self._tasks], 0.0, self._penalty)
         return Relaxation(math.fsum([*prices, *self._sigma.values()]), prices)
 
     def sigma(self, robot: int) -> float:

@@ -20,8 +20,8 @@ class Settings:
     Column generation: penalty: of unserved demand, in diagonals of the arena;  tolerance: relative, of bounds;
     gossip_rounds: at most;  passes: at most;  batch: columns that a robot offers a pass;  most_labels: of a robot's
     route table;  most_listed: tasks of a robot whose routes are listed for it, in the method columns.
-    Search: starters: robots that look for a first plan, by first_steps of search each;  cluster_robots, cluster_tasks:
-    of a cluster, at most;  steps: of search that the leaders of clusters do, over all passes;  cluster_rounds: of
+    Search: starters: robots that look for a first plan, by first_steps of search each;  cluster: robots and tasks of
+    one, at most;  leaders: of each;  steps: of search that a leader does, over all passes;  cluster_rounds: of
     communication for clusters, from which follows the number of passes, least_passes to most_passes;  still_passes:
     without any better route end them.
     Proof: prove: whatever it costs;  most_proven: columns that are searched if not;  first_gap: relative;
@@ -44,19 +44,19 @@ class Settings:
     most_listed: int = 60
     starters: int = 16
     first_steps: int = 1_000
-    cluster_robots: int = 12
-    cluster_tasks: int = 36
-    steps: int = 120_000
-    cluster_rounds: int = 160
+    cluster: tuple[int, int] = (25, 60)
+    leaders: int = 3
+    steps: int = 300_000
+    cluster_rounds: int = 120
     least_passes: int = 8
     most_passes: int = 40
-    still_passes: int = 6
+    still_passes: int = 8
     prove: bool = False
-    most_proven: int = 4_000
-    first_gap: float = 0.02
+    most_proven: int = 20_000
+    first_gap: float = 0.01
     most_shared: int = 500
     most_relayed: int = 10_000
-    small: int = 1_000
+    small: int = 100
     searchers: int = 2
     nodes: int = 20_000
     proof_nodes: int = 1_000_000
@@ -116,6 +116,12 @@ class Member:
         tasks = self.local.tasks
         points = np.vstack([tasks.pickup, tasks.delivery, self.local.home])
         return np.full(len(tasks), self.settings.penalty * float(np.linalg.norm(np.ptp(points, axis=0))))
+
+    @cached_property
+    def unserved(self) -> Vec:
+        """(M,) m: what a task left out costs: its refusal if it may be refused, else the penalty."""
+        refusal = self.local.tasks.refusal
+        return np.asarray(np.where(np.isfinite(refusal), refusal, self.penalty))
 
     @cached_property
     def scale(self) -> float:

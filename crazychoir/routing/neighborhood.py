@@ -1,29 +1,48 @@
-"""The joint problem of a cluster, solved by its leader."""
+"""The joint problem of a cluster, solved by one of its leaders; and what a route costs."""
 
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from crazychoir.routing.clusters import Cluster, Stops
+from crazychoir.routing.clusters import Cluster, Stops, tasks_of
+from crazychoir.routing.instance import LocalProblem
+from crazychoir.routing.introduction import restricted
 from crazychoir.routing.labels import Ints
-from crazychoir.routing.search import Found, search
-from crazychoir.routing.vehicle import Vehicle
+from crazychoir.routing.search import search
 from crazychoir.types import Vec
 
 
 def reoptimize(
-    vehicles: Mapping[int, Vehicle], routes: Stops, cluster: Cluster, penalty: Vec, iterations: int, seed: int
-) -> tuple[dict[int, list[int]], Found]:
-    """The routes of the cluster's robots that the search finds from the present ones, and what it has seen.
+    robots: Mapping[int, LocalProblem], routes: Stops, cluster: Cluster, penalty: Vec, steps: int, seed: int
+) -> dict[int, list[int]]:
+    """The routes of the cluster's robots that the search finds from the present ones.
 
     penalty: (M,) cost of leaving a task out.
     """
-    m, chosen = len(penalty), np.array(cluster.tasks, dtype=np.int64)
-    own = [vehicles[i].only(chosen) for i in cluster.robots]
-    present = [_renamed(routes.get(i, ()), _inner(chosen, m)) for i in cluster.robots]
-    found = search(own, present, penalty[chosen], iterations, seed)
+    chosen = np.array(cluster.tasks, dtype=np.int64)
+    fleet = [restricted(robots[i], chosen).vehicle for i in cluster.robots]
+    inner = _inner(chosen, len(penalty))
+    present = [[inner[s] for s in routes.get(i, ())] for i in cluster.robots]
+    objective = robots[cluster.robots[0]].objective
+    found = search(fleet, present, penalty[chosen], steps, seed, objective=objective)
+    return {i: renamed(stops, chosen, len(penalty)) for i, stops in zip(cluster.robots, found.routes, strict=True)}
+
+
+def flown(local: LocalProblem, stops: Sequence[int]) -> tuple[float, float]:
+    """m and s: distance with the fixed cost, and when it is done, of a route; only what it touches is looked at."""
+    if not len(stops):
+        return 0.0, 0.0
+    m = len(local.tasks)
+    chosen = np.array(tasks_of(stops, m), dtype=np.int64)
+    inner, vehicle = _inner(chosen, m), restricted(local, chosen).vehicle
+    route = [inner[s] for s in stops]
+    return vehicle.length(route) + vehicle.fixed, vehicle.finish(route)
+
+
+def renamed(stops: Sequence[int], chosen: Ints, m: int) -> list[int]:
+    """Nodes of the part with the tasks `chosen` as nodes of the whole problem of m tasks."""
     outer = _outer(chosen, m)
-    return {i: _renamed(stops, outer) for i, stops in zip(cluster.robots, found.routes, strict=True)}, found
+    return [outer[s] for s in stops]
 
 
 def _inner(chosen: Ints, m: int) -> dict[int, int]:
@@ -33,9 +52,4 @@ def _inner(chosen: Ints, m: int) -> dict[int, int]:
 
 def _outer(chosen: Ints, m: int) -> dict[int, int]:
     """Nodes of the part -> nodes of the whole problem."""
-    nodes = [*chosen.tolist(), *(m + chosen).tolist(), 2 * m, 2 * m + 1]
-    return dict(enumerate(nodes))
-
-
-def _renamed(stops: Sequence[int], name: Mapping[int, int]) -> list[int]:
-    return [name[s] for s in stops]
+    return dict(enumerate([*chosen.tolist(), *(m + chosen).tolist(), 2 * m, 2 * m + 1]))

@@ -1,7 +1,10 @@
 """Pickup and delivery solved by the robots themselves: one robot's part, as rounds."""
 
+import math
 from collections.abc import Mapping
 from typing import Any
+
+import numpy as np
 
 from crazychoir.bus.codec import encode
 from crazychoir.errors import ConfigError, SolverError
@@ -17,6 +20,7 @@ from crazychoir.routing.pricing import shortest_route
 from crazychoir.routing.primal_decomposition import PriceRounds
 from crazychoir.routing.proof import Assignment
 from crazychoir.routing.resource_recovery import ResourceRecovery
+from crazychoir.routing.vehicle import MAKESPAN, TOTAL
 
 METHODS = ("columns", "resource-columns", "resource", "resource-argmax", *insertion_bids.METHODS)
 
@@ -115,10 +119,17 @@ class PickupDelivery(Program[Solution]):
         member.report(phase="confirm", violation=0.0)
         member.kind = "plans"
         nodes, length = self._own_route(assignment)
-        route = Route.from_nodes(place.robot, nodes, len(member.local.tasks), length)
-        known = yield from flood(place.robot, [length, route.digest if nodes else ""], place.diameter)
-        cost = sum((float(value) for value, _ in known.values()), 0.0)
-        digest = digest_of({i: text for i, (_, text) in known.items() if text})
+        vehicle, objective = member.local.vehicle, member.local.objective
+        finish = vehicle.finish(nodes) if MAKESPAN in objective else None
+        route = Route.from_nodes(place.robot, nodes, len(member.local.tasks), length, finish)
+        amount = (length + vehicle.fixed if nodes else 0.0) if objective[0] == TOTAL else finish
+        known = yield from flood(place.robot, [amount, route.digest if nodes else "", route.tasks], place.diameter)
+        amounts = [float(value) for value, _, _ in known.values()]
+        served = [j for _, _, tasks in known.values() for j in tasks]
+        refused = np.setdiff1d(np.arange(len(member.local.tasks)), np.array(served, dtype=np.int64))
+        penalties = math.fsum(member.local.tasks.penalty[refused])
+        cost = (sum(amounts, 0.0) if objective[0] == TOTAL else max(amounts)) + penalties
+        digest = digest_of({i: text for i, (_, text, _) in known.items() if text})
         heard = yield from flood(place.robot, digest, place.diameter)
         if any(other != digest for other in heard.values()):
             raise SolverError(f"robot {place.robot}: confirmation", f"different plans at the robots: {heard}")

@@ -2,28 +2,26 @@
 
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from crazychoir.optimization.picture import COLOURS, DASHES, INK
 from crazychoir.routing.instance import Instance
 from crazychoir.routing.plan import Plan, Route
+from crazychoir.routing.vehicle import MAKESPAN
 from crazychoir.types import Mat, Vec
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
-"""Okabe and Ito's, told apart with every colour vision; the lines' dashes repeat what they say."""
-DASHES: tuple[Any, ...] = ("-", (0, (5, 2)), (0, (1, 1.2)), (0, (5, 1.5, 1, 1.5)))
-INK = "#303030"
-
 
 def draw_routes(instance: Instance, plan: Plan, path: str | Path) -> None:
     """Write a PNG (or what the suffix of `path` says): the room from above, in m.
 
-    Squares: homes with the robot's number;  triangles up: pickups;  triangles down: deliveries, each with its task
-    and, in three dimensions, its height in m;  arrows: the routes, with their lengths in the legend.
+    Squares: homes with the robot's number;  crosses: where robots end, if elsewhere;  triangles up: pickups;
+    triangles down: deliveries, each with its task and, in three dimensions, its height in m;  arrows: the routes, with
+    their lengths in the legend.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -41,9 +39,20 @@ def draw_routes(instance: Instance, plan: Plan, path: str | Path) -> None:
     axes.grid(color="#e6e6e6", linewidth=0.6)
     axes.set_axisbelow(True)
     axes.spines[["top", "right"]].set_visible(False)
-    axes.set_title(f"{len(plan.routes)} of {instance.robots} robots fly {plan.cost:.2f} m", color=INK, fontsize=10)
+    axes.set_title(_title(instance, plan), color=INK, fontsize=10)
     figure.legend(loc="outside right upper", frameon=False, fontsize=8, handlelength=3.2)
     figure.savefig(path, bbox_inches="tight")
+
+
+def _title(instance: Instance, plan: Plan) -> str:
+    """Who flies how far, until when, and what is refused."""
+    flown = sum(route.length for route in plan.routes)
+    text = f"{len(plan.routes)} of {instance.robots} robots fly {flown:.2f} m"
+    if MAKESPAN in plan.objective:
+        text += f" until {plan.makespan:.2f} s"
+    served = {j for route in plan.routes for j in route.tasks}
+    refused = [str(j) for j in range(len(instance.tasks)) if j not in served]
+    return text + (f"; refused: {', '.join(refused)}" if refused else "")
 
 
 def _draw_route(axes: "Axes", instance: Instance, route: Route) -> None:
@@ -66,6 +75,8 @@ def _draw_arrow(axes: "Axes", a: Vec, b: Vec, colour: str) -> None:
 
 def _draw_points(axes: "Axes", instance: Instance) -> None:
     tasks = instance.tasks
+    for i, end in enumerate([] if instance.end is None else instance.end):
+        axes.plot(end[0], end[1], "X", color=COLOURS[i % len(COLOURS)], markersize=8, markeredgecolor="white", zorder=4)
     for i, home in enumerate(instance.home):
         colour = COLOURS[i % len(COLOURS)]
         axes.plot(home[0], home[1], "s", color=colour, markersize=11, markeredgecolor="white", zorder=5)
@@ -94,7 +105,9 @@ def _write_names(axes: "Axes", points: Mat) -> None:
 
 
 def _tour(instance: Instance, route: Route) -> Mat:
-    """(n, 2) or (n, 3) m: home, the stops, home."""
+    """(n, 2) or (n, 3) m: home, the stops, and where the robot ends."""
     home, tasks = instance.home[route.robot], instance.tasks
-    stops = [tasks.pickup[s.task] if s.kind == "pickup" else tasks.delivery[s.task] for s in route.stops]
-    return np.array([home, *stops, home])
+    end = home if instance.end is None else instance.end[route.robot]
+    at = {"pickup": tasks.pickup, "delivery": tasks.delivery}
+    stops = [end if s.kind == "recharge" else at[s.kind][s.task] for s in route.stops]
+    return np.array([home, *stops] if instance.open_tours else [home, *stops, end])

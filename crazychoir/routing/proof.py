@@ -10,10 +10,12 @@ from crazychoir.errors import SolverError
 from crazychoir.optimization.agreement import best_offer, flood
 from crazychoir.optimization.program import Exchange
 from crazychoir.routing.bound import Bound
+from crazychoir.routing.labels import Ints
 from crazychoir.routing.master import Pool, Routes, partition
 from crazychoir.routing.member import Member
 from crazychoir.routing.packing import packed, unpacked
 from crazychoir.routing.plan import sha256
+from crazychoir.routing.pricing import Column
 
 
 @dataclass(frozen=True)
@@ -45,59 +47,86 @@ class Proof:
     optimal; else double the gap and again. A partitioning of more than `small` columns is left to the `searchers`
     lowest ids, because it costs seconds and one answer is enough.
     Every decision that ends a loop is taken from flooded values, so all robots end in the same round.
-    pool: columns that are known to all;  best: a plan known to all;  prove: search until all is searched.
+    pool: columns that are known to all;  best: the best plan known to all;  proven: m, no plan costs less.
     Raises SolverError if there is no plan, or if a plan arrives damaged.
     """
 
     def __init__(self, member: Member, pool: Pool, bound: Bound, best: Offer | None = None) -> None:
-        self._member, self._pool, self._bound, self._best = member, pool, bound, best
+        self._member, self._pool, self._bound, self.best = member, pool, bound, best
         self._i, self._diameter = member.place.robot, member.place.diameter
-        self._infeasible = False
+        self._tolerance = member.settings.tolerance * max(1.0, abs(bound.value))
+        self._none, self._exhausted = False, False
+        self.proven = bound.value
 
     def run(self) -> Exchange[Assignment]:
-        """Widen the gap until the plan's own gap is inside it."""
+        """The optimal plan, or the best one where passes and nodes do not suffice."""
+        yield from self.search()
+        if self.best is None:
+            why, status = self._failure()
+            raise SolverError(f"{why} (robot {self._i}: set partitioning of {len(self._pool)} columns)", status)
+        return Assignment(self.best.routes, min(self.proven, self.best.cost) if self._bound.exact else None)
+
+    @property
+    def closed(self) -> bool:
+        """Whether the best plan is proven optimal among all columns."""
+        return self.best is not None and self.best.cost - self.proven <= self._tolerance
+
+    @property
+    def infeasible(self) -> bool:
+        """Whether there is no plan."""
+        return self._bound.exact and self._exhausted and self._none
+
+    def search(self, most: float = np.inf) -> Exchange[None]:
+        """Widen the gap until the plan's own gap is inside it, or until more than `most` columns would be searched."""
         settings = self._member.settings
         self._member.report(phase="plan")
         self._member.kind = "columns"
-        unit = max(1.0, abs(self._bound.value))
-        proven, exhausted = self._bound.value, False
-        gap = min(settings.first_gap * unit, self._own_gap(unit))
+        gap = min(settings.first_gap * max(1.0, abs(self._bound.value)), self._own_gap())
         for _ in range(settings.passes):
-            exhausted = yield from self._widen(gap)
+            near = self._near(gap)
+            if (yield from self._is_more(near, most)):
+                return
+            self._exhausted = yield from self._widen(near)
             found = yield from self._agree(gap)
             if found is not None:
-                proven = max(proven, min(found.searched, self._bound.value + gap))
-                self._best = found if self._best is None or found.cost < self._best.cost else self._best
-            closed = self._best is not None and self._best.cost - proven <= settings.tolerance * unit
-            if closed or exhausted or self._own_gap(unit) <= gap:
-                break
-            gap = min(2.0 * gap, self._own_gap(unit))
-        if self._best is None:
-            why, status = self._failure(exhausted)
-            raise SolverError(f"{why} (robot {self._i}: set partitioning of {len(self._pool)} columns)", status)
-        return Assignment(self._best.routes, min(proven, self._best.cost) if self._bound.exact else None)
+                self.proven = max(self.proven, min(found.searched, self._bound.value + gap))
+                self.best = found if self.best is None or found.cost < self.best.cost else self.best
+            if self.closed or self._exhausted or self._own_gap() <= gap:
+                return
+            gap = min(2.0 * gap, self._own_gap())
 
-    def _own_gap(self, unit: float) -> float:
+    def _own_gap(self) -> float:
         """Columns beyond it are not part of a better plan than the best."""
-        settings = self._member.settings
-        return np.inf if self._best is None else self._best.cost - self._bound.value + settings.tolerance * unit
+        return np.inf if self.best is None else self.best.cost - self._bound.value + self._tolerance
 
-    def _failure(self, exhausted: bool) -> tuple[str, str]:
+    def _failure(self) -> tuple[str, str]:
         """Why there is no plan, and the status."""
         if not self._bound.exact:
             why = "no plan found: route tables were cut at most_labels. Narrow capability or route_length_limit"
             return why, "incomplete"
-        if exhausted and self._infeasible:
+        if self.infeasible:
             why = "each can be served alone, but not all together within capability, capacity and route_length_limit"
             return f"infeasible: no plan serves every task; {why}", "infeasible"
         return "no plan found within the passes and nodes", "incomplete"
 
-    def _widen(self, gap: float) -> Exchange[bool]:
-        """Flood all columns within the gap, a part at a time; returns whether no robot has any beyond."""
-        pi, table, settings = self._bound.prices, self._member.table, self._member.settings
+    def _near(self, gap: float) -> Ints:
+        """Own columns within the gap, by their numbers in the table."""
+        cost = self._member.table.reduced_costs(self._bound.prices)
+        return np.flatnonzero(cost < self._bound.least[self._i] + gap)
+
+    def _is_more(self, near: Ints, most: float) -> Exchange[bool]:
+        """Whether the columns of all robots within the gap are more than `most`."""
+        if most == np.inf:
+            return False
+        counts = yield from flood(self._i, len(near), self._diameter)
+        return sum(counts.values()) > most
+
+    def _widen(self, near: Ints) -> Exchange[bool]:
+        """Flood the columns `near`, a part at a time; returns whether no robot has any beyond."""
+        table, settings = self._member.table, self._member.settings
         most = max(1, min(settings.most_shared, settings.most_relayed // self._member.place.robots))
-        near = table.cheapest(pi, len(table), below=table.least(pi) + gap)
-        fresh = [c for c in near if c.tasks and not self._pool.has(self._i, c)]
+        columns = [table.column(int(c)) for c in near]
+        fresh = [c for c in columns if c.tasks and not self._pool.has(self._i, c)]
         while True:
             own = [packed(fresh[:most]), len(fresh) <= most, len(near) == len(table)]
             known = yield from flood(self._i, own, self._diameter)
@@ -124,11 +153,23 @@ class Proof:
         useful = [(i, c) for i, c in self._pool.items() if self._bound.excess(i, c) <= gap]
         if len(useful) > settings.small and self._i >= settings.searchers:
             return None
-        known = None if self._best is None else self._best.routes
+        refusals = self._refusals()
+        useful += refusals
+        known = None if self.best is None else self._with_refusals(self.best.routes, refusals)
         nodes = settings.proof_nodes if settings.prove else settings.nodes
         found = partition(useful, len(self._member.local.tasks), self._i, nodes, known)
-        self._infeasible = found.bound == np.inf
+        self._none = found.bound == np.inf
         if found.cost == np.inf:
             return None
-        routes = [[robot, list(tasks)] for robot, tasks in sorted(found.routes.items())]
+        robots = self._member.place.robots
+        routes = [[robot, list(tasks)] for robot, tasks in sorted(found.routes.items()) if robot < robots]
         return [found.cost, self._i, routes, found.bound, sha256(routes)]
+
+    def _refusals(self) -> list[tuple[int, Column]]:
+        """Tasks that may be refused, each as the column of a robot that does not exist, N + j."""
+        refusal, n = self._member.local.tasks.refusal, self._member.place.robots
+        return [(n + int(j), Column(float(refusal[j]), (int(j),))) for j in np.flatnonzero(np.isfinite(refusal))]
+
+    def _with_refusals(self, routes: Routes, refusals: list[tuple[int, Column]]) -> Routes:
+        served = {j for tasks in routes.values() for j in tasks}
+        return routes | {robot: column.tasks for robot, column in refusals if column.tasks[0] not in served}

@@ -1,6 +1,5 @@
 """How a step of the search puts tasks back, and what it takes back."""
 
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,8 +10,10 @@ from crazychoir.routing.ruin import draw, touch
 from crazychoir.routing.tours import OPTIONS, Bools, Ints, Tours, Words, insert, refresh
 from crazychoir.types import Mat, Vec
 
-BLINK = 0.01
+BLINK = 0.05
 """How often the cheapest place is not seen."""
+SERVE, REFUSE = 0.4, 0.05
+"""How often a task that can be refused is served anyway, and refused anyway."""
 NONE = -9
 """No place."""
 RANDOM, LOAD, FAR, CLOSE, WIDTH, OPENING, CLOSING = range(7)
@@ -35,14 +36,13 @@ class Memory(NamedTuple):
     closed: Bools
 
     @classmethod
-    def of(cls, tours: Tours, closed: Sequence[int]) -> "Memory":
-        """Nothing is known."""
+    def of(cls, tours: Tours, closed: Bools) -> "Memory":
+        """Nothing is known; the search may close more."""
         (k, length), m = tours.stop.shape, len(tours.at)
-        shut = np.zeros(k, np.bool_)
-        shut[list(closed)] = True
         unknown = np.full((m, k), -1, np.int64)
         place = np.zeros((m, k, 2), np.int64)
-        return cls(np.zeros((m, k)), place, unknown, np.zeros(m, np.int64), np.zeros(m), np.zeros((2, length)), shut)
+        bank, extra = np.zeros(m, np.int64), np.zeros((2, length))
+        return cls(np.zeros((m, k)), place, unknown, bank, np.zeros(m), extra, closed.copy())
 
 
 @kernel(_nrt=False)
@@ -50,9 +50,7 @@ def recreate(fleet: Any, tours: Any, step: Any, memory: Any, random: Words) -> N
     """Put each task without a vehicle where it is cheapest, one after the other; now and then where it is next best."""
     for b in range(_order(fleet, tours, memory, random)):
         j = memory.bank[b]
-        best, vehicle, first, second = fleet.penalty[j], -1, 0, 0
-        if fleet.on_finish > 0.0:
-            best = np.inf
+        best, vehicle, first, second = _most(fleet, tours, random, j), -1, 0, 0
         for k in range(len(fleet.start)):
             if memory.closed[k] or _has_twin(fleet, tours, memory, k):
                 continue
@@ -65,6 +63,28 @@ def recreate(fleet: Any, tours: Any, step: Any, memory: Any, random: Words) -> N
 
 
 @kernel(**OPTIONS)
+def _most(fleet: Any, tours: Any, random: Words, j: int) -> Any:
+    """What task j may cost.
+
+    One that can be refused is served at times even if that costs more, since two of them together can be worth a way
+    that neither is alone; and is refused at times, where the last finish counts, since two of them can delay it.
+    """
+    if fleet.penalty[j] == np.inf:
+        return np.inf
+    u = draw(random)
+    if u < SERVE:
+        return np.inf
+    if fleet.on_finish == 0.0:
+        return fleet.penalty[j]
+    finish = 0.0
+    for k in range(len(fleet.start)):
+        finish = max(finish, tours.finish[k])
+    if u > 1.0 - REFUSE and fleet.penalty[j] < finish:
+        return -np.inf
+    return fleet.penalty[j] + fleet.on_finish * finish
+
+
+@kernel(**OPTIONS)
 def _has_twin(fleet: Any, tours: Any, memory: Any, k: int) -> bool:
     """Whether k is empty and the first of its kind is too: one of them is enough to be looked at."""
     twin = fleet.twin[k]
@@ -73,17 +93,14 @@ def _has_twin(fleet: Any, tours: Any, memory: Any, k: int) -> bool:
 
 @kernel(**OPTIONS)
 def _best_place(fleet: Any, tours: Any, memory: Any, random: Words, j: int, k: int, best: float) -> Any:
-    """Cost and places of task j in route k, from memory if the route is as it was."""
-    known, blink, first, second = memory.version[j, k] == tours.version[k], False, NONE, NONE
-    if known and memory.cost[j, k] < best and draw(random) < BLINK:
-        known, blink, first, second = False, True, memory.place[j, k, 0], memory.place[j, k, 1]
-    if known:
-        return memory.cost[j, k], memory.place[j, k, 0], memory.place[j, k, 1]
-    cost, first, second = cheapest(fleet, tours, memory.extra, j, k, first, second)
-    if not blink:
+    """Cost and places of task j in route k, from memory if the route is as it was; at times the next best."""
+    if memory.version[j, k] != tours.version[k]:
+        cost, first, second = cheapest(fleet, tours, memory.extra, j, k, NONE, NONE)
         memory.cost[j, k], memory.version[j, k] = cost, tours.version[k]
         memory.place[j, k, 0], memory.place[j, k, 1] = first, second
-    return cost, first, second
+    if memory.cost[j, k] < best and draw(random) < BLINK:
+        return cheapest(fleet, tours, memory.extra, j, k, memory.place[j, k, 0], memory.place[j, k, 1])
+    return memory.cost[j, k], memory.place[j, k, 0], memory.place[j, k, 1]
 
 
 @kernel(**OPTIONS)

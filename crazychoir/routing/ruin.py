@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from crazychoir.math3d import kernel
-from crazychoir.routing.tours import OPTIONS, Bools, Ints, Tours, Words, drop
+from crazychoir.routing.tours import OPTIONS, Bools, Ints, Tours, Words, drop, feasible
 
 GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 MIX = (np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB))
@@ -96,9 +96,24 @@ def ruin(fleet: Any, tours: Any, step: Any, random: Words, average: float) -> No
         touch(tours, step, k)
         _mark_string(fleet, tours, step, random, k, at, longest)
         drop(fleet, tours, k, step.gone)
+        if not feasible(fleet, tours, k):
+            empty(fleet, tours, step, k)
         strings -= 1
         if strings <= 0:
             return
+
+
+@kernel(_nrt=False)
+def empty(fleet: Any, tours: Any, step: Any, k: int) -> None:
+    """Take all tasks out of route k.
+
+    Fewer stops can break a limit too: without the triangle inequality, where a first trip has less room than the next,
+    and where goods that were aboard stay there.
+    """
+    for j in range(len(fleet.load)):
+        step.gone[j] = tours.at[j] == k
+    touch(tours, step, k)
+    drop(fleet, tours, k, step.gone)
 
 
 @kernel(**OPTIONS)

@@ -1,24 +1,29 @@
 """Ruin and recreate: a search for good plans of many vehicles and tasks that can be stopped at any time."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from itertools import pairwise
 
 import numpy as np
 
 from crazychoir.routing.annealing import Best, anneal
+from crazychoir.routing.assembly import assemble
 from crazychoir.routing.fleet import fleet_of
 from crazychoir.routing.pool import Pool
 from crazychoir.routing.recreation import Memory
 from crazychoir.routing.ruin import Step
-from crazychoir.routing.tours import Fleet, Tours
+from crazychoir.routing.tours import Bools, Tours, Words
 from crazychoir.routing.vehicle import TOTAL, Vehicle
 from crazychoir.types import Vec
 
-HOT = 0.05
+HOT = 0.5
 """First temperature, as a share of the median distance of a task alone."""
+FLEET_HOT = 0.02
+"""The same while vehicles are left out."""
 AVERAGE = 10.0
 """Stops that a step takes out, about."""
+ROUNDS = 2
+"""Times that the routes seen are put together anew."""
 
 
 @dataclass(frozen=True)
@@ -65,26 +70,43 @@ def search(
     fleet_steps: int = 0,
     hot: float = HOT,
     average: float = AVERAGE,
+    rounds: int = ROUNDS,
 ) -> Found:
     """The best plan that `steps` of ruin and recreate find from `routes`, empty ones or infeasible ones too.
 
     routes: stops of each vehicle, as Vehicle says;  penalty: (M,) m, of a task that is not served, inf where it must
     be;  seed: the same one gives the same plan on every machine;  objective: TOTAL, MAKESPAN, or both in their order;
-    fleet_steps: before, at most so many to leave vehicles out, whatever that costs;  hot: first temperature, as a share
-    of the median distance of a task alone;  average: stops that a step takes out, about.
+    fleet_steps: before, at most so many to leave vehicles out, which stay out then, whatever that costs;  hot: first
+    temperature, as a share of the median distance of a task alone;  average: stops that a step takes out, about;
+    rounds: the steps are parted into so many; if there is more than one, and no makespan first, each ends with set
+    partitioning of the routes seen.
     Tasks that must be served can be in `unserved`: then the search has found no place for them.
     Source: Christiaens & Vanden Berghe 2020, Transportation Science 54(2), "Slack induction by string removals".
     """
     return Search(vehicles, penalty, objective).run(
-        routes, steps, seed, fleet_steps=fleet_steps, hot=hot, average=average
+        routes, steps, seed, fleet_steps=fleet_steps, hot=hot, average=average, rounds=rounds
     )
+
+
+def emptied(
+    vehicles: Sequence[Vehicle], routes: Sequence[Sequence[int]], victim: int, penalty: Vec, steps: int, seed: int
+) -> Found | None:
+    """A plan in which vehicle `victim` stays and no other leaves that did not; None if none is found.
+
+    Its tasks go into the routes of the others, which make room among themselves: those tasks that were without a place
+    most often come first.
+    """
+    closed = [k for k, route in enumerate(routes) if k == victim or not route]
+    rest = [[] if k == victim else route for k, route in enumerate(routes)]
+    found = Search(vehicles, penalty).run(rest, steps, seed, hot=FLEET_HOT, rounds=1, closed=closed)
+    return None if np.isinf(found.total) else found
 
 
 class Search:
     """As `search`, for several runs on the same vehicles."""
 
     def __init__(self, vehicles: Sequence[Vehicle], penalty: Vec, objective: Sequence[str] = (TOTAL,)) -> None:
-        self._fleet = fleet_of(vehicles, penalty, objective)
+        self._vehicles, self._fleet = vehicles, fleet_of(vehicles, penalty, objective)
         self._scale = float(np.median(self._fleet.traits[:, 1])) if vehicles[0].tasks else 0.0
 
     def run(
@@ -96,38 +118,36 @@ class Search:
         fleet_steps: int = 0,
         hot: float = HOT,
         average: float = AVERAGE,
+        rounds: int = ROUNDS,
         closed: Sequence[int] = (),
     ) -> Found:
         """A plan; closed: vehicles that are not to leave."""
-        fleet, random = self._fleet, np.array([seed], np.uint64)
-        tours = Tours.of(fleet, routes)
-        pool, m = Pool.of(fleet, tours), len(fleet.load)
-        for number, fewer in ((fleet_steps, True), (steps, False)):
-            step, memory, best, absence = Step.of(tours), Memory.of(tours, closed), Best.of(tours), np.zeros(m)
-            heat = hot * self._scale
-            anneal(fleet, tours, step, memory, best, pool, random, absence, number, heat, average, fewer)
-            tours = Tours.of(fleet, [row[1 : n + 1] for row, n in zip(best.stop, best.stops, strict=True)])
-        return _found(fleet, tours, pool)
+        fleet, shut = self._fleet, np.zeros(len(self._fleet.start), np.bool_)
+        shut[list(closed)] = True
+        tours, random = Tours.of(fleet, routes), np.array([seed], np.uint64)
+        pool = Pool.of(fleet, tours)
+        if fleet_steps:
+            tours = self._anneal(tours, pool, random, shut, fleet_steps, FLEET_HOT, average, fewer=True)
+            shut |= tours.stops == 0
+        for _ in range(rounds):
+            tours = self._anneal(tours, pool, random, shut, steps // rounds, hot, average)
+            if rounds > 1 and not fleet.on_finish:
+                tours = assemble(fleet, pool, tours, shut)
+        return self._found(tours, pool)
 
+    def _anneal(
+        self, tours: Tours, pool: Pool, random: Words, shut: Bools, steps: int, hot: float, average: float,
+        fewer: bool = False,
+    ) -> Tours:  # fmt: skip
+        step, memory, best, absence = Step.of(tours), Memory.of(tours, shut), Best.of(tours), np.zeros(len(tours.at))
+        scaled = hot * self._scale
+        anneal(self._fleet, tours, step, memory, best, pool, random, absence, steps, scaled, average, fewer)
+        return best.tours(self._fleet)
 
-def _found(fleet: Fleet, tours: Tours, pool: Pool) -> Found:
-    m = len(fleet.load)
-    routes = [np.minimum(row[1 : n + 1], 2 * m + 1) for row, n in zip(tours.stop, tours.stops, strict=True)]
-    unserved = np.flatnonzero(tours.at < 0).tolist()
-    total, finish = _values(fleet, tours)
-    total += sum(float(fleet.penalty[j]) for j in unserved)
-    return Found([route.tolist() for route in routes], unserved, total, finish, pool)
-
-
-def _values(fleet: Fleet, tours: Tours) -> tuple[float, float]:
-    """Total without penalties, and finish."""
-    total, finish = 0.0, 0.0
-    for k in np.flatnonzero(tours.stops):
-        u, nodes = fleet.kind[k], tours.stop[k, : tours.stops[k] + 2]
-        t = float(fleet.earliest[u, nodes[0]])
-        total += float(fleet.fixed[k])
-        for v, w in pairwise(nodes):
-            total += float(fleet.distance[u, v, w])
-            t = max(float(fleet.earliest[u, w]), t + float(fleet.duration[u, v, w]))
-        finish = max(finish, t)
-    return total, finish
+    def _found(self, tours: Tours, pool: Pool) -> Found:
+        penalty, end = self._fleet.penalty, 2 * len(tours.at) + 1
+        routes = [np.minimum(row[1 : n + 1], end).tolist() for row, n in zip(tours.stop, tours.stops, strict=True)]
+        flown = [(v, route) for v, route in zip(self._vehicles, routes, strict=True) if route]
+        unserved = np.flatnonzero(tours.at < 0).tolist()
+        total = math.fsum([*(v.length(route) + v.fixed for v, route in flown), *penalty[unserved].tolist()])
+        return Found(routes, unserved, total, max((v.finish(route) for v, route in flown), default=0.0), pool)

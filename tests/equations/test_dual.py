@@ -122,6 +122,18 @@ def test_a_step_of_the_dual_subgradient_method():
     np.testing.assert_allclose(agent.prices, np.maximum(0, v + step * (G @ argmin - [0.5, -0.1])), atol=1e-12)
 
 
+def test_the_running_average_is_weighted_by_the_step_size():
+    x = cp.Variable()
+    agent = DualSubgradient(ConstraintCoupled(0, x, cp.square(x - 1), x), {0: 1.0}, lambda k: 1.0 / (k + 1))
+    seen = []
+    for _ in range(5):
+        agent.message()
+        agent.step({})
+        seen.append(agent.x)
+    weights = 1.0 / np.arange(1, 6)
+    np.testing.assert_allclose(agent.average, weights @ np.array(seen) / weights.sum(), atol=1e-12)
+
+
 def test_the_excess_is_a_subgradient_of_the_dual_function():
     """d/dmu min_x f(x) + mu'(g(x) - b) = g(x(mu)) - b, by differences."""
     x = cp.Variable(2)
@@ -170,6 +182,21 @@ def test_the_gradient_of_asymm_is_that_of_its_augmented_lagrangian():
         assert own.value(x) - own.value(0 * x) == pytest.approx(lagrangian(x) - lagrangian(0 * x), abs=1e-10)
         slopes = [(lagrangian(x + d) - lagrangian(x - d)) / 2e-6 for d in 1e-6 * np.eye(2)]
         np.testing.assert_allclose(own.gradient(x), slopes, atol=1e-6)
+
+
+def test_the_multipliers_of_asymm_are_those_of_the_method_of_multipliers():
+    h = Smooth(lambda x: np.array([x[0] - 1.0]), lambda x: np.array([[1.0, 0.0]]))
+    g = Smooth(lambda x: np.array([x[1] - 0.2, x[0] - 9.0]), lambda x: np.array([[0.0, 1.0], [1.0, 0.0]]))
+    own = ASYMM(0, (1,), 1, [0.0, 0.0], Smooth(lambda x: 0.0, np.zeros_like), equalities=h, inequalities=g)._own
+    own.l, own.m, own.s, x = np.array([0.7]), np.array([0.1, 0.3]), 2.0, np.array([3.0, 1.0])
+    own.ascend(x, growth=4.0, shrink=0.5, tolerance=1e-3)
+    np.testing.assert_allclose(own.l, 0.7 + 2.0 * 2.0)
+    np.testing.assert_allclose(own.m, [0.1 + 2.0 * 0.8, 0.0])
+    assert own.s == 2.0  # there is nothing to compare with yet
+    own.ascend(x, growth=4.0, shrink=0.5, tolerance=1e-3)
+    assert own.s == 8.0  # missed by as much as before
+    own.ascend(x, growth=4.0, shrink=0.5, tolerance=1e3)
+    assert own.s == 8.0  # by no more than the tolerance explains
 
 
 def test_asymm_descends_on_the_lagrangian_with_its_neighbors():

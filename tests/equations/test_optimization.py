@@ -237,6 +237,17 @@ def test_aggregative_tracking_reaches_the_central_optimum(graph, low):
     assert gathered(agents, "x") == pytest.approx(targets.optimum(low), abs=1e-5)
 
 
+def test_aggregative_tracking_follows_costs_that_change():
+    targets = Targets()
+    agents = team(GRAPH, lambda i, w: targets.agent(i, w, step=0.03, rounds=4000))
+    run_in_step(agents, GRAPH, 1500)
+    assert gathered(agents, "x") == pytest.approx(targets.optimum(), abs=1e-4)
+    targets.b, targets.r = np.array([-3.0, 0.5]), targets.r[::-1].copy()
+    run_in_step(agents, GRAPH)
+    assert gathered(agents, "x") == pytest.approx(targets.optimum(), abs=1e-4)
+    assert np.abs(targets.r - targets.r[::-1]).max() > 0.5
+
+
 @pytest.mark.parametrize("graph", [GRAPH, CHANGING, ring(6)])
 def test_gradient_tracking_reaches_the_central_optimum_linearly(graph):
     agents = team(graph, lambda i, w: GradientTracking(i, np.zeros(3), w, Q.gradient(i), 0.01), metropolis)

@@ -164,6 +164,16 @@ def test_a_new_algorithm_gives_the_same_without_loss(algorithm_file, monkeypatch
     assert calm["lost"] == 0 < lossy["lost"]
 
 
+def test_a_problem_in_cvxpy_ends_where_the_readme_says(repository, tmp_path, monkeypatch):
+    text = (repository / "README.md").read_text()
+    shown_file = re.search(r"<!-- meet\.py -->\n```python\n(.*?)```", text, re.DOTALL)
+    (tmp_path / "meet.py").write_text(shown_file[1])
+    command, place = re.search(r"`(crazychoir simulate meet\.py .*?)` ends .*?`([-\d., ]+)`", text, re.DOTALL).groups()
+    result = said(tmp_path, monkeypatch, command)
+    expected = np.tile([float(number) for number in place.split(", ")], (10, 1))
+    assert [own["x"] for own in result["agents"].values()] == pytest.approx(expected, abs=1e-6)
+
+
 def test_what_is_there_already_is_where_the_readme_says(repository):
     text = (repository / "README.md").read_text().split("\n| there | here |")[1].split("\n\n")[0]
     found = re.findall(r"((?:`\w+`, )*`\w+`) in `([\w/]+)\.py`", text)

@@ -64,7 +64,7 @@ def test_an_error_of_a_robot_names_it_and_ends_all(demo, monkeypatch):
 def test_a_process_that_ends_is_told_with_its_last_words(demo, monkeypatch):
     end = [sys.executable, "-c", "raise SystemExit('out of memory, say')"]
     monkeypatch.setattr(team, "_commands", lambda parts, common: [end, end])
-    with pytest.raises(ProcessFailed, match="ended before its answer: out of memory, say"):
+    with pytest.raises(ProcessFailed, match=r"robots \d to \d: .* ended before its answer: out of memory, say"):
         team.solve_in_processes(Instance.load(demo), 2)
 
 

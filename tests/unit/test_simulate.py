@@ -160,14 +160,26 @@ def test_a_pace_that_is_none(pace):
         Pace(**pace)
 
 
+@pytest.mark.real_time
+def test_in_real_time_the_iterates_are_the_same():
+    jumps, ticks = (simulate(averaging(ring(5)), ring(5), loss=0.3, run=run) for run in (run_virtual, run_wall))
+    assert jumps.of().tobytes() == ticks.of().tobytes()
+    assert 0.03 <= jumps.times[0][-1] <= jumps.simulated_s < 5.0
+    assert 0.03 <= ticks.times[0][-1] <= ticks.simulated_s < 60.0
+    awake = {i: Wakeful(20) for i in range(3)}
+    simulate(awake, ring(3), loss=0.3, run=run_wall)
+    assert [agent.x for agent in awake.values()] == [20] * 3
+
+
 # Failures -----------------------------------------------------------------------------------------------------------
 
 
 def ends(graph, error, where, loss, asynchronous=False, run=run_virtual):
-    """What each agent ends with if agent 2 fails, and the s until the last has ended."""
+    """What each agent ends with if agent 2 fails, the s until the last has ended, and the steps that each made."""
+    steps = {}
 
     async def part(communicator):
-        algorithm = Failing(error, 5 if communicator.id == 2 else 2000, where, asynchronous)
+        algorithm = steps[communicator.id] = Failing(error, 5 if communicator.id == 2 else 2000, where, asynchronous)
         try:
             await run_algorithm(communicator, algorithm)
         except Exception as raised:  # noqa: BLE001 - what it is is what the test looks at
@@ -179,7 +191,7 @@ def ends(graph, error, where, loss, asynchronous=False, run=run_virtual):
         return await asyncio.gather(*map(part, team)), clock.now()
 
     found, seconds = run(main)
-    return dict(zip(graph.ids, found, strict=True)), seconds
+    return dict(zip(graph.ids, found, strict=True)), seconds, {i: algorithm.x for i, algorithm in steps.items()}
 
 
 SEQUENCE = GraphSequence.draw(ring(6), 0.3, 7, 4)
@@ -190,19 +202,20 @@ SEQUENCE = GraphSequence.draw(ring(6), 0.3, 7, 4)
 @pytest.mark.parametrize("graph", [path(6), ring(6), ring(6, directed=True), complete(6), SEQUENCE])
 def test_where_one_agent_fails_all_end_with_its_reason(graph, loss, where):
     error = SolverError("agent 2: local problem, row 3", "infeasible, b = -1")
-    found, seconds = ends(graph, error, where, loss)
+    found, seconds, steps = ends(graph, error, where, loss)
     assert found.pop(2) is error
     for other in found.values():
         assert type(other) is AgentFailed
         assert other.agent == 2
         assert "SolverError: agent 2: local problem, row 3: the solver ended with status infeasible" in str(other)
     assert seconds < 12.0
+    assert max(steps.values()) <= 6 + (graph.diameter() if graph is not SEQUENCE else 7 * 3)
 
 
 @pytest.mark.parametrize("loss", [0.0, 0.5])
 def test_where_an_asynchronous_agent_fails_all_end_with_its_reason(loss):
     error = ConfigError("agent 2: gradient[0]", "nan", "finite numbers")
-    found, seconds = ends(ring(6), error, "step", loss, asynchronous=True)
+    found, seconds, _ = ends(ring(6), error, "step", loss, asynchronous=True)
     assert found.pop(2) is error
     assert {(type(other), other.agent) for other in found.values()} == {(AgentFailed, 2)}
     assert all("gradient[0]" in str(other) for other in found.values())
@@ -210,7 +223,7 @@ def test_where_an_asynchronous_agent_fails_all_end_with_its_reason(loss):
 
 
 def test_an_error_that_is_none_of_ours_is_named_and_chained():
-    found, _ = ends(path(4), KeyError("weights"), "step", 0.3)
+    found, _, _ = ends(path(4), KeyError("weights"), "step", 0.3)
     assert {type(error) for error in found.values()} == {AgentFailed}
     assert found[0].args == found[2].args
     assert "KeyError: 'weights'" in str(found[0])
@@ -241,7 +254,7 @@ def test_a_message_that_cannot_be_sent_ends_all_too(message, error, asynchronous
 @pytest.mark.real_time
 def test_they_end_in_real_time_too():
     began = time.perf_counter()
-    found, _ = ends(ring(6), SolverError("agent 2", "unbounded"), "step", 0.3, run=run_wall)
+    found, _, _ = ends(ring(6), SolverError("agent 2", "unbounded"), "step", 0.3, run=run_wall)
     assert [type(found[i]) for i in range(6)] == [AgentFailed, AgentFailed, SolverError, *[AgentFailed] * 3]
     assert time.perf_counter() - began < 10.0
 

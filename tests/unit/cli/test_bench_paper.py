@@ -4,7 +4,7 @@ import csv
 
 import pytest
 
-from crazychoir.cli import bench_ablation, bench_paper
+from crazychoir.cli import bench_ablation, bench_paper, bench_pictures
 from crazychoir.cli.bench_ablation import GRAPHS, LOSSES, SIZES, Case
 from crazychoir.routing.pickup_delivery import METHODS
 from crazychoir.swarm.graph import named
@@ -22,9 +22,17 @@ def test_the_cases_cover_loss_graphs_sizes_and_methods():
     loss, size, method = ([case for case in of if case.study == study] for study in ("loss", "size", "method"))
     assert {(c.graph, c.loss) for c in loss if c.burst is None} == {(g, p) for g in GRAPHS for p in LOSSES}
     assert {(c.graph, c.loss) for c in loss if c.burst} == {(g, p) for g in GRAPHS for p in LOSSES if p}
-    assert {(c.robots, c.graph) for c in size} == {(n, g) for n in SIZES for g in GRAPHS}
+    assert {(c.robots, c.graph) for c in size} >= {(n, g) for n in SIZES for g in GRAPHS if g != "complete"}
+    assert {c.robots for c in size if c.graph == "complete"} == {6, 10, 20, 30}
     assert {c.method for c in method} == set(METHODS)
     assert len(of) == len(set(of))
+
+
+@pytest.mark.parametrize("robots", SIZES)
+def test_every_size_has_an_instance(robots):
+    for seed in (1, 2, 3):
+        of = bench_ablation.instance_of(Case("size", robots, "ring", "columns", 0.1, None, seed))
+        assert (of.robots, len(of.tasks)) == (robots, robots)
 
 
 @pytest.mark.parametrize("robots", SIZES)
@@ -78,6 +86,16 @@ def test_all_files_are_written(tmp_path, monkeypatch, rows):
         written = list(csv.DictReader(file))
     assert len(written) == len(of)
     assert {row["same_plan"] for row in written} == {"True"}
+
+
+def test_the_solvers_are_drawn(tmp_path):
+    curve = [[0.5, 30.0], [1.0, 24.0]]
+    of = [(name, seed, tasks) for name in ("crazychoir", "VROOM", "MILP") for seed in (1, 2) for tasks in (5, 20)]
+    common = {"robots": 3, "wall_s": 2.0, "curve": curve}
+    rows = [common | {"name": name, "seed": seed, "tasks": tasks, "cost": 24.0 + seed, "feasible": name != "MILP"}
+            for name, seed, tasks in of]  # fmt: skip
+    for file in bench_pictures.draw_routing(rows, tmp_path):
+        assert file.stat().st_size > 5000
 
 
 def test_nested_figures_become_columns():

@@ -5,7 +5,8 @@ from teams import run_team
 
 from crazychoir.errors import ConfigError, SolverError
 from crazychoir.optimization.assignment import Table, Task, TaskAssignment
-from crazychoir.swarm.graph import erdos_renyi_connected, path, ring
+from crazychoir.simulate import simulate
+from crazychoir.swarm.graph import GraphSequence, erdos_renyi_connected, path, ring
 
 
 def table(ids, label=1, last=True):
@@ -38,14 +39,22 @@ def served_at_best(costs):
     return int(np.isfinite(chosen).sum()), float(chosen[np.isfinite(chosen)].sum())
 
 
+def links(robots, seed):
+    """A path, a directed ring, or graphs that are connected together only; with the longest time of a flood."""
+    if seed % 5 == 0:
+        return GraphSequence.draw(path(robots), 0.3, 3, seed), 3 * (robots - 1)
+    graph = path(robots) if seed % 2 or robots == 1 else ring(robots, directed=True)
+    return graph, graph.diameter()
+
+
 @pytest.mark.parametrize("seeds", [range(k, k + 20) for k in range(0, 200, 20)], ids=lambda seeds: f"{seeds[0]}-")
 def test_the_assignment_is_the_central_one(seeds):
     infeasible = 0
     for seed in seeds:
         costs = draw(seed)
         robots, tasks = costs.shape
-        graph = path(robots) if seed % 2 or robots == 1 else ring(robots, directed=True)
-        agents = team(costs, graph.diameter(), {seed % robots: table(range(tasks))})
+        graph, diameter = links(robots, seed)
+        agents = team(costs, diameter, {seed % robots: table(range(tasks))})
         run_team(agents, graph)
         outcomes = [agent.outcome for agent in agents.values()]
         pairs = {i: outcome.task.id for i, outcome in enumerate(outcomes) if outcome.task}
@@ -136,3 +145,13 @@ def test_nothing_to_do_is_agreed_upon_too():
     agents = team(np.ones((3, 1)), 1, {1: table([])})
     run_team(agents, ring(3))
     assert all(agent.solution.task is None and agent.solution.cost == 0.0 for agent in agents.values())
+
+
+def test_the_assignment_is_the_same_whatever_is_lost():
+    costs, graph, outcomes = np.random.default_rng(8).random((5, 5)), ring(5), []
+    for loss in (0.0, 0.4):
+        agents = team(costs, 2, {3: table(range(5))})
+        history = simulate(agents, graph, loss=loss, record=())
+        outcomes.append([(a.outcome.task.id, a.outcome.cost, a.outcome.rounds) for a in agents.values()])
+    assert history.lost > 10
+    assert outcomes[0] == outcomes[1]

@@ -104,6 +104,15 @@ def test_a_neighbor_in_the_next_epoch_says_that_all_are_done_with_this_one():
     assert agent.x is x
 
 
+def test_a_gradient_must_stay_small_before_it_counts():
+    agent = ASYMM(0, (1,), 1, [0.0, 0.0], Smooth(lambda x: x @ x, lambda x: 2 * x))
+    bits = []
+    for _ in range(6):
+        agent.step({1: [0, b"\x00", np.zeros(2), np.zeros(2), 1.0]})
+        bits.append(agent.message()[1][1])
+    assert bits == 4 * [b"\x00"] + 2 * [b"\x01"]
+
+
 def test_multipliers_come_from_both_ends_and_lost_messages_do_not_matter():
     agent = agents(ring(3), localisation(3, 0), np.zeros((3, 2)), penalty=2.0)[0]
     ahead, here = [1, b"\x00", np.array([1.0, 0.0])], [0, b"\x00", np.zeros(2)]

@@ -41,6 +41,7 @@ def test_all_find_the_centralised_optimum_in_finite_time(name, linear, tight):
         assert parts[0].value(team[0].x) == pytest.approx(optimum(parts), rel=1e-6, abs=1e-6)
         for agent in team.values():
             np.testing.assert_allclose(agent.x, team[0].x, atol=1e-9)
+            np.testing.assert_allclose(agent.basis[:, :-1] @ agent.x, agent.basis[:, -1], rtol=0, atol=1e-13)
             assert len(agent.basis) <= 3
 
 

@@ -84,5 +84,5 @@ def test_what_is_not_a_number_is_told_to_all():
 
 
 def test_a_directed_graph_is_refused():
-    with pytest.raises(ConfigError, match="graph of DualDecomposition: found drone 1 hears drone 0, but not"):
+    with pytest.raises(ConfigError, match="graph of DualDecomposition: found agent 1 hears agent 0, but not"):
         simulate(agents(problems(costs(4, 2, 0))), ring(4, directed=True))

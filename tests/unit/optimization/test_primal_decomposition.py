@@ -75,6 +75,14 @@ def test_the_iterates_are_the_same_whatever_is_lost():
         assert np.array_equal(kept[0].of(name), kept[1].of(name))
 
 
+def test_agents_may_have_different_numbers_of_variables():
+    blocks = [
+        MixedIntegerBlock(i, -np.ones(n), [np.ones(n)], [1.0], bounds=(0, 1)) for i, n in enumerate((1, 2, 3))
+    ]
+    history = simulate(convexified_team(blocks, complete(3), 5), complete(3), record=("x", "y"))
+    assert [history.values[i]["x"].shape for i in range(3)] == [(6, 1), (6, 2), (6, 3)]
+
+
 def test_on_a_dense_random_graph_of_20_it_converges_where_unweighted_trade_does_not():
     graph, blocks = erdos_renyi_connected(20, 0.5, seed=1), random_blocks(20, seed=1)
     optimum = central(blocks, relaxed=True)

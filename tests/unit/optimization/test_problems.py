@@ -73,6 +73,17 @@ def test_values_and_gradients_are_those_of_the_expression(name):
     np.testing.assert_allclose(gradient, slopes, atol=1e-6)
 
 
+@pytest.mark.parametrize("size", [0.01, 1.0, 100.0, 10000.0])
+def test_a_cone_is_solved_to_the_end_whatever_the_cost(size):
+    """argmin x'p + rho/2 |x - z|^2 over the unit ball is z - p / rho, on the sphere if that is outside."""
+    x = cp.Variable(10)
+    problem = CostCoupled(0, x, 0, [cp.norm(x) <= 1])
+    for p, z in size * np.random.default_rng(0).normal(size=(20, 2, 10)):
+        nearest = z - p / 3.0
+        expected = nearest / max(1.0, np.linalg.norm(nearest))
+        np.testing.assert_allclose(problem.argmin(p, z, 3.0), expected, atol=1e-6)
+
+
 def test_outside_of_its_domain_the_cost_is_infinite_and_has_no_gradient():
     problem, outside = CostCoupled(4, X, *FUNCTIONS["logarithm"]), np.array([-1.0, 0.0])
     assert problem.value(outside) == np.inf
@@ -139,6 +150,10 @@ BAD_MODELS = {
     "no variable": (lambda: CostCoupled(3, P, 0), "agent 3: x: found ndarray"),
     "a matrix": (lambda: CostCoupled(3, cp.Variable((2, 2)), 0), r"agent 3: .* shape \(2, 2\); allowed: a scalar"),
     "integers": (lambda: CostCoupled(3, cp.Variable(2, integer=True), 0), r"agent 3: .* attributes \['integer'\]"),
+    "other integers": (
+        lambda: CostCoupled(3, X, X[0], [cp.Variable(name="k", boolean=True) >= X]),
+        "agent 3: k: found an integer variable",
+    ),
     "an empty parameter": (lambda: CostCoupled(3, X, cp.Parameter(name="a") * X[0]), "parameter a: found no value"),
     "not DPP": (
         lambda: CostCoupled(3, X, cp.Parameter(value=1.0) * cp.Parameter(value=2.0) * X[0]),

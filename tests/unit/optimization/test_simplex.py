@@ -7,6 +7,7 @@ from teams import run_team
 
 from crazychoir.errors import ConfigError, SolverError
 from crazychoir.optimization.simplex import DistributedSimplex, DualDistributedSimplex
+from crazychoir.simulate import simulate
 from crazychoir.swarm.graph import GraphSequence, complete, erdos_renyi_connected, ring
 
 STATUS = {0: "optimal", 2: "infeasible", 3: "unbounded"}
@@ -144,3 +145,23 @@ def test_another_right_hand_side_at_a_neighbour_is_refused():
     agents = {i: DistributedSimplex(i, [1.0], [[1.0]], [1.0 + i], 1) for i in range(2)}
     with pytest.raises(ConfigError, match=r"b of agent 1: found \[2.0\]; allowed: \[1.0\], the same at all agents"):
         run_team(agents, ring(2))
+
+
+def test_the_bases_are_the_same_whatever_is_lost():
+    c, A, b, parts = draw(6)
+    graph = ring(len(parts), directed=True)
+    histories = []
+    for loss in (0.0, 0.4):
+        agents = {i: DistributedSimplex(i, c[p], A[:, p], b, graph.diameter()) for i, p in enumerate(parts)}
+        histories.append(simulate(agents, graph, loss=loss, record=("x", "cost")))
+        assert agents[0].result.rounds == histories[-1].rounds
+    assert histories[1].lost > 10
+    for i in graph.ids:
+        for name in ("x", "cost"):
+            assert np.array_equal(histories[0].values[i][name], histories[1].values[i][name])
+
+
+def test_what_fails_at_one_agent_ends_all_of_them():
+    agents = {i: DistributedSimplex(i, [1.0], [[1.0]], [1.0 + (i == 2)], 2) for i in range(4)}
+    with pytest.raises(ConfigError, match="b of agent 2: found"):
+        simulate(agents, ring(4), record=())

@@ -36,6 +36,16 @@ def test_the_options_hold(seed):
     assert instance.route_length_limit == 30.0
 
 
+def test_goods_lie_in_heaps_and_fields_are_added():
+    instance = random_instance(3, 40, 2, clusters=2, fields={"open_tours": True, "fixed_cost": 2.0})
+    goods = np.vstack([instance.tasks.pickup, instance.tasks.delivery])
+    near = np.linalg.norm(goods[:, None] - goods[None, :], axis=2) < 3.0
+    assert len({tuple(row) for row in near.tolist()}) < 20  # of 80: most see the same goods near
+    assert near.mean() > 0.45
+    assert instance.open_tours
+    assert instance.fixed_cost == 2.0
+
+
 def test_a_room_that_is_too_small_is_refused():
     with pytest.raises(ConfigError, match="larger room"):
         random_instance(9, 2, 0, (1.0, 1.0), spacing=0.8)

@@ -59,7 +59,8 @@ def test_plans_are_feasible_and_cost_no_less_than_the_best(graph, method, seed):
 @pytest.mark.parametrize("method", METHODS)
 def test_who_finds_no_room_says_for_what_at_all_robots(graph, method):
     """The near robot takes the near task, and cannot reach the far one any more; the other may do the near one only."""
-    raw = line().to_json() | {
+    raw = {
+        "load": [1.0, 1.0],
         "home": [[0.0, 0.0], [0.0, 1.0]],
         "capacity": [1.0, 1.0],
         "pickup": [[1.0, 0.0], [0.0, -3.0]],
@@ -69,4 +70,4 @@ def test_who_finds_no_room_says_for_what_at_all_robots(graph, method):
     }
     with pytest.raises(SolverError, match=rf"robot 0: {method}: .* nobody's route has room for task\(s\) 1"):
         solve_in_loop(Instance.parse(raw), graph("path", 2), method)
-    assert solve_in_loop(Instance.parse(raw), graph("path", 2), "columns").feasible
+    assert solve_in_loop(Instance.parse(raw), graph("path", 2), "resource-columns").feasible

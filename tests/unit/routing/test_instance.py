@@ -2,6 +2,7 @@ import json
 import math
 from contextlib import suppress
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -291,3 +292,17 @@ def test_any_value_of_a_key_loads_or_is_refused(key, value):
     with suppress(InstanceError):
         instance = Instance.parse({**GOOD, key: value})
         assert np.isfinite(instance.home).all()
+
+
+@given(st.lists(st.tuples(st.sampled_from([0.0, 1.0, 7.5, 300.0]), st.integers(0, 3)), min_size=3, max_size=3))
+def test_plans_are_compared_by_refusals_of_each_priority_then_by_cost(rows):
+    penalty, priority = zip(*rows, strict=True)
+    tasks = Instance.parse(with_change(penalty=list(penalty), priority=list(priority))).tasks
+    plans = []
+    for refused in ([], [0], [1], [2], [0, 1], [0, 2], [1, 2], [0, 1, 2]):
+        for flown in (0.0, 20.0, tasks.span):
+            counts = [sum(priority[j] == p for j in refused) for p in (3, 2, 1)]
+            ranked = (*counts, flown + sum(penalty[j] for j in refused))
+            plans.append((ranked, flown + sum(tasks.refusal[j] for j in refused)))
+    plans.sort()
+    assert all(a[1] <= b[1] + 1e-9 * b[1] for a, b in pairwise(plans))

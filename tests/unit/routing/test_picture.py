@@ -1,8 +1,12 @@
+from dataclasses import replace
+
+import numpy as np
 import pytest
 
 from crazychoir.routing.compact import solve_compact
-from crazychoir.routing.picture import draw_routes
-from crazychoir.routing.plan import Plan
+from crazychoir.routing.instance import Instance
+from crazychoir.routing.picture import _title, _tour, draw_routes
+from crazychoir.routing.plan import Plan, Route
 
 
 @pytest.mark.parametrize("name", ["flat", "room"])
@@ -17,6 +21,24 @@ def test_a_plan_becomes_a_png(small, tmp_path, name):
     drawn, empty = imread(tmp_path / "plan.png"), imread(tmp_path / "empty.png")
     assert drawn.shape[0] > 800
     assert (drawn[..., :3].min(axis=2) < 0.9).sum() > (empty[..., :3].min(axis=2) < 0.9).sum()
+
+
+def test_recharges_ends_and_open_tours_are_drawn_where_they_are():
+    raw = {"home": [[0.0, 0.0]], "pickup": [[1.0, 0.0], [2.0, 0.0]], "delivery": [[1.0, 1.0], [2.0, 1.0]],
+           "load": [1.0, 1.0], "capacity": [1.0]}  # fmt: skip
+    route = Route.from_nodes(0, [0, 2, 5, 1, 3], 2, 1.0)
+    ends = Instance.parse(raw | {"end": [[0.0, 3.0]], "recharge": 2})
+    assert _tour(ends, route).tolist() == [[0, 0], [1, 0], [1, 1], [0, 3], [2, 0], [2, 1], [0, 3]]
+    free = Instance.parse(raw | {"open_tours": True})
+    assert _tour(free, Route.from_nodes(0, [0, 2], 2, 2.0)).tolist() == [[0, 0], [1, 0], [1, 1]]
+
+
+def test_the_title_names_what_is_refused_and_the_last_to_be_done(small, tmp_path):
+    instance, _ = small("flat")
+    late = replace(instance, objective=("makespan", "total"), tasks=replace(instance.tasks, penalty=np.zeros(4)))
+    plan = late.plan([Route.from_nodes(0, [0, 4], 4, 7.5, 8.25)])
+    draw_routes(late, plan, tmp_path / "plan.png")
+    assert _title(late, plan) == f"1 of {instance.robots} robots fly 7.50 m until 8.25 s; refused: 1, 2, 3"
 
 
 def test_matplotlib_is_imported_only_to_draw():
