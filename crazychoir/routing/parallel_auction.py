@@ -102,7 +102,9 @@ def _without_limit(vehicle: Vehicle) -> Vehicle:
     return replace(vehicle, limit=math.inf)
 
 
-def parallel_auction(robot: int, vehicle: Vehicle, free: list[int], diameter: int) -> Exchange[tuple[Nodes, tuple[int, ...]]]:
+def parallel_auction(
+    robot: int, vehicle: Vehicle, free: list[int], diameter: int
+) -> Exchange[tuple[Nodes, tuple[int, ...]]]:
     """This robot's route and the tasks that nobody can serve; the same passes at all robots.
 
     free: the tasks to be shared out, the same at all robots;  diameter: of the connected graph.
