@@ -10,13 +10,13 @@ from crazychoir.errors import CodecError
 from crazychoir.guidance.task_book import Fate, Place, Task, TaskBook
 from crazychoir.optimization.agreement import flood
 from crazychoir.optimization.program import Exchange, Program
-from crazychoir.routing.auction import auction
 from crazychoir.routing.instance import LocalProblem, Tasks
+from crazychoir.routing.parallel_auction import parallel_auction
 from crazychoir.routing.pickup_delivery import METHODS, PickupDelivery
 from crazychoir.routing.plan import Stop
 from crazychoir.swarm.graph import Graph
 
-AUCTION = "auction"
+AUCTION = "parallel-auction"
 KINDS = (AUCTION, *METHODS)
 """How tasks may be shared out in flight: by the auction alone, or by a method of PickupDelivery after it."""
 Mark = tuple[tuple[int, int, bool], ...]
@@ -89,7 +89,7 @@ class Replanning(Program[Share]):
         goods = self._goods(book, bound, carried)
         free = [n for n, is_free in enumerate(goods.free) if is_free]
         local, m = self._problem(goods), len(goods.tasks)
-        route, left = yield from auction(self.robot, local.vehicle, free, self.diameter)
+        route, left = yield from parallel_auction(self.robot, local.vehicle, free, self.diameter)
         sold = [n for n in range(m) if n not in left]
         if self.method != AUCTION and sold and self.diameter:
             route = yield from self._better(local, sold)

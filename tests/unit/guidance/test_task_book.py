@@ -144,6 +144,14 @@ def test_witnesses_are_those_that_are_known_to_have_heard_as_much():
     assert book.witnesses(0, 1, 5, everybody) == 1, "of those that fly"
 
 
+def test_goods_are_where_a_robot_that_is_out_says_that_it_is_now():
+    book = TaskBook([TASK], [record(0, (PICK, 1))])
+    for number, place in ((2, (0.5, 0.5)), (3, (0.25, 0.0))):
+        assert book.standings((0,), recover=True)[7].generation == 1
+        book.hear(Record(0, 1, number, place, (Deed(7, PICK, 1),), out=True))
+        assert book.standings((0,), recover=True)[7] == Standing(Fate.OPEN, place, 0, 1)
+
+
 @given(books, books)
 def test_standings_follow_every_change(a, b):
     a.standings((0, 1), True)

@@ -1,7 +1,8 @@
 """Sharing tasks by an auction of cheapest insertions: quick, from wherever the robots are and whatever they carry.
 
 Each robot bids for each free task what its route would grow by; in each pass every robot that has the best bid for
-something takes the one that it is best at. Only bids travel. Not optimal: a plan in a handful of rounds, at any time.
+something takes the one that it is best at, so that few passes do. What nobody can serve is left, and named. Only bids
+travel. Not optimal: a plan in some tens of rounds, at any time.
 """
 
 import math
@@ -13,7 +14,6 @@ from crazychoir.optimization.program import Exchange
 from crazychoir.routing.vehicle import SLACK, Vehicle
 
 Nodes = tuple[int, ...]
-DISCLOSED = ("what each task would cost each robot, the bids of the auction",)
 
 
 @dataclass
@@ -102,7 +102,9 @@ def _without_limit(vehicle: Vehicle) -> Vehicle:
     return replace(vehicle, limit=math.inf)
 
 
-def auction(robot: int, vehicle: Vehicle, free: list[int], diameter: int) -> Exchange[tuple[Nodes, tuple[int, ...]]]:
+def parallel_auction(
+    robot: int, vehicle: Vehicle, free: list[int], diameter: int
+) -> Exchange[tuple[Nodes, tuple[int, ...]]]:
     """This robot's route and the tasks that nobody can serve; the same passes at all robots.
 
     free: the tasks to be shared out, the same at all robots;  diameter: of the connected graph.

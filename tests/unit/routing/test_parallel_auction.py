@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from crazychoir.optimization.program import Program
-from crazychoir.routing.auction import Insertion, auction
 from crazychoir.routing.generate import random_instance
+from crazychoir.routing.parallel_auction import Insertion, parallel_auction
 from crazychoir.swarm.graph import named
 
 
@@ -93,7 +93,7 @@ class Auction(Program):
         super().__init__()
 
     def run(self):
-        return (yield from auction(*self.arguments))
+        return (yield from parallel_auction(*self.arguments))
 
 
 def sold(vehicles, free, graph):
