@@ -113,15 +113,16 @@ class Communicator(Rounds):
         n = ch.closed_at = max(ch.sending, ch.receiving)
         last = self._epochs.at(ch.joinable, max(n - 1, 0)).neighbors(self.id)
         neighbors = tuple(dict.fromkeys([*last, *(j for _, readers in ch.sent.values() for j in readers)]))
-        ends, answers, attempt = self._clock.now() + linger, ch.answers, 0
+        ends, answers, attempt, due_ns = self._clock.now() + linger, ch.answers, 0, self._clock.now_ns()
         while late := [j for j in neighbors if ch.finished.get(j, -1) < n and not self._absent(j)]:
             if ch.answers != answers:
                 ends, answers = self._clock.now() + linger, ch.answers
             if self._clock.now() >= ends or ch.changed is not None:
                 return
-            self._control(ch, FIN_TOO, tuple(late), n, attempt)
-            attempt += 1
-            await self._pause(ch, 2 * MIN_RTO)
+            if self._clock.now_ns() >= due_ns:  # not at any news: of n neighbours each would then ask n times
+                self._control(ch, FIN_TOO, tuple(late), n, attempt)
+                attempt, due_ns = attempt + 1, self._clock.now_ns() + round(2 * MIN_RTO * SECOND)
+            await self._pause(ch, (due_ns - self._clock.now_ns()) / SECOND)
         for again in range(attempt, attempt + FAREWELLS):
             self._control(ch, FIN, neighbors, n, again)
         ch.sent.clear()

@@ -329,3 +329,11 @@ def test_settled_consensus_ends_near_the_mean():
     history = simulate(agents, graph, loss=0.3)
     assert history.of()[:, -1] == pytest.approx(2.5, abs=1e-7)
     assert history.spread()[-1] > 0.0
+
+
+def test_the_end_of_a_channel_costs_each_edge_some_messages_however_dense_the_graph():
+    graph, rounds = complete(20), 5
+    rows = row_stochastic(graph)
+    agents = {i: Consensus(i, [float(i)], rows[i], rounds=rounds) for i in graph.ids}
+    history = simulate(agents, graph, loss=0.1, seed=1)
+    assert history.messages - history.resent < (rounds + 12) * len(graph.arcs)
