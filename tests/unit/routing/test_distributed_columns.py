@@ -75,7 +75,7 @@ def test_introductions_tell_all_that_a_route_depends_on(graph, monkeypatch, most
     monkeypatch.setattr(introduction, "MOST_BYTES", most_bytes)
     raw = random_instance(3, 5, 6, capable=0.7, loads=(1, 1)).to_json()
     distance = np.random.default_rng(3).uniform(1, 9, size=(3, 13, 13)).tolist()
-    raw |= {"distance": distance, "speed": [1, 2, 3], "time_windows": WINDOWS, "initial_load": [1, 0, 2], "recharge": 2}
+    raw |= {"distance": distance, "speed": [1, 2, 3], "time_windows": WINDOWS, "initial_load": [1, 0, 2]}
     instance, links = Instance.parse(raw), graph("path", 3)
     for known in run_all([introduce(member) for member in members(instance, links)], links):
         for i in range(3):
@@ -178,7 +178,8 @@ def test_the_optimum_of_the_arc_flow_model_is_found(graph, name):
 
 def test_no_bound_where_refusals_are_weighed_by_priority(graph):
     raw = random_instance(3, 5, 9, route_length_limit=40.0).to_json()
-    solution = solve_in_loop(Instance.parse(raw | {"penalty": [2.0] * 5, "priority": [0, 1, 0, 1, 0]}), graph("path", 3))
+    instance = Instance.parse(raw | {"penalty": [2.0] * 5, "priority": [0, 1, 0, 1, 0]})
+    solution = solve_in_loop(instance, graph("path", 3))
     assert solution.lower_bound is None
     assert solution.feasible
 
