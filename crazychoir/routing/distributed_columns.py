@@ -152,11 +152,10 @@ class DistributedColumns:
         if proof.infeasible:
             why = "each can be served alone, but not all together within capability, capacity and route_length_limit"
             raise SolverError(f"infeasible: no plan serves every task; {why} (robot {self._i})", "infeasible")
-        present = self._sets()
+        if proof.best is None or proof.best.cost >= self._worth(self.routes)[0] - BETTER:
+            return
         for i in self._robots:
-            tasks = () if proof.best is None else proof.best.routes.get(i, ())
-            if proof.best is not None and tasks != present.get(i, ()):
-                self.routes[i] = self._shortest(i, tasks)
+            self.routes[i] = self._shortest(i, proof.best.routes.get(i, ()))
 
     def _shortest(self, i: int, tasks: tuple[int, ...]) -> list[int]:
         """Stops of the shortest route of robot i that serves exactly these."""
