@@ -82,7 +82,7 @@ class Neighbors:
         stops = [np.array([s for s in routes.get(i, ()) if s < 2 * self.m], np.int64) for i in self.robots]
         to_route = np.array([_least(self._between[:, own], out) for own, out in zip(stops, self._out, strict=True)])
         one_way = np.array([self._mean_way(to_route, stops, a) for a in range(len(stops))])
-        return np.minimum(one_way, one_way.T)
+        return np.asarray(np.minimum(one_way, one_way.T))
 
     def _mean_way(self, to_route: Mat, stops: list[Ints], a: int) -> Vec:
         """(N,) mean over the nodes of robot a of the way to each route; to_route: (N, 2M)."""

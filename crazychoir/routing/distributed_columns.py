@@ -36,10 +36,11 @@ class DistributedColumns:
     """All robots plan, none of them for all.
 
     1. The robots introduce themselves (introduction.py).
-    2. Where the tables of all routes are of a size that can be made, gossip.py solves the relaxation and proves a bound.
+    2. Where every robot can list its routes, gossip.py solves the relaxation and proves a bound.
     3. Each robot searches for a plan of its own from nothing; the best one, agreed on, is the first that all know.
     4. Where few enough columns remain that a better plan could contain, or always if `prove`: proof.py.
-    5. Unless the plan is proven optimal, passes: all draw the same disjoint clusters; the leaders of each re-solve its joint problem; the best of what
+    5. Unless the plan is proven optimal, passes: all draw the same disjoint clusters; the leaders of each re-solve its
+       joint problem; the best of what
        they found is flooded and taken over by all. Clusters are disjoint, so that any number of them fits together: the
        draw is the lock. The plan in force is feasible after each pass.
 
@@ -107,7 +108,8 @@ class DistributedColumns:
         settings = self._member.settings
         self._member.report(phase="clusters")
         self._member.kind = "plans"
-        passes = max(settings.least_passes, min(settings.most_passes, settings.cluster_rounds // max(1, self._diameter)))
+        fitting = settings.cluster_rounds // max(1, self._diameter)
+        passes = max(settings.least_passes, min(settings.most_passes, fitting))
         near, still = Neighbors(self._robots), 0
         for k in range(passes):
             cost = self._worth(self.routes)[0]
@@ -150,17 +152,17 @@ class DistributedColumns:
         if proof.infeasible:
             why = "each can be served alone, but not all together within capability, capacity and route_length_limit"
             raise SolverError(f"infeasible: no plan serves every task; {why} (robot {self._i})", "infeasible")
-        present = self._sets()
+        if proof.best is None or proof.best.cost >= self._worth(self.routes)[0] - BETTER:
+            return
         for i in self._robots:
-            tasks = () if proof.best is None else proof.best.routes.get(i, ())
-            if proof.best is not None and tasks != present.get(i, ()):
-                self.routes[i] = self._shortest(i, tasks)
+            self.routes[i] = self._shortest(i, proof.best.routes.get(i, ()))
 
     def _shortest(self, i: int, tasks: tuple[int, ...]) -> list[int]:
         """Stops of the shortest route of robot i that serves exactly these."""
         chosen = np.array(tasks, dtype=np.int64)
-        inner = shortest_route(restricted(self._robots[i], chosen).vehicle, range(len(tasks)), self._member.local.objective)
-        return renamed(inner[0], chosen, self._m)
+        vehicle = restricted(self._robots[i], chosen).vehicle
+        stops, _ = shortest_route(vehicle, range(len(tasks)), self._member.local.objective)
+        return renamed(stops, chosen, self._m)
 
     def _assignment(self, bound: float | None) -> Assignment:
         left = self._missing()

@@ -96,6 +96,7 @@ class Gossip:
     def _agree(self, best: Relaxation) -> Exchange[tuple[float, Vec]]:
         """The least value, and the prices of the robot that found it."""
         self._member.kind = "prices"
-        offer = yield from best_offer([best.value, self._i, best.prices], self._member.place.diameter)
-        assert offer is not None  # everybody makes one
-        return float(offer[0]), offer[2]
+        own: list[Any] = [best.value, self._i, best.prices]
+        offer = yield from best_offer(own, self._member.place.diameter)
+        value, _, prices = offer or own  # everybody makes one
+        return float(value), prices

@@ -80,8 +80,9 @@ class Master:
         s.t. sum_{c serves j} x_c + v_j >= 1                     : pi_j >= 0
              sum_{c of i} x_c <= 1                               : sigma_i <= 0,    x >= 0, v >= 0
 
-    penalty: (M,) m, more than any price, or what it costs to refuse the task;  spread: the right-hand sides are raised by up to this, each by another amount,
-    the same at all robots: then no optimal basis is degenerate, so prices are unique;  basis: columns of the last optimal basis, at most M + N.
+    penalty: (M,) m, more than any price, or what it costs to refuse the task;  spread: the right-hand sides are raised
+    by up to this, each by another amount, the same at all robots: then no optimal basis is degenerate, so prices are
+    unique;  basis: columns of the last optimal basis, at most M + N.
     Raises SolverError if HiGHS does not reach the optimum.
     """
 
@@ -121,7 +122,8 @@ class Master:
     def _row_of(self, robot: int) -> int:
         if robot not in self._row:
             self._row[robot] = self._tasks + len(self._row)
-            self._highs.addRow(-highspy.kHighsInf, self._raised(self._tasks + robot), 0, np.array([], np.int32), np.array([]))
+            most = self._raised(self._tasks + robot)
+            self._highs.addRow(-highspy.kHighsInf, most, 0, np.array([], np.int32), np.array([]))
         return self._row[robot]
 
     def _raised(self, row: int) -> float:

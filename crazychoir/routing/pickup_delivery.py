@@ -28,11 +28,12 @@ METHODS = ("columns", "resource-columns", "resource", "resource-argmax", *insert
 class PickupDelivery(Program[Solution]):
     """Robot i of a team that shares out pickup-and-delivery tasks: a Round.
 
-        price rounds (primal decomposition)  ->  recovery of an integer plan  ->  confirmation of its hash
+        prices (column generation, or primal decomposition)  ->  an integer plan  ->  confirmation of its hash
 
     columns: distributed column generation and clusters, see distributed_columns.py; the best plans.
-    resource-columns: price rounds, then the robots also share route columns; the plan is proven optimal where the tables are complete.
-    resource, resource-argmax: only prices and claims travel; quick, private, not optimal.
+    resource-columns: price rounds, then the robots also share route columns; the plan is proven optimal where the
+    tables are complete.
+    resource, resource-argmax: only prices and claims travel; quick, not optimal.
     cbba, auction: bids of cheapest insertions, see insertion_bids.py; baselines, without a bound.
     diameter: of the connected, undirected graph;  degree_of: degree of each neighbour.
     All robots are done in the same round, with the same plan digest, cost and bound.

@@ -13,10 +13,10 @@ from crazychoir.routing.generate import random_instance
 from crazychoir.routing.gossip import Gossip
 from crazychoir.routing.instance import Instance
 from crazychoir.routing.introduction import introduce, restricted
-from crazychoir.routing.master import Pool
+from crazychoir.routing.master import Pool, partition
 from crazychoir.routing.member import Member, Place, Settings
 from crazychoir.routing.neighborhood import flown, reoptimize
-from crazychoir.routing.pricing import RouteTable
+from crazychoir.routing.pricing import Column, RouteTable
 from crazychoir.routing.solve import diameter, solve_in_loop
 
 WINDOWS = {"pickup": [[0, 20]] * 4 + [None], "delivery": [[0, 40]] * 5, "home": [[0, 90]] * 3}
@@ -75,7 +75,7 @@ def test_introductions_tell_all_that_a_route_depends_on(graph, monkeypatch, most
     monkeypatch.setattr(introduction, "MOST_BYTES", most_bytes)
     raw = random_instance(3, 5, 6, capable=0.7, loads=(1, 1)).to_json()
     distance = np.random.default_rng(3).uniform(1, 9, size=(3, 13, 13)).tolist()
-    raw |= {"distance": distance, "speed": [1, 2, 3], "time_windows": WINDOWS, "initial_load": [1, 0, 2], "recharge": 2}
+    raw |= {"distance": distance, "speed": [1, 2, 3], "time_windows": WINDOWS, "initial_load": [1, 0, 2]}
     instance, links = Instance.parse(raw), graph("path", 3)
     for known in run_all([introduce(member) for member in members(instance, links)], links):
         for i in range(3):
@@ -178,7 +178,8 @@ def test_the_optimum_of_the_arc_flow_model_is_found(graph, name):
 
 def test_no_bound_where_refusals_are_weighed_by_priority(graph):
     raw = random_instance(3, 5, 9, route_length_limit=40.0).to_json()
-    solution = solve_in_loop(Instance.parse(raw | {"penalty": [2.0] * 5, "priority": [0, 1, 0, 1, 0]}), graph("path", 3))
+    instance = Instance.parse(raw | {"penalty": [2.0] * 5, "priority": [0, 1, 0, 1, 0]})
+    solution = solve_in_loop(instance, graph("path", 3))
     assert solution.lower_bound is None
     assert solution.feasible
 
@@ -198,3 +199,18 @@ def test_bytes_are_told_by_kind(graph):
     assert all(size > 0 for size in kinds.values())
     claims = solve_in_loop(instance, graph("ring", 4), "resource").bytes_by_kind
     assert set(claims) == {"start", "prices", "claims", "plans"}
+
+
+@pytest.mark.parametrize("seed", [18, 33, 39, 45, 52])
+def test_refusals_are_weighed_in_the_proof_where_the_relaxation_has_a_gap(graph, seed):
+    robots, tasks, limit = 3 + seed % 4, 6 + seed % 5, (25, 32, 45)[seed // 3 % 3]
+    raw = random_instance(robots, tasks, seed, capable=(1, 0.8, 0.5)[seed % 3], route_length_limit=limit).to_json()
+    penalty = np.random.default_rng(seed).uniform(4.0, 14.0, size=tasks)
+    instance = Instance.parse(raw | {"penalty": penalty.tolist()})
+    tables = [RouteTable(instance.local(i).vehicle) for i in range(robots)]
+    columns = [(i, table.column(c)) for i, table in enumerate(tables) for c in range(1, len(table))]
+    refusals = [(robots + j, Column(float(penalty[j]), (j,))) for j in range(tasks)]
+    best = partition(columns + refusals, tasks, seed=0, nodes=10_000)
+    solution = solve_in_loop(instance, graph("ring", robots), settings=Settings(first_steps=1))
+    assert solution.cost == pytest.approx(best.cost, abs=1e-6)
+    assert solution.lower_bound == pytest.approx(best.cost, abs=1e-3)
