@@ -384,6 +384,7 @@ class OnlinePDVRPGuidance(CFGuidance):
         homes = np.array([drone.home[:2] for drone in config.drones if drone.id != self.id])
         low, high = np.array(config.fence.min[:2]) + EDGE, np.array(config.fence.max[:2]) - EDGE
         z = config.flight.ground + self.options.levels[self.id]
+        await self._come_to_rest()
         for point in way_round(np.array(self._here()), goal, homes, self.options.clearance, low, high):
             leg = asyncio.ensure_future(self.go_to([*point.tolist(), z]))
             began = np.array(self._here())
@@ -398,6 +399,13 @@ class OnlinePDVRPGuidance(CFGuidance):
                 await _given_up(leg)
                 self.flown += float(np.linalg.norm(self._here() - began))
         return True
+
+    async def _come_to_rest(self) -> None:
+        """A flight that turns round under way would swing far out: who flies elsewhere now stops first, for a moment."""
+        pilot = self.member.pilot
+        if pilot.remaining() > 0.0:
+            pilot.hover()
+            await self.sleep(pilot.remaining())
 
     async def _serve(self, stop: Stop) -> None:
         """Announce the stop, serve it, and leave when the team knows."""

@@ -212,6 +212,12 @@ def test_a_drone_that_is_cut_off_and_comes_back_serves_nothing_that_others_serve
     assert all(len(by) == 1 for by in outcome.delivered.values()), outcome.delivered
 
 
+def test_a_drone_that_is_sent_elsewhere_at_full_speed_stays_in_its_room():
+    """It flew home at 1 m/s, out of the way, when a task came up behind it."""
+    outcome = fly_online(drawn(90), {})
+    assert outcome.reasons == []
+
+
 def test_a_method_of_pickup_delivery_plans_in_flight_too():
     config = drawn(2, 0.2, drones=3, tasks=4, later=1, method="resource-columns")
     outcome = fly_online(config, {2: 9.0})
