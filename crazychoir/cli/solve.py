@@ -7,7 +7,7 @@ import typer
 from rich.console import Group
 from rich.table import Table
 
-from crazychoir.cli.show import STDERR, Progress, fail, set_up_logging, write_json
+from crazychoir.cli.show import STDERR, Progress, fail, interrupted, set_up_logging, write_json
 from crazychoir.errors import CrazyChoirError
 
 if TYPE_CHECKING:
@@ -65,6 +65,8 @@ def solve(
             _draw(problem, result, picture)
     except CrazyChoirError as error:
         fail(error, as_json)
+    except KeyboardInterrupt:
+        interrupted(as_json)
     if as_json:
         write_json(result)
     else:
