@@ -401,7 +401,7 @@ class OnlinePDVRPGuidance(CFGuidance):
         return True
 
     async def _come_to_rest(self) -> None:
-        """A flight that turns round under way would swing far out: who flies elsewhere now stops first, for a moment."""
+        """A flight that turns round under way swings far out: who flies elsewhere now stops first, for a moment."""
         pilot = self.member.pilot
         if pilot.remaining() > 0.0:
             pilot.hover()
