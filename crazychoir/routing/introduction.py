@@ -28,6 +28,7 @@ def introduce(member: Member) -> Exchange[dict[int, LocalProblem]]:
         turn = range(first, min(first + at_once, place.robots))
         told = yield from flood(place.robot, _told(local) if place.robot in turn else None, place.diameter)
         known |= {i: _understood(local, i, told[i]) for i in turn}
+    member.fixed = max(robot.fixed for robot in known.values())
     return known
 
 

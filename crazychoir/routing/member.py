@@ -101,6 +101,8 @@ class Member:
     kind: str = "start"
     """Of the messages of the present rounds."""
     bytes_by_kind: dict[str, int] = field(default_factory=dict)
+    fixed: float = 0.0
+    """m, the highest fixed cost of a robot, as far as the robots have told it."""
 
     @cached_property
     def table(self) -> RouteTable:
@@ -109,13 +111,13 @@ class Member:
 
     @cached_property
     def penalty(self) -> Vec:
-        """(M,) m: what leaving a task unserved costs, more than a tour for it alone from any corner of the arena.
+        """(M,) m: what leaving a task unserved costs, more than any robot for it alone from any corner of the arena.
 
         A task at a still higher price stays unserved in the relaxations: the bound is weaker then, never wrong.
         """
         tasks = self.local.tasks
         points = np.vstack([tasks.pickup, tasks.delivery, self.local.home])
-        return np.full(len(tasks), self.settings.penalty * float(np.linalg.norm(np.ptp(points, axis=0))))
+        return np.full(len(tasks), self.fixed + self.settings.penalty * float(np.linalg.norm(np.ptp(points, axis=0))))
 
     @cached_property
     def unserved(self) -> Vec:

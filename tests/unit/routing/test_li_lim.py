@@ -7,6 +7,7 @@ from crazychoir.errors import InstanceError
 from crazychoir.routing.checker import check
 from crazychoir.routing.instance import Instance
 from crazychoir.routing.plan import Route
+from crazychoir.solving import solve_here
 
 
 @pytest.fixture
@@ -68,3 +69,20 @@ def test_best_known_solutions_cost_what_is_published(reference_data, name, vehic
     assert len(routes) == vehicles
     assert plan.cost == pytest.approx(vehicles * instance.fixed_cost + length, abs=0.01)
     assert instance.fixed_cost > length
+
+
+@pytest.mark.parametrize(
+    ("name", "vehicles", "length"),
+    [
+        ("lr101", 19, 1650.80),
+        pytest.param("lrc101", 14, 1708.80, marks=pytest.mark.slow),
+        pytest.param("lc101", 10, 828.94, marks=pytest.mark.slow),
+    ],
+)
+def test_a_team_proves_the_best_known_solution_optimal(reference_data, name, vehicles, length):
+    instance = Instance.load(reference_data("lilim") / f"{name}.txt")
+    found = solve_here(instance, graph="k-regular:4", loss=0.1)
+    assert len(found["routes"]) == vehicles
+    assert sum(route["length"] for route in found["routes"]) == pytest.approx(length, abs=0.01)
+    assert found["bound_exact"]
+    assert found["lower_bound"] == pytest.approx(found["cost"], rel=1e-9)
