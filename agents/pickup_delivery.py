@@ -12,6 +12,7 @@ from crazychoir import PDVRPGuidance, SwarmConfig
 from crazychoir.errors import ConfigError
 from crazychoir.routing.checker import check as violations
 from crazychoir.routing.instance import Instance
+from crazychoir.routing.pickup_delivery import METHODS
 from crazychoir.routing.picture import draw_routes
 from crazychoir.routing.plan import Plan, Route
 
@@ -24,7 +25,7 @@ def guidance(i: int, config: SwarmConfig) -> PDVRPGuidance:
     """Robot i, with its own part of the instance."""
     options = config.mission_options
     return PDVRPGuidance(
-        instance(config).local(i), options.get("method", "resource-columns"), options.get("service_time", 1.0)
+        instance(config).local(i), options.get("method", METHODS[0]), options.get("service_time", 1.0)
     )
 
 

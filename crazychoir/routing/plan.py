@@ -130,7 +130,7 @@ class Solution:
 
     cost: m;  lower_bound: m, no plan at all costs less (None: unknown, bound_exact is False then);  bound_exact: it is
     proven, by exact pricing of all routes, which does not say that it is tight: a plan is proven optimal where its cost
-    is the bound, and `resource` and `resource-argmax` prove weaker ones than `resource-columns`;  disclosed: what the
+    is the bound, and `resource` and `resource-argmax` prove weaker ones than `columns`;  disclosed: what the
     robots told each other;  rounds: of communication;  routes: those that this robot knows;  bytes_by_kind: payloads
     that it sent, by what they were about, without headers and without what was sent again.
     """

@@ -58,7 +58,7 @@ class ResourceRecovery:
         raise SolverError(
             f"robot {self._i}: claims on the tasks",
             f"incomplete after {self._member.settings.attempts} attempts: nobody's route has room for task(s) "
-            f"{', '.join(map(str, open_tasks))}; use the method resource-columns",
+            f"{', '.join(map(str, open_tasks))}; use the method columns",
         )
 
     def _claim(self, attempt: int) -> Exchange[Ints]:
