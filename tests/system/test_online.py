@@ -227,6 +227,7 @@ def test_a_method_of_pickup_delivery_plans_in_flight_too():
 # Over processes ------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.real_time
 @pytest.mark.timeout(360)
 async def test_a_process_is_killed_in_flight_and_comes_back_while_an_operator_adds_a_task(tmp_path, compiled):
