@@ -83,7 +83,7 @@ def here(monkeypatch):
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["nothing", "--fast"], ["nothing", "bearing_formation, drawn_path, figure, pickup_delivery"]),
+        (["nothing", "--fast"], ["nothing", "bearing_formation, drawn_path, figure, online_delivery, pickup_delivery"]),
         (["no_file.toml", "--fast"], ["no_file.toml"]),
         (["bearing_formation", "--only", "2,3"], ["--only", "2,3 without a swarm file", "--swarm"]),
         (["deploy/lab6.toml", "--only", "x"], ["--only", "0 to 5"]),
@@ -102,7 +102,7 @@ def test_run_refuses(here, repository, monkeypatch, words, said):
 
 def test_what_is_refused_is_one_json_object_and_exit_code_2():
     said = call("crazychoir", "run", "nothing", "--fast", "--json")
-    said.refuses("bearing_formation, drawn_path, figure, pickup_delivery")
+    said.refuses("bearing_formation, drawn_path, figure, online_delivery, pickup_delivery")
     assert said.json["kind"] == "ConfigError"
     assert said.json["success"] is False
 

@@ -109,7 +109,7 @@ def test_claims_end_in_a_feasible_plan_or_a_refusal_and_their_bound_is_one(raw, 
         solution = solve_in_loop(instance, graph, method, Settings(price_rounds=rounds))
     except SolverError as refusal:
         # Without a limit every route can take one task more.
-        if "use the method resource-columns" not in str(refusal) or np.isinf(instance.route_length_limit):
+        if "use the method columns" not in str(refusal) or np.isinf(instance.route_length_limit):
             raise
         return
     assert optimum is not None

@@ -175,7 +175,7 @@ def infeasible():
 def test_an_infeasible_instance_is_a_clear_error():
     with pytest.raises(SolverError, match=r"^infeasible: no plan serves every task; each can be served alone"):
         solve_in_loop(infeasible(), {0: [1], 1: [0]})
-    with pytest.raises(SolverError, match="use the method resource-columns"):
+    with pytest.raises(SolverError, match="use the method columns"):
         solve_in_loop(infeasible(), {0: [1], 1: [0]}, "resource")
 
 
