@@ -3,7 +3,6 @@
 import asyncio
 import contextlib
 import json
-import logging
 import os
 import signal
 import socket
@@ -13,10 +12,9 @@ from pathlib import Path
 
 import pytest
 from system.agents import AGENT, BRISK, CRAZYCHOIR, Program, Team, until
-from system.commands import Said, call, run
-from typer.testing import CliRunner
+from system.commands import call, run
 
-from crazychoir.cli import agent, crazychoir, window
+from crazychoir.cli import window
 from crazychoir.guidance.mission import load
 from crazychoir.launch.flight import NO_REASON, fly_fast
 from crazychoir.launch.network import apart
@@ -63,21 +61,6 @@ def report(config, results):
                       for i, result in results.items()}}
 """
 DRONE = "[[drones]]\nid = 0\nhome = [0.0, 0.0, 0.0]\n"
-
-
-
-
-@pytest.fixture
-def here(monkeypatch):
-    """Calls a command in this process, where nothing is imported anew; like `call`, which starts one."""
-    monkeypatch.setattr(logging.root, "handlers", [*logging.root.handlers])  # a command sets up its own
-    apps = {"crazychoir": crazychoir.app, "crazychoir-agent": agent.app}
-
-    def call_here(program, *words):
-        done = CliRunner().invoke(apps[program], [str(word) for word in words], catch_exceptions=False)
-        return Said(done.exit_code, done.stdout, done.stderr)
-
-    return call_here
 
 
 @pytest.mark.parametrize(

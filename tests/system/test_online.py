@@ -21,7 +21,7 @@ def whole(seed, kills=2, loss=0.2, **options):
     return fly_online(config, killed_at(config, kills))
 
 
-@pytest.mark.parametrize("seed", [1000, 1001, 1002])
+@pytest.mark.parametrize("seed", [1000, 1001])
 def test_all_that_the_living_can_serve_is_served_though_two_are_killed(seed):
     outcome = whole(seed)
     assert outcome.reasons == []
@@ -48,7 +48,7 @@ def test_all_that_the_living_can_serve_is_served_over_200_seeds():
 
 # A drone that is killed at a stop ------------------------------------------------------------------------------
 
-MOMENTS = [0.0, 0.25, 0.9, *(pytest.param(s, marks=pytest.mark.slow) for s in (0.1, 0.5, 1.3))]
+MOMENTS = [0.0, 0.9, *(pytest.param(s, marks=pytest.mark.slow) for s in (0.1, 0.25, 0.5, 1.3))]
 """s after it has announced a stop."""
 
 

@@ -95,21 +95,21 @@ def test_plot_says_and_draws(recorded, tmp_path):
         assert word in table.err
 
 
-def test_what_cannot_be_recorded_is_said_before_anybody_flies(tmp_path):
+def test_what_cannot_be_recorded_is_said_before_anybody_flies(here, tmp_path):
     taken = tmp_path / "taken.mcap"
     taken.write_text("old")
     wrong = ((taken, "one already"), (tmp_path / "a.bag", "ends in .mcap"), ("/proc/a.mcap", "that can be made"))
     for world, (path, words) in zip(((), ("--fast",), ()), wrong, strict=True):
-        call("crazychoir", "run", MISSION, "--record", path, *world, seconds=20).refuses("--record", words)
+        here("crazychoir", "run", MISSION, "--record", path, *world).refuses("--record", words)
     assert taken.read_text() == "old"
 
 
-def test_what_cannot_be_plotted_is_said(tmp_path, recorded):
+def test_what_cannot_be_plotted_is_said(here, tmp_path, recorded):
     other = tmp_path / "other.mcap"
     other.write_text("not MCAP")
-    call("crazychoir", "plot", other).refuses("other.mcap", "an MCAP file")
-    call("crazychoir", "plot", tmp_path / "none.mcap").refuses("none.mcap", "No such file")
-    call("crazychoir", "plot", recorded[0], "--out", other).refuses("--out", "File exists")
+    here("crazychoir", "plot", other).refuses("other.mcap", "an MCAP file")
+    here("crazychoir", "plot", tmp_path / "none.mcap").refuses("none.mcap", "No such file")
+    here("crazychoir", "plot", recorded[0], "--out", other).refuses("--out", "File exists")
 
 
 @pytest.mark.real_time

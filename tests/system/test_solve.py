@@ -59,23 +59,23 @@ def instance(repository):
     return json.loads((repository / "tests" / "data" / "pickup_delivery_flat.json").read_text())
 
 
-def test_a_task_that_no_robot_can_carry_is_named(tmp_path, instance):
+def test_a_task_that_no_robot_can_carry_is_named(here, tmp_path, instance):
     path = tmp_path / "heavy.json"
     instance["load"][2] = 1e3
     path.write_text(json.dumps(instance))
-    said = call("crazychoir", "solve", path, "--json")
+    said = here("crazychoir", "solve", path, "--json")
     said.refuses("InstanceError", "task 2")
     assert said.json["success"] is False
 
 
 @pytest.mark.parametrize("text", ["", "[]", "{", '{"home": []}', "\x00\xff"])
-def test_a_file_that_is_no_instance_is_refused(tmp_path, text):
+def test_a_file_that_is_no_instance_is_refused(here, tmp_path, text):
     path = tmp_path / "odd.json"
     path.write_text(text)
-    call("crazychoir", "solve", path).refuses("odd.json")
+    here("crazychoir", "solve", path).refuses("odd.json")
 
 
-def test_a_method_and_a_graph_that_do_not_exist_are_refused(repository):
+def test_a_method_and_a_graph_that_do_not_exist_are_refused(here, repository):
     path = repository / "tests" / "data" / "pickup_delivery_flat.json"
-    call("crazychoir", "solve", path, "--method", "magic").refuses("magic", "resource-columns")
-    call("crazychoir", "solve", path, "--graph", "knot").refuses("knot")
+    here("crazychoir", "solve", path, "--method", "magic").refuses("magic", "resource-columns")
+    here("crazychoir", "solve", path, "--graph", "knot").refuses("knot")

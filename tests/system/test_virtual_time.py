@@ -31,13 +31,7 @@ def usual():
     return run("pickup_delivery", "--fast", "--seed", 1, PYTHONHASHSEED="0")
 
 
-@pytest.mark.parametrize("hash_seed", ["1", "random"])
-def test_the_digest_does_not_depend_on_the_hash_seed(usual, hash_seed):
-    again = run("pickup_delivery", "--fast", "--seed", 1, PYTHONHASHSEED=hash_seed)
-    assert again["digest"] == usual["digest"]
-
-
-def test_the_digest_does_not_depend_on_the_load_of_the_machine(usual, busy):
+def test_the_digest_depends_neither_on_the_hash_seed_nor_on_the_load_of_the_machine(usual, busy):
     again = run("pickup_delivery", "--fast", "--seed", 1, PYTHONHASHSEED="random")
     assert again["digest"] == usual["digest"]
 
@@ -46,8 +40,8 @@ def test_another_seed_is_another_run(usual):
     assert run("pickup_delivery", "--fast", "--seed", 2)["digest"] != usual["digest"]
 
 
-@pytest.mark.parametrize("loss", [0.2, 0.5])
-def test_the_plan_does_not_depend_on_what_is_lost(usual, loss):
+def test_the_plan_does_not_depend_on_what_is_lost(usual):
+    loss = 0.5
     lossy = run("pickup_delivery", "--fast", "--seed", 1, "--loss", loss)
     assert lossy["success"]
     assert lossy["plan_digest"] == usual["plan_digest"]
