@@ -3,13 +3,16 @@
 numba's own cache looks at the one file in which a law is written, and would go on with old machine code when a piece or
 a constant in another file has changed. This one goes by a digest of all that the machine code is made of: the law's
 byte code and, recursively, every piece and every constant that it names. Comments, docstrings and times do not count.
+Processes that start together take turns: the first one compiles a law, the others wait and then find it on the disk.
 """
 
 import builtins
 import glob
 import os
 import sys
+import threading
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from functools import cache, cached_property
 from hashlib import blake2b
 from opcode import opmap
@@ -21,9 +24,17 @@ import numpy as np
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile, NullCache
 from numba.core.dispatcher import Dispatcher
 
+locks: Any
+try:
+    import fcntl as locks
+except ImportError:  # elsewhere than on Unix each process compiles for itself
+    locks = None
+
 VERSIONS = (numba.__version__, np.__version__)
 LIBRARIES = ("builtins", "math", "cmath", "numpy", "numba")
 """Packages whose functions and constants are told by their names: the versions say the rest."""
+PATIENCE, LOOK = 2400, 0.05
+"""Looks, and s between them, at whether another process has compiled a law; then we do it, too."""
 EXACT = (type(None), bool, int, float, complex, str, bytes, type(Ellipsis))
 """Types of values of which `repr` says all; with those of NUMBERS."""
 NUMBERS = (np.number, np.bool_, np.dtype, numba.types.Type)
@@ -47,6 +58,7 @@ class Kept(NullCache):
 
     def __init__(self, law: Callable[..., Any], *options: Any) -> None:
         self._law, self._options, self._busy = law, options, False
+        self._turn: _Turn | None = None
 
     @cached_property
     def digest(self) -> str:
@@ -73,15 +85,21 @@ class Kept(NullCache):
         return self._files.cache_path
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """The machine code for these types, None if there is none."""
+        """The machine code for these types, None if there is none: then it is our turn to compile it."""
         found = self._files.load_overload(sig, target_context)
         if found is None:
             _say_once()
+            self._turn = _Turn(getattr(self._files, "place", ""))
+            found = self._files.load_overload(sig, target_context)
+            if found is not None:
+                self._turn.end()
         return found
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Keep the machine code for these types."""
         self._files.save_overload(sig, data)
+        if self._turn is not None:
+            self._turn.end()
 
     def flush(self) -> None:
         """Forget all of it."""
@@ -93,6 +111,36 @@ def _say_once() -> None:
     """People who wait are told what for."""
     if sys.stderr.isatty():
         sys.stderr.write("crazychoir compiles its laws, once; that takes up to a minute\n")
+
+
+class _Turn:
+    """The only process that compiles a law, until `end`, or its own end; place: of a file that says so, "" for none."""
+
+    def __init__(self, place: str) -> None:
+        self._place, self._file = place, -1
+        if locks is None or not place:
+            return
+        with suppress(OSError):  # where nothing can be written nothing is kept
+            os.makedirs(os.path.dirname(place), exist_ok=True)
+            self._file = os.open(place, os.O_CREAT | os.O_RDWR | os.O_CLOEXEC, 0o600)
+            self._wait()
+
+    def _wait(self) -> None:
+        pause = threading.Event()
+        for _ in range(PATIENCE):
+            try:
+                locks.flock(self._file, locks.LOCK_EX | locks.LOCK_NB)
+            except BlockingIOError:
+                pause.wait(LOOK)
+            else:
+                return
+
+    def end(self) -> None:
+        """Who waits looks whether the machine code is there now."""
+        if self._file >= 0:
+            _remove(self._place)
+            os.close(self._file)
+            self._file = -1
 
 
 class _Place(CompileResultCacheImpl):
@@ -118,6 +166,11 @@ class _Files(FunctionCache):
         files: Any = IndexDataCacheFile
         self._cache_file = files(self._cache_path, self._impl.filename_base, digest)
         self.enable()  # type: ignore[no-untyped-call]
+
+    @property
+    def place(self) -> str:
+        """Of the file that says who compiles it."""
+        return os.path.join(self._cache_path, f"{self._impl.filename_base}.turn")
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Keep the machine code for these types."""

@@ -3,6 +3,7 @@ import os
 import subprocess
 import sys
 import types
+from concurrent.futures import ThreadPoolExecutor
 
 import numba
 import numpy as np
@@ -49,6 +50,15 @@ def run(folder, **environment):
     answer = subprocess.run([sys.executable, folder / "law.py"], env=environment, capture_output=True, check=True)
     result, missed, place = answer.stdout.decode().split()
     return float(result), int(missed), place
+
+
+def test_of_processes_that_start_together_one_compiles(folder):
+    (folder / "pieces.py").write_text(PIECES + "\nimport time\ntime.sleep(0.5)  # so that all have begun\n")
+    with ThreadPoolExecutor(3) as pool:
+        answers = list(pool.map(lambda _: run(folder), range(3)))
+    assert [result for result, *_ in answers] == [7.0] * 3
+    assert sum(missed for _, missed, _ in answers) == 2, "law and piece, once each"
+    assert not list(folder.rglob("*.turn"))
 
 
 def test_a_constant_of_another_file_that_has_changed_compiles_what_names_it_anew(folder):
