@@ -86,7 +86,8 @@ def _team(file: Path, agents: int, graph: str, seed: int, directed: bool) -> "tu
     team = {i: hook(i, links) for i in links.ids}
     for i, one in team.items():
         if not isinstance(one, Round):
-            raise hook.wrong(f"{type(one).__name__} for agent {i}")
+            missing = ", ".join(name for name in ("message", "step", "done") if not hasattr(one, name))
+            raise hook.wrong(f"{type(one).__name__} for agent {i}, without {missing}")
     return links, team
 
 

@@ -72,7 +72,11 @@ def test_a_picture_of_agents_that_agree_from_the_start_is_drawn(simulated, tmp_p
     [
         ("x = 1", (), "no function agent(i, graph); allowed: a file that defines agent(i, graph)"),
         ("def agent(i): pass", (), "found def agent(i); allowed: def agent(i, graph)"),
-        ("def agent(i, graph): return 3", (), "int for agent 0; allowed: an agent: message(), step(heard), done"),
+        (
+            "def agent(i, graph): return 3",
+            (),
+            "int for agent 0, without message, step, done; allowed: an agent: message(), step(heard), done",
+        ),
         ("def agent(i, graph):\n    return {}[i]", (), "mine.py:2: agent(i, graph): found KeyError: 0"),
         (AVERAGING, ("--graph", "rink"), "graph: found rink"),
         (AVERAGING, ("--record", "y"), "record: found y; allowed: attributes of agent 0, a Consensus"),
