@@ -67,7 +67,7 @@ class ASYMM:
         self.rho = dict.fromkeys(self.neighbors, penalty)
         self._gap = dict.fromkeys(self.neighbors, np.inf)
         self._own = _Own(self.where, len(self.x), objective, equalities, inequalities, penalty)
-        self._diameter, self._flags = diameter, Flags(diameter, False)
+        self.diameter, self._flags = diameter, Flags(diameter, False)
         self._calm = 0
         self._heard: dict[int, Heard] = {}
 
@@ -127,7 +127,7 @@ class ASYMM:
         self._own.ascend(self.x, self.growth, self.shrink, self.tolerance)
         self.epoch += 1
         self.tolerance *= self.sharpen
-        self._flags = Flags(self._diameter, False)
+        self._flags = Flags(self.diameter, False)
         self._calm = 0
 
 

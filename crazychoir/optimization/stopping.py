@@ -79,8 +79,10 @@ class LogicAnd:
     Equation and source: see Flags.
     """
 
+    connected = True
+
     def __init__(self, diameter: int, flag: bool = False) -> None:
-        self.flag = flag
+        self.flag, self.diameter = flag, diameter
         self._flags = Flags(diameter, flag)
 
     @property
@@ -104,9 +106,10 @@ class AsynchronousLogicAnd:
     """
 
     asynchronous = True
+    connected = True
 
     def __init__(self, neighbors: tuple[int, ...], diameter: int, flag: bool = False) -> None:
-        self.neighbors, self.flag = neighbors, flag
+        self.neighbors, self.flag, self.diameter = neighbors, flag, diameter
         self._flags = Flags(diameter, flag, latched=True)
 
     @property
@@ -175,7 +178,7 @@ class Until(Riding[A]):
         super().__init__(algorithm)
         if self.asynchronous and neighbors is None:
             raise ConfigError("Until: neighbors", "None", "whom this agent hears, for an asynchronous algorithm")
-        self.criterion, self.neighbors = criterion, neighbors or ()
+        self.criterion, self.neighbors, self.diameter = criterion, neighbors or (), diameter
         self._flags = Flags(diameter, False, latched=self.asynchronous)
 
     @property
