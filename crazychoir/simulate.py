@@ -94,7 +94,11 @@ class History:
         return counted
 
     def save(self, path: str | Path) -> None:
-        """Write the histories, as the suffix says: .csv (a row an agent and round), .json, .npz (x_3, time_3, ...)."""
+        """Write the histories, as the suffix says: .csv (a row an agent and round), .json, .npz (x_3, time_3, ...).
+
+        What an agent does not have, as where others have more entries, is an empty cell of a .csv. Raises ConfigError
+        for another suffix, and for a .npz of what changes its shape.
+        """
         path = Path(path)
         if path.suffix not in SUFFIXES:
             raise ConfigError("history", path.name, f"a file that ends in {', '.join(SUFFIXES)}")
@@ -105,23 +109,32 @@ class History:
             path.write_text(json.dumps(plain(self.to_json() | {"values": self.values, "times": self.times})))
         else:
             series = {f"{name}_{i}": x for i, values in self.values.items() for name, x in values.items()}
+            changing = next((name for name, x in series.items() if isinstance(x, list)), None)
+            if changing is not None:
+                raise ConfigError(f"history: {changing}", "a shape that changes", "one shape in .npz", "Save as .json.")
             times = {f"time_{i}": time for i, time in self.times.items()}
             np.savez(path, allow_pickle=False, **{**series, **times})
 
     def _lines(self) -> list[str]:
         """Head and rows; an array has a column an entry."""
-        first = next(iter(self.values.values()))
-        names = [f"{name}{place}" for name, series in first.items() for place in _places(series[0])]
-        lines = [",".join(["agent", "round", "time_s", *names])]
-        for i, values in self.values.items():
-            for k, at in enumerate(self.times[i]):
-                entries = [e for series in values.values() for e in np.ravel(series[k]).tolist()]
-                lines.append(",".join(map(str, [i, k, at, *entries])))
+        rows = {(i, k): self._entries(i, k) for i, times in self.times.items() for k in range(len(times))}
+        found = dict.fromkeys(column for entries in rows.values() for column in entries)
+        names = list(next(iter(self.values.values())))
+        columns = sorted(found, key=lambda column: (names.index(column[0]), column[1]))
+        lines = [",".join(["agent", "round", "time_s", *(name + _place(at) for name, at in columns)])]
+        for (i, k), entries in rows.items():
+            cells = [str(entries.get(column, "")) for column in columns]
+            lines.append(",".join([str(i), str(k), str(self.times[i][k]), *cells]))
         return lines
 
+    def _entries(self, i: int, k: int) -> dict[tuple[str, tuple[int, ...]], Any]:
+        """Of agent i after k steps, by name and place in the array."""
+        arrays = {name: np.array(series[k]) for name, series in self.values[i].items()}
+        return {(name, at): x[at].item() for name, x in arrays.items() for at in np.ndindex(x.shape)}
 
-def _places(x: Any) -> list[str]:
-    return ["".join(f"[{n}]" for n in place) for place in np.ndindex(np.shape(x))]
+
+def _place(at: tuple[int, ...]) -> str:
+    return "".join(f"[{n}]" for n in at)
 
 
 def simulate(
@@ -227,11 +240,14 @@ class _Followed:
     def _keep(self) -> None:
         self.times.append(self.clock.now() - self.began)
         for name, series in self.kept.items():
+            kind = type(self.agent).__name__
             try:
                 series.append(np.array(getattr(self.agent, name)))
             except AttributeError:
-                kind = type(self.agent).__name__
                 raise ConfigError("record", name, f"attributes of agent {self.i}, a {kind}") from None
+            except ValueError as error:
+                allowed = f"numbers, or arrays of one shape, of agent {self.i}, a {kind}"
+                raise ConfigError("record", name, allowed, "", str(error)) from None
 
     def values(self) -> dict[str, Any]:
         """Arrays where the shapes allow."""

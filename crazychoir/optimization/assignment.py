@@ -76,7 +76,7 @@ class TaskAssignment:
         self._where = f"robot {robot}: task assignment"
         if robot not in robots:
             raise ConfigError(self._where, f"robot {robot}", span(robots))
-        self._robot, self._cost, self._robots, self._diameter = robot, cost, sorted(robots), diameter
+        self._robot, self._cost, self._robots, self.diameter = robot, cost, sorted(robots), diameter
         self._table: Table | None = None
         self.outcome: Outcome | None = None
         if table is not None:
@@ -90,7 +90,7 @@ class TaskAssignment:
         if self._table is None or table.label > self._table.label:
             self._table, self._age = table, 0
             self._program = _Program(self._robot, self._robots, table.tasks, self._costs(table.tasks))
-            self._bases = self._program.exchange(self._diameter)
+            self._bases = self._program.exchange(self.diameter)
 
     @property
     def label(self) -> int | None:
@@ -113,7 +113,7 @@ class TaskAssignment:
             return None
         if self.settled:
             return [self._table.label]
-        news = [[task.id, task.p] for task in self._table.tasks] if self._age < self._diameter else None
+        news = [[task.id, task.p] for task in self._table.tasks] if self._age < self.diameter else None
         return [self._table.label, self._table.last, news, *self._bases.message()]
 
     def step(self, heard: Mapping[int, Any]) -> None:

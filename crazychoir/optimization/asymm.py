@@ -6,7 +6,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from crazychoir.errors import ConfigError
+from crazychoir.errors import ConfigError, SolverError
 from crazychoir.optimization.iteration import vector
 from crazychoir.optimization.messages import like
 from crazychoir.optimization.smooth import Smooth, descended
@@ -16,6 +16,8 @@ from crazychoir.types import PerNeighbor, Vec
 MOST_PENALTY: Final = 1e5
 CALM: Final = 5
 """Times in a row that an agent must find its gradient small: time for the others' last steps to reach it."""
+GROWING: Final = 0.05
+"""Of |nu_ij|, relative to 1 + |nu_ij|: if it changes by more in the last epoch, it has not converged."""
 Heard = tuple[int, bytes, Vec, Vec, float]
 
 
@@ -39,7 +41,8 @@ class ASYMM:
     A static undirected graph. f_i, h_i, g_i: twice differentiable, not necessarily convex: x is a local minimum.
     neighbors: N_i;  diameter: of the graph;  x: (n,) the start;  epochs: until done;  penalty: the first rho and s;
     tolerance: the first e;  epoch: the present one;  nu, rho: by neighbour;  l, m: multipliers of h_i and g_i.
-    Raises ConfigError, SolverError: a function of a wrong shape, or that is not finite.
+    Raises ConfigError, SolverError: a function of a wrong shape, or that is not finite; and SolverError where nu_ij
+    changes by more than GROWING in the last epoch, as where no x meets the constraints of all.
     Source: Farina, Garulli, Giannitrapani & Notarstefano 2019, Automatica 103, 243-253; here with a Newton step.
     """
 
@@ -67,7 +70,7 @@ class ASYMM:
         self.rho = dict.fromkeys(self.neighbors, penalty)
         self._gap = dict.fromkeys(self.neighbors, np.inf)
         self._own = _Own(self.where, len(self.x), objective, equalities, inequalities, penalty)
-        self._diameter, self._flags = diameter, Flags(diameter, False)
+        self.diameter, self._flags = diameter, Flags(diameter, False)
         self._calm = 0
         self._heard: dict[int, Heard] = {}
 
@@ -121,13 +124,18 @@ class ASYMM:
         for j, (_, _, x, *_) in self._heard.items():
             self.nu[j] = self.nu[j] + self.rho[j] * (self.x - x)
             gap = float(np.linalg.norm(self.x - x))
+            size = float(np.linalg.norm(self.nu[j]))
+            if self.epoch + 1 == self.epochs and self.rho[j] * gap > GROWING * (1.0 + size):
+                why = "constraints that exclude each other, or too few epochs"
+                found = f"x is {gap:.3g} from that of agent {j} after {self.epochs} epochs"
+                raise SolverError(f"{self.where}: {found}", why)
             if gap > self.shrink * self._gap[j] and self.rho[j] * gap > self.tolerance:
                 self.rho[j] = min(self.growth * self.rho[j], MOST_PENALTY)
             self._gap[j] = gap
         self._own.ascend(self.x, self.growth, self.shrink, self.tolerance)
         self.epoch += 1
         self.tolerance *= self.sharpen
-        self._flags = Flags(self._diameter, False)
+        self._flags = Flags(self.diameter, False)
         self._calm = 0
 
 

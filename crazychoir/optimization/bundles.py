@@ -89,7 +89,7 @@ class SequentialAuction(Program[Bundle]):
     connected = True
 
     def __init__(self, robot: int, bidder: Bidder[Any], tasks: int, diameter: int) -> None:
-        self._arguments = robot, bidder, tasks, diameter
+        self._arguments, self.diameter = (robot, bidder, tasks, diameter), diameter
         super().__init__()
 
     def run(self) -> Exchange[Bundle]:
@@ -132,7 +132,7 @@ class CBBA(Program[Bundle]):
             raise ConfigError(f"robot {robot}: CBBA", f"robots {list(robots)}", "ids of all, its own too")
         self._i, self._bidder, self._robots, self._tasks = robot, bidder, sorted(robots), tasks
         self._most = tasks if most is None else most
-        self._stillness = Stillness(diameter)
+        self.diameter, self._stillness = diameter, Stillness(diameter)
         self._table = Table(robot, tasks)
         self._order: list[int] = []
         self._paths = [bidder.start]

@@ -32,7 +32,7 @@ def require_graph(agent: Any, graph: Graph | GraphSequence) -> None:
     """Raise ConfigError unless the graph is one for this algorithm; each agent of a team finds the same.
 
     `connected = True` of an algorithm: it needs a (jointly, strongly) connected graph;  `undirected = True`: one where
-    who hears is heard.
+    who hears is heard;  `diameter`: not below the rounds of a flood of the graph.
     """
     where = f"graph of {type(agent).__name__}"
     if getattr(agent, "undirected", False):
@@ -41,8 +41,12 @@ def require_graph(agent: Any, graph: Graph | GraphSequence) -> None:
             if one_way is not None:
                 found = "agent {1} hears agent {0}, but not the other way round".format(*one_way)
                 raise ConfigError(where, found, "an undirected graph")
-    if getattr(agent, "connected", False) and not graph.is_connected:
+    diameter = getattr(agent, "diameter", None)
+    if (getattr(agent, "connected", False) or isinstance(diameter, int)) and not graph.is_connected:
         raise ConfigError(where, _cut(graph), "a connected graph", "Add edges, or draw with another probability.")
+    if isinstance(diameter, int) and diameter < (least := graph.diameter()):
+        do = "Take graph.diameter(), or any bound on it, the same at all agents."
+        raise ConfigError(f"{where}: diameter", f"{diameter}", f"at least {least}: rounds in which all hear of all", do)
 
 
 def _require_fitting(i: int, agent: Any, graph: Graph | GraphSequence) -> None:

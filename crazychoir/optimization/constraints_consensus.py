@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 import numpy as np
+from scipy.optimize import nnls
 
 from crazychoir.errors import ConfigError, SolverError
 from crazychoir.optimization.iteration import Iteration
@@ -16,6 +17,8 @@ TOLERANCE: Final = 1e-7
 """Of a row a'x <= b with |a| = 1, relative to 1 + |b|."""
 TIE: Final = 1e-5
 """Weight of 1/2 |x|^2 beside a linear objective of length one."""
+CERTAIN: Final = 1e-8
+"""What multipliers may leave of the gradient of an objective of length one."""
 BATCH: Final = 4
 """Violated rows that the local solution takes in at a time, in dimensions of x."""
 
@@ -29,11 +32,13 @@ class ConstraintsConsensus(Iteration):
     f(x_i) never falls, and where no x_i violates what its agent hears, all are the optimum of the team's problem.
     Static or time-varying graphs, directed too, (jointly, strongly) connected. No step size.
     f is strictly convex quadratic; to one that is not, as a linear one, TIE |x|^2 / 2 is added, with f scaled to length
-    one: it makes the optimum unique, the one closest to 0, exactly so if TIE is small beside the multipliers.
+    one: it makes the optimum unique, the one closest to 0. In the last round each checks, by the multipliers of f
+    alone, that TIE has not moved it: that it is small beside them.
     diameter: D of a static graph: all are done in the same round, 2 D after the last change, as each counts the rounds
     since the last change that it has heard of;  rounds: at most, or where no diameter is given.
     x: (n,);  basis: (m, n + 1), rows [a', b] with |a| = 1;  unchanged: that count.
-    Raises SolverError as soon as an agent knows constraints that exclude each other.
+    Raises SolverError as soon as an agent knows constraints that exclude each other, and, in the last round, where f
+    has no minimum, or TIE has moved it.
     Source: Notarstefano & Bullo 2011, IEEE Trans. Autom. Control 56(10), 2247-2261.
     """
 
@@ -44,7 +49,7 @@ class ConstraintsConsensus(Iteration):
         if diameter is None and rounds is None:
             raise ConfigError(f"agent {self.i}: diameter, rounds", "None, None", "one of them, the same at all agents")
         self.problem, self.diameter, self.unchanged = problem, diameter, 0
-        self._P, self._q = _strictly_convex(problem)
+        self._P, self._q, self._flat = _strictly_convex(problem)
         self._own = _inequalities(problem)
         self.x, self.basis = np.zeros(problem.n), np.zeros((0, problem.n + 1))
 
@@ -69,6 +74,22 @@ class ConstraintsConsensus(Iteration):
         changed = self._improve(np.vstack([self._own, *(basis for _, basis in heard.values())]))
         fewest = min([self.unchanged, *(int(count) for count, _ in heard.values())])
         self.unchanged = 0 if changed else fewest + 1
+
+    def step(self, heard: Mapping[int, Any]) -> None:
+        """A round; after the last, whether f itself is least at x."""
+        super().step(heard)
+        if self.done and self._flat:
+            self._require_least()
+
+    def _require_least(self) -> None:
+        """Of f without the tie-break: -grad f(x) = A'u over the basis, with some u >= 0."""
+        pull = self._q + self._P @ self.x - TIE * self.x
+        missing = nnls(self.basis[:, :-1].T, -pull)[1] if len(self.basis) else float(np.linalg.norm(pull))
+        if missing > CERTAIN * (1.0 + float(np.abs(self._P @ self.x).max())):
+            k = int(np.argmax(np.abs(self.x)))
+            found = f"x[{k}] = {self.x[k]:.6g} is held by the tie-break {TIE:g} |x|^2 / 2, not by constraints"
+            do = "the optimum is farther away, or there is none; bound x, take larger units, or DualDistributedSimplex"
+            raise SolverError(f"agent {self.i}: constraints consensus", f"{found}: {do}")
 
     def _improve(self, rows: Mat) -> bool:
         """Take in what x violates of the rows until it violates nothing; whether it did."""
@@ -121,14 +142,14 @@ class ConstraintsConsensus(Iteration):
         return f"infeasible: row {row} <= {rows[r, -1]:.4g}: violated by {missed[n + r]:.4g}, at best"
 
 
-def _strictly_convex(problem: CommonCost) -> tuple[Mat, Vec]:
-    """P and q of f, with the tie-break where it needs one."""
+def _strictly_convex(problem: CommonCost) -> tuple[Mat, Vec, bool]:
+    """P and q of f, with the tie-break where it needs one, and whether it does."""
     form = problem.cost
     try:
-        return positive(form.P), form.q
+        return positive(form.P), form.q, False
     except np.linalg.LinAlgError:
         length = max(float(np.abs(form.P).max()), float(np.linalg.norm(form.q))) or 1.0
-        return form.P / length + TIE * np.eye(problem.n), form.q / length
+        return form.P / length + TIE * np.eye(problem.n), form.q / length, True
 
 
 def _inequalities(problem: CommonCost) -> Mat:

@@ -27,6 +27,7 @@ class MaxConsensus(Iteration):
 
     def __init__(self, i: int, x: ArrayLike, diameter: int) -> None:
         super().__init__(i, diameter)
+        self.diameter = diameter
         self.x = vector(f"agent {i}: x", x)
 
     def message(self) -> Vec:

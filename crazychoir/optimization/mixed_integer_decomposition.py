@@ -85,7 +85,7 @@ class PrimalDecompositionMILP(Program[MixedIntegerSolution]):
             if value < least:
                 raise ConfigError(f"{self._where}: {name}", value, f"at least {least}")
         self._block, self._i, self.weights = block, block.agent, checked_rows(block.agent, weights)
-        self._agents, self._diameter, self._step = agents, diameter, step
+        self._agents, self.diameter, self._step = agents, diameter, step
         self._rounds, self._penalty, self._options = rounds, penalty, options
         self._local = Convexified(block, penalty)
         self._capacity, self._left = np.zeros(block.S), np.zeros(block.S)
@@ -97,7 +97,7 @@ class PrimalDecompositionMILP(Program[MixedIntegerSolution]):
         yield from self._hello()
         found = yield from self._attempt(np.zeros(self._block.S), restricted=False)
         if found is None:
-            sigma = self._block.S * (yield from greatest(self._block.tightening(), self._diameter))
+            sigma = self._block.S * (yield from greatest(self._block.tightening(), self.diameter))
             found = yield from self._attempt(sigma, restricted=True)
         if found is None:
             s = int(np.argmax(self._excess))
@@ -107,12 +107,12 @@ class PrimalDecompositionMILP(Program[MixedIntegerSolution]):
 
     def _hello(self) -> Exchange[None]:
         """All shares: their sum is the common capacity, and all have as many resources."""
-        known = yield from flood(self._i, self._block.share.tolist(), self._diameter)
+        known = yield from flood(self._i, self._block.share.tolist(), self.diameter)
         for j, share in known.items():
             if len(share) != self._block.S:
                 raise ConfigError(f"{self._where}: share of agent {j}", f"{len(share)} resources", f"{self._block.S}")
         if len(known) != self._agents:
-            allowed = f"{len(known)}, those within {self._diameter} hops"
+            allowed = f"{len(known)}, those within {self.diameter} hops"
             raise ConfigError(f"{self._where}: agents", self._agents, allowed)
         self._capacity = column_sums(known.values())
         self._members = list(known)
@@ -153,7 +153,7 @@ class PrimalDecompositionMILP(Program[MixedIntegerSolution]):
         block, fresh, asked = self._block, 0, [[], 0.0]
         bound = -np.inf
         for _ in range(PASSES):
-            known = yield from flood(self._i, [options.table[fresh:], *asked], self._diameter)
+            known = yield from flood(self._i, [options.table[fresh:], *asked], self.diameter)
             fresh = len(options.table)
             prices = asked[0]
             if prices and all(theirs == prices for _, theirs, _ in known.values()):
@@ -172,13 +172,13 @@ class PrimalDecompositionMILP(Program[MixedIntegerSolution]):
         fresh = len(options.table)
         for part in (0.0, *VARIATIONS):
             options.add(self._block.within(self._block.A @ self._x + part * self._capacity / self._agents)[0])
-        known = yield from flood(self._i, options.table[fresh:], self._diameter)
+        known = yield from flood(self._i, options.table[fresh:], self.diameter)
         pool.add(known)
 
     def _choose(self, options: Options, pool: Pool) -> Exchange[None]:
         """Stage 2, second half: one option an agent."""
         offer = pool.best(self._i) if self._i == pool.agents[0] else None  # one answer is enough
-        agreed = yield from best_offer(offer, self._diameter)
+        agreed = yield from best_offer(offer, self.diameter)
         if agreed is None:
             raise SolverError(self._where, "no choice of options within the nodes of a search")
         chosen = [int(o) for o in agreed[2]]
@@ -195,7 +195,7 @@ class PrimalDecompositionMILP(Program[MixedIntegerSolution]):
             excess, saved = exceeded(self._left) - exceeded(left), float(block.c @ (self._x - x))
             gains = excess > SLACK or (excess > -SLACK and saved > WORTH * (1.0 + abs(self._cost)))
             offer = [[-excess if excess > SLACK else 0.0, -saved], self._i, left.tolist()] if gains else None
-            agreed = yield from best_offer(offer, self._diameter)
+            agreed = yield from best_offer(offer, self.diameter)
             if agreed is None:
                 return
             (_, change), winner, after = agreed

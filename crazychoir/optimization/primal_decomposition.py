@@ -45,7 +45,7 @@ class PrimalDecomposition(Mixing):
     its prices. x_i(k) are feasible together, from the first round on, but for rho.
     local: as Convexified;  share: b_i (S,);  rounds: until done.
     x: (n,) at y_i(k);  y: (S,);  mu: (S,);  cost: p_i(y_i);  violation: rho;  y_mean: (S,) average weighted by a_k.
-    Source: Silverman 1972; with neighbours' prices only Notarnicola & Notarstefano 2020, IEEE TCNS 7(1), 472-483.
+    Source: Silverman 1972; with neighbours' prices only Notarnicola & Notarstefano 2020, IEEE TCNS 7(1), 483-492.
     """
 
     heavy = True

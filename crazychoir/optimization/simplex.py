@@ -177,7 +177,7 @@ class DistributedSimplex(Program[LinearSolution]):
     def __init__(self, agent: int, c: Vec, A: Mat, b: Vec, diameter: int) -> None:
         where = f"agent {agent}: distributed simplex"
         b = vector(b, where, "b")
-        self._where, self._b, self._agent, self._diameter = where, b, agent, diameter
+        self._where, self._b, self._agent, self.diameter = where, b, agent, diameter
         c = vector(c, where, "c")
         self._bases = BasisExchange(agent, c, matrix(A, where, "A", (len(b), len(c))), b, diameter)
         super().__init__()
@@ -196,7 +196,7 @@ class DistributedSimplex(Program[LinearSolution]):
         """Compare b, exchange bases, end together."""
         yield from same_everywhere(self._b.tolist(), self._where, "b")
         bases = self._bases
-        penalty = yield from _exchange(bases, self._where, self._diameter)
+        penalty = yield from _exchange(bases, self._where, self.diameter)
         if bases.status == "infeasible":
             raise SolverError(self._where, f"infeasible: {_remaining(bases.violation)}")
         if bases.ray is not None:
@@ -237,7 +237,7 @@ class DualDistributedSimplex(Program[CommonSolution]):
         where = f"agent {agent}: dual distributed simplex"
         self._c, b = vector(c, where, "c"), vector(b, where, "b")
         rows = matrix(A, where, "A", (len(b), len(self._c)))
-        self._where, self._diameter = where, diameter
+        self._where, self.diameter = where, diameter
         self._bases = BasisExchange(agent, b, rows.T, self._c, diameter)
         super().__init__()
 
@@ -250,7 +250,7 @@ class DualDistributedSimplex(Program[CommonSolution]):
         """Compare c, exchange bases, end together."""
         yield from same_everywhere(self._c.tolist(), self._where, "c")
         bases = self._bases
-        penalty = yield from _exchange(bases, self._where, self._diameter)
+        penalty = yield from _exchange(bases, self._where, self.diameter)
         if bases.ray is not None:
             owner, row = bases.ray
             raise SolverError(self._where, f"infeasible: constraint {row} of agent {owner} contradicts others")

@@ -55,7 +55,11 @@ class Settled:
     """A criterion: max |x(k) - x(k-1)| <= tolerance over the entries of x, so many rounds in a row. One for each agent.
 
     of: what of the algorithm, an array.
+    compares: a criterion that compares with before. `Until` asks it of an asynchronous algorithm only when all
+    neighbours have been heard anew since it last did: one that hears nothing does not change, but has not settled.
     """
+
+    compares = True
 
     def __init__(self, tolerance: float, rounds: int = 1, of: Callable[[Any], Any] = lambda agent: agent.x) -> None:
         if not tolerance >= 0.0 or rounds < 1:
@@ -79,8 +83,10 @@ class LogicAnd:
     Equation and source: see Flags.
     """
 
+    connected = True
+
     def __init__(self, diameter: int, flag: bool = False) -> None:
-        self.flag = flag
+        self.flag, self.diameter = flag, diameter
         self._flags = Flags(diameter, flag)
 
     @property
@@ -104,9 +110,10 @@ class AsynchronousLogicAnd:
     """
 
     asynchronous = True
+    connected = True
 
     def __init__(self, neighbors: tuple[int, ...], diameter: int, flag: bool = False) -> None:
-        self.neighbors, self.flag = neighbors, flag
+        self.neighbors, self.flag, self.diameter = neighbors, flag, diameter
         self._flags = Flags(diameter, flag, latched=True)
 
     @property
@@ -175,21 +182,35 @@ class Until(Riding[A]):
         super().__init__(algorithm)
         if self.asynchronous and neighbors is None:
             raise ConfigError("Until: neighbors", "None", "whom this agent hears, for an asynchronous algorithm")
-        self.criterion, self.neighbors = criterion, neighbors or ()
+        self.criterion, self.neighbors, self.diameter = criterion, neighbors or (), diameter
         self._flags = Flags(diameter, False, latched=self.asynchronous)
+        self._steps, self._latest, self._silent = 0, dict[int, int](), set(self.neighbors)
 
     @property
     def done(self) -> bool:
         """Whether all criteria hold, or the algorithm has ended."""
         return self._flags.agreed or self.algorithm.done
 
-    def word(self) -> bytes:
-        """D + 1 bits."""
-        return self._flags.message()
+    def word(self) -> Any:
+        """D + 1 bits; asynchronous: with the steps done, by which the others tell what is new."""
+        bits = self._flags.message()
+        return [self._steps, bits] if self.asynchronous else bits
 
-    def hear(self, words: dict[int, bytes]) -> None:
+    def hear(self, words: dict[int, Any]) -> None:
         """The criterion, and the logical and."""
-        self._flags.step(self.criterion(self.algorithm), {**dict.fromkeys(self.neighbors, b""), **words})
+        self._steps += 1
+        if not self.asynchronous:
+            self._flags.step(self.criterion(self.algorithm), words)
+            return
+        for j, (steps, _) in words.items():
+            if steps > self._latest.get(j, -1):
+                self._latest[j] = steps
+                self._silent.discard(j)
+        due = not self._silent or not getattr(self.criterion, "compares", False)
+        holds = due and self.criterion(self.algorithm)
+        self._silent = self._silent or set(self.neighbors)
+        bits = {j: word for j, (_, word) in words.items()}
+        self._flags.step(holds, {**dict.fromkeys(self.neighbors, b""), **bits})
 
 
 class Stoppable(Riding[A]):

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import highspy
 import numpy as np
 
-from crazychoir.routing.columns import quiet_highs
+from crazychoir.optimization.linear import quiet_highs
 from crazychoir.routing.pool import Pool
 from crazychoir.routing.tours import Bools, Fleet, Ints, Tours, refresh
 from crazychoir.types import Vec

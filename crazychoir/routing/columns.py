@@ -6,6 +6,7 @@ import highspy
 import numpy as np
 
 from crazychoir.errors import SolverError
+from crazychoir.optimization.linear import quiet_highs
 from crazychoir.routing.pricing import Column, RouteTable
 from crazychoir.types import Vec
 
@@ -21,15 +22,6 @@ class LocalSolution:
     mu: Vec
     violation: Vec
     active: list[Column]
-
-
-def quiet_highs(seed: int = 0) -> highspy.Highs:
-    """A HiGHS object that repeats itself: one thread, a fixed seed, no output, no time limit."""
-    highs = highspy.Highs()
-    highs.setOptionValue("output_flag", False)
-    highs.setOptionValue("threads", 1)
-    highs.setOptionValue("random_seed", seed)
-    return highs
 
 
 class ColumnProgram:

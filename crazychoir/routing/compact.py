@@ -9,7 +9,7 @@ import highspy
 import numpy as np
 
 from crazychoir.errors import SolverError
-from crazychoir.routing.columns import quiet_highs
+from crazychoir.optimization.linear import quiet_highs
 from crazychoir.routing.instance import Instance
 from crazychoir.routing.plan import Plan, Route
 from crazychoir.routing.vehicle import MAKESPAN, SLACK, TOTAL, Vehicle

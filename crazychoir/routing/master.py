@@ -8,7 +8,7 @@ import highspy
 import numpy as np
 
 from crazychoir.errors import SolverError
-from crazychoir.routing.columns import quiet_highs
+from crazychoir.optimization.linear import quiet_highs
 from crazychoir.routing.pricing import Column
 from crazychoir.types import Vec
 

@@ -149,6 +149,13 @@ class GraphSequence(Wire, frozen=True, array_like=True, gc=False):
         """Whether the graphs of one period are jointly (strongly) connected."""
         return self.union().is_connected
 
+    def diameter(self) -> int:
+        """The most rounds that a flood needs, whoever starts it and in whichever round of the period."""
+        if not self.is_connected:
+            found = "a drone that never reaches all others"
+            raise ConfigError("graph sequence", found, "jointly connected graphs", "Add an edge to one of them.")
+        return max(_flooded(self, i, k) for i in self.ids for k in range(len(self.graphs)))
+
 
 def empty(n: Ids) -> Graph:
     """Nobody hears anybody. n: how many drones, or their ids; so in all shapes."""
@@ -321,6 +328,16 @@ def _distances(start: int, step: Mapping[int, tuple[int, ...]]) -> dict[int, int
                 hops[j] = hops[i] + 1
                 queue.append(j)
     return hops
+
+
+def _flooded(graphs: GraphSequence, start: int, first: int) -> int:
+    """Rounds until all have heard of `start`, which begins in round `first`."""
+    reached, k = {start}, first
+    while len(reached) < len(graphs.ids):
+        graph = graphs.at(k)
+        reached.update(*[graph.out_neighbors(i) for i in reached])
+        k += 1
+    return k - first
 
 
 def _chance(p: float, seed: int, *salt: int) -> random.Random:

@@ -3,6 +3,7 @@
 import asyncio
 import json
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,9 +12,11 @@ from crazychoir.bus.impairment import Impairment
 from crazychoir.bus.local import Bus
 from crazychoir.bus.rules import Rule
 from crazychoir.errors import AgentFailed, CodecError, ConfigError, SolverError
+from crazychoir.optimization.bundles import SequentialAuction
 from crazychoir.optimization.consensus import Consensus
+from crazychoir.optimization.max_consensus import MaxConsensus
 from crazychoir.optimization.mixing import team
-from crazychoir.optimization.stopping import Settled, Until
+from crazychoir.optimization.stopping import LogicAnd, Settled, Until
 from crazychoir.runtime.clock import run_virtual, run_wall
 from crazychoir.simulate import simulate
 from crazychoir.swarm.communicator import Communicator
@@ -337,3 +340,54 @@ def test_the_end_of_a_channel_costs_each_edge_some_messages_however_dense_the_gr
     agents = {i: Consensus(i, [float(i)], rows[i], rounds=rounds) for i in graph.ids}
     history = simulate(agents, graph, loss=0.1, seed=1)
     assert history.messages - history.resent < (rounds + 12) * len(graph.arcs)
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda i: MaxConsensus(i, float(i), 2),
+        lambda i: LogicAnd(2, flag=i > 0),
+        lambda i: Until(Counting(9), Settled(0.0), 2),
+        lambda i: SequentialAuction(i, SimpleNamespace(start=(), scores=lambda path: []), 0, 2),
+    ],
+)
+@pytest.mark.parametrize("graph", [ring(6), GraphSequence((path(6), path(6), complete(6)))], ids=["ring", "sequence"])
+def test_a_diameter_below_the_graphs_is_refused(make, graph):
+    # as such agents would stop before they have heard of all, and hold different values
+    with pytest.raises(ConfigError, match=r"diameter: found 2; allowed: at least 3"):
+        simulate({i: make(i) for i in graph.ids}, graph)
+
+
+def test_a_flag_of_a_team_in_two_parts_is_refused():
+    with pytest.raises(ConfigError, match="no path from agent 0 to"):
+        simulate({i: LogicAnd(5, flag=i < 2) for i in range(4)}, Graph.from_edges(4, [(0, 1), (2, 3)]))
+
+
+class Growing(Counting):
+    """Has `one` more entry each round, and `own` entries as many as its id says."""
+
+    def __init__(self, i):
+        super().__init__(2)
+        self.own, self.one = np.ones(i + 1), np.zeros(0)
+
+    def step(self, heard):
+        super().step(heard)
+        self.one = np.arange(self.x)
+
+
+def test_what_differs_in_shape_has_its_columns_and_no_npz(tmp_path):
+    history = simulate({i: Growing(i) for i in range(2)}, ring(2), record=("one", "own"))
+    history.save(tmp_path / "h.csv")
+    lines = [line.split(",") for line in (tmp_path / "h.csv").read_text().splitlines()]
+    assert lines[0] == ["agent", "round", "time_s", "one[0]", "one[1]", "own[0]", "own[1]"]
+    assert [line[3:] for line in lines[1:4]] == [["", "", "1.0", ""], ["0", "", "1.0", ""], ["0", "1", "1.0", ""]]
+    assert lines[-1][3:] == ["0", "1", "1.0", "1.0"]
+    with pytest.raises(ConfigError, match=r"history: one_0: found a shape that changes"):
+        history.save(tmp_path / "h.npz")
+
+
+def test_what_is_no_array_cannot_be_recorded():
+    agents = {0: Counting(1)}
+    agents[0].x = [[1.0], [1.0, 2.0]]
+    with pytest.raises(ConfigError, match=r"record = x: .*of agent 0, a Counting"):
+        simulate(agents, Graph.from_edges(1, []))

@@ -144,3 +144,17 @@ def test_a_problem_of_cvxpy_is_a_smooth_function():
     assert value.shape == (1,)
     assert derivative.shape == (1, 2)
     assert x.value is None
+
+
+def test_constraints_that_exclude_each_other_are_no_answer():
+    graph = ring(5)
+    below = Smooth(lambda x: x + 1.0, lambda x: np.eye(1))
+    above = Smooth(lambda x: 1.0 - x, lambda x: -np.eye(1))
+    rows = {2: below, 4: above}
+    functions = [Smooth(lambda x, i=i: (x[0] - i) ** 2, lambda x, i=i: 2.0 * (x - i)) for i in graph.ids]
+    team = {
+        i: ASYMM(i, graph.neighbors(i), graph.diameter(), [1.0 * i], functions[i], inequalities=rows.get(i))
+        for i in graph.ids
+    }
+    with pytest.raises(SolverError, match=r"agent \d: x is 0.\d+ from that of agent \d after 25 epochs"):
+        simulate(team, graph, loss=0.4, seed=3, rounds=20_000)

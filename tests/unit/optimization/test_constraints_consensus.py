@@ -104,3 +104,30 @@ def test_what_is_wrong_is_named():
     agent.message()
     with pytest.raises(ConfigError, match=r"agent 3: message of agent 4: found a basis \(1, 5\); allowed: \(m, 3\)"):
         agent.step({4: [0, np.zeros((1, 5))]})
+
+
+@pytest.mark.parametrize(
+    ("objective", "rows"),
+    [
+        (lambda x: -x[0], lambda x, i: [x[0] >= -i]),
+        (lambda x: -x[0], lambda x, i: [x[0] <= 1e6 + i, x[1] >= 0]),
+        (lambda x: -x[0] - 1e-4 * x[1], lambda x, i: [x[0] <= 1 + i, x[1] <= 100 + i]),
+        (lambda x: cp.square(x[0] - 1) - x[1], lambda x, i: [x[0] <= 5 + i]),
+    ],
+    ids=["unbounded", "far", "small multiplier", "unbounded quadratic"],
+)
+def test_an_optimum_that_only_the_tie_break_holds_is_refused_by_all_in_one_round(objective, rows):
+    x = cp.Variable(2)
+    team = {i: ConstraintsConsensus(CommonCost(i, x, objective(x), rows(x, i)), 1) for i in range(3)}
+    said = []
+    for _ in range(10):
+        messages = {i: agent.message() for i, agent in team.items()}
+        for i, agent in team.items():
+            try:
+                agent.step({j: message for j, message in messages.items() if j != i})
+            except SolverError as error:
+                said.append(str(error))
+        if said:
+            break
+    assert len(said) == 3
+    assert all(f"agent {i}: constraints consensus" in text and "tie-break" in text for i, text in enumerate(said))

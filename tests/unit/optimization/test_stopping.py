@@ -6,9 +6,10 @@ import pytest
 from in_step import run_in_step
 
 from crazychoir.errors import ConfigError
+from crazychoir.optimization.asynchronous_consensus import AsynchronousConsensus
 from crazychoir.optimization.stopping import AsynchronousLogicAnd, Flags, LogicAnd, Settled, Stoppable, Until
 from crazychoir.simulate import simulate
-from crazychoir.swarm.graph import GraphSequence, complete, erdos_renyi_connected, path, ring, star
+from crazychoir.swarm.graph import GraphSequence, complete, erdos_renyi_connected, metropolis, path, ring, star
 
 GRAPHS = [path(5), ring(6), ring(6, directed=True), star(5), complete(4), path(1), ring(80)]
 
@@ -167,3 +168,17 @@ def test_a_flag_of_an_asynchronous_agent_that_was_up_once_counts():
     }
     simulate(agents, graph, loss=0.3, record=(), rounds=500)
     assert all(agent.done and 25 <= agent.k < 120 for agent in agents.values())
+
+
+@pytest.mark.parametrize("loss", [0.0, 0.4, 0.9])
+def test_who_hears_nothing_has_not_settled(loss):
+    graph = path(4)
+    weights = metropolis(graph)
+    for seed in range(4):
+        agents = {
+            i: Until(AsynchronousConsensus(i, float(i), weights[i]), Settled(1e-6), 3, graph.in_neighbors(i))
+            for i in graph.ids
+        }
+        history = simulate(agents, graph, loss=loss, seed=seed, rounds=5000)
+        assert history.rounds < 5000
+        assert history.disagreement() < 1e-4

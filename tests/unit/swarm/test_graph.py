@@ -221,6 +221,10 @@ def test_a_sequence_repeats_and_is_jointly_connected() -> None:
     assert [sequence.at(k).edges() for k in range(3)] == [((0, 1),), ((1, 2),), ((0, 1),)]
     assert sequence.is_connected
     assert not any(graph.is_connected for graph in sequence.graphs)
+    assert sequence.diameter() == 3  # from 0 in round 1: 0-1 in round 2, 1-2 in round 3
+    assert GraphSequence((shapes.path(5), shapes.path(5))).diameter() == 4
+    with pytest.raises(ConfigError, match="never reaches all"):
+        GraphSequence((Graph.from_edges(3, [(0, 1)]),)).diameter()
     assert sequence.union() == shapes.path(3)
     assert not GraphSequence((Graph.from_edges(3, [(0, 1)]), shapes.empty(3))).is_connected
     assert shapes.ring(3).at(12) == shapes.ring(3)
