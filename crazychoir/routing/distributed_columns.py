@@ -169,8 +169,6 @@ class DistributedColumns:
         if left:
             why = f"incomplete: no plan found that serves task(s) {', '.join(map(str, left))}"
             raise SolverError(f"robot {self._i}: clusters", why)
-        if (self._member.local.tasks.priority > 0).any():
-            bound = None  # it is one of refusals weighed by priority
         return Assignment(self._sets(), bound, self.routes)
 
     def _missing(self) -> list[int]:

@@ -135,7 +135,7 @@ class PickupDelivery(Program[Solution]):
         if any(other != digest for other in heard.values()):
             raise SolverError(f"robot {place.robot}: confirmation", f"different plans at the robots: {heard}")
         member.report(phase="done", cost=cost)
-        bound = None if assignment.lower_bound is None else min(assignment.lower_bound, cost)
+        bound = self._bound(assignment, cost)
         return Solution(
             bytes_by_kind=dict(member.bytes_by_kind),
             cost=cost,
@@ -148,6 +148,16 @@ class PickupDelivery(Program[Solution]):
             plan_digest=digest,
             routes=(route,) if nodes else (),
         )
+
+    def _bound(self, assignment: Assignment, cost: float) -> float | None:
+        """What is proven of the cost: nothing where prices add up what counts otherwise.
+
+        A sum of finishing times is no makespan, and refusals weighed by priority are no cost.
+        """
+        local = self._member.local
+        if assignment.lower_bound is None or local.objective[0] == MAKESPAN or (local.tasks.priority > 0).any():
+            return None
+        return min(assignment.lower_bound, cost)
 
     def _own_route(self, assignment: Assignment) -> tuple[list[int], float]:
         """Stops and length in m of this robot's route."""

@@ -172,6 +172,27 @@ def infeasible():
     return Instance.parse(raw | homes | {"capability": [[True, True], [False, False]]})
 
 
+BOUNDED = ("columns", "resource-columns", "resource", "resource-argmax")
+
+
+@pytest.mark.parametrize("method", BOUNDED)
+@pytest.mark.parametrize(
+    "more",
+    [{"penalty": [0.5] * 4}, {"objective": "makespan"}, {"objective": ["makespan", "total"]},
+     {"penalty": [5.0] * 4, "priority": [1, 2, 0, 0]}],
+)  # fmt: skip
+def test_no_bound_is_above_the_optimum_where_tasks_are_refused_or_time_is_minimised(graph, method, more):
+    random = np.random.default_rng(1)
+    points = {key: random.uniform(0.0, 5.0, (n, 2)).tolist() for key, n in (("home", 3), ("pickup", 4), ("delivery", 4))}
+    raw = points | {"load": [1.0] * 4, "capacity": [2.0] * 3, "route_length_limit": 25.0}
+    instance = Instance.parse(raw | more)
+    solution = solve_in_loop(instance, graph("path", 3), method)
+    assert solution.feasible
+    assert (solution.lower_bound or 0.0) <= solve_in_loop(instance, graph("path", 3)).cost + 1e-6
+    assert solution.bound_exact == (solution.lower_bound is not None)
+    assert solution.bound_exact == (more.keys() == {"penalty"})
+
+
 def test_an_infeasible_instance_is_a_clear_error():
     with pytest.raises(SolverError, match=r"^infeasible: no plan serves every task; each can be served alone"):
         solve_in_loop(infeasible(), {0: [1], 1: [0]})
