@@ -92,7 +92,9 @@ class Replanning(Program[Share]):
         route, left = yield from parallel_auction(self.robot, local.vehicle, free, self.diameter)
         sold = [n for n in range(m) if n not in left]
         if self.method != AUCTION and sold and self.diameter:
-            route = yield from self._better(local, sold)
+            # Goods aboard are delivered whatever the way, so a plan of that length must be allowed.
+            least = max(local.vehicle.limit, local.vehicle.length(route))
+            route = yield from self._better(replace(local, left=least), sold)
         stops = tuple(Stop(goods.tasks[v % m].id, "pickup" if v < m else "delivery") for v in route)
         idle = all(record.idle for record in book.alive(self.members).values())
         return Share(

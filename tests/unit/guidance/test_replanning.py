@@ -149,6 +149,20 @@ def test_a_method_of_pickup_delivery_finds_no_longer_plan_and_serves_the_same(se
     assert max(lengths["columns"], lengths["resource-columns"]) <= lengths[AUCTION] + 1e-6
 
 
+def test_goods_aboard_are_delivered_by_any_method_whatever_is_left_of_the_limit(monkeypatch):
+    books = {i: TaskBook([NEAR_2, NEAR_8], records()) for i in IDS}
+    short = problem
+
+    def tired(i, start):
+        return lambda goods: replace(short(i, start)(goods), left=1.0 if i == 3 else None)
+
+    monkeypatch.setitem(globals(), "problem", tired)
+    for method in (AUCTION, "columns", "resource-columns", "resource"):
+        shares = planned(books, carried={3: (6,)}, method=method)
+        assert stops(shares[3]) == [(6, "delivery")]
+        assert stops(shares[2]) == [(4, "pickup"), (4, "delivery")]
+
+
 def test_who_says_what_is_no_book_ends_it_for_all():
     agent = Replanning(2, named("complete", [2, 3]), TaskBook(), (), (), problem(2, HOMES[2]))
     with pytest.raises(CodecError, match="robot 3"):

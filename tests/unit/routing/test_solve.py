@@ -69,6 +69,19 @@ def test_prices_and_claims_alone_end_in_a_feasible_plan_above_their_bound(graph,
     assert not any("columns" in word for word in solution.disclosed)
 
 
+@pytest.mark.parametrize(("method", "seed"), [("resource", 0), ("resource", 7), ("resource-argmax", 13)])
+def test_of_a_set_that_is_too_long_without_a_detour_the_winner_keeps_a_part(graph, method, seed):
+    random, n = np.random.default_rng(seed), 11
+    points = {key: random.uniform(0.0, 5.0, (k, 2)).tolist() for key, k in (("home", 3), ("pickup", 4), ("delivery", 4))}
+    short = random.uniform(0.0, 1.0, (3, n, n)) < 0.3
+    ways = np.where(short, random.uniform(0.1, 1.0, (3, n, n)), random.uniform(4.0, 9.0, (3, n, n)))
+    raw = points | {"load": [1.0] * 4, "capacity": [4.0] * 3, "route_length_limit": 9.0, "distance": ways.tolist()}
+    try:
+        assert solve_in_loop(Instance.parse(raw), graph("path", 3), method).feasible
+    except SolverError as error:
+        assert "nobody's route has room" in str(error), "what all robots say alike, not one of them alone"
+
+
 @pytest.mark.parametrize(("method", "names_only"), [("resource", True), ("resource-argmax", False)])
 def test_claims_by_name_tell_no_share(small, graph, method, names_only):
     instance, _ = small("limited")
