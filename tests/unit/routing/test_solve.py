@@ -69,13 +69,18 @@ def test_prices_and_claims_alone_end_in_a_feasible_plan_above_their_bound(graph,
     assert not any("columns" in word for word in solution.disclosed)
 
 
+def three_robots_and_four_tasks(random):
+    counts = {"home": 3, "pickup": 4, "delivery": 4}
+    return {key: random.uniform(0.0, 5.0, (n, 2)).tolist() for key, n in counts.items()} | {"load": [1.0] * 4}
+
+
 @pytest.mark.parametrize(("method", "seed"), [("resource", 0), ("resource", 7), ("resource-argmax", 13)])
 def test_of_a_set_that_is_too_long_without_a_detour_the_winner_keeps_a_part(graph, method, seed):
     random, n = np.random.default_rng(seed), 11
-    points = {key: random.uniform(0.0, 5.0, (k, 2)).tolist() for key, k in (("home", 3), ("pickup", 4), ("delivery", 4))}
+    places = three_robots_and_four_tasks(random)
     short = random.uniform(0.0, 1.0, (3, n, n)) < 0.3
     ways = np.where(short, random.uniform(0.1, 1.0, (3, n, n)), random.uniform(4.0, 9.0, (3, n, n)))
-    raw = points | {"load": [1.0] * 4, "capacity": [4.0] * 3, "route_length_limit": 9.0, "distance": ways.tolist()}
+    raw = places | {"capacity": [4.0] * 3, "route_length_limit": 9.0, "distance": ways.tolist()}
     try:
         assert solve_in_loop(Instance.parse(raw), graph("path", 3), method).feasible
     except SolverError as error:
@@ -195,9 +200,7 @@ BOUNDED = ("columns", "resource-columns", "resource", "resource-argmax")
      {"penalty": [5.0] * 4, "priority": [1, 2, 0, 0]}],
 )  # fmt: skip
 def test_no_bound_is_above_the_optimum_where_tasks_are_refused_or_time_is_minimised(graph, method, more):
-    random = np.random.default_rng(1)
-    points = {key: random.uniform(0.0, 5.0, (n, 2)).tolist() for key, n in (("home", 3), ("pickup", 4), ("delivery", 4))}
-    raw = points | {"load": [1.0] * 4, "capacity": [2.0] * 3, "route_length_limit": 25.0}
+    raw = three_robots_and_four_tasks(np.random.default_rng(1)) | {"capacity": [2.0] * 3, "route_length_limit": 25.0}
     instance = Instance.parse(raw | more)
     solution = solve_in_loop(instance, graph("path", 3), method)
     assert solution.feasible
