@@ -30,8 +30,8 @@ class TeamNews:
     """The news of the robot of this communicator.
 
     tasks: that it knows from the start;  here: says where it is, (2,) m;  recover: see TaskBook.standings;
-    changed: set when the team is another one;  quorate: whether its part of the team may decide;  dropped: messages that
-    were no books.
+    changed: set when the team is another one;  quorate: whether its part of the team may decide;
+    dropped: messages that were no books.
     """
 
     def __init__(

@@ -74,17 +74,14 @@ def three_robots_and_four_tasks(random):
     return {key: random.uniform(0.0, 5.0, (n, 2)).tolist() for key, n in counts.items()} | {"load": [1.0] * 4}
 
 
-@pytest.mark.parametrize(("method", "seed"), [("resource", 0), ("resource", 7), ("resource-argmax", 13)])
+@pytest.mark.parametrize(("method", "seed"), [("resource", 0), ("resource", 7), ("resource-argmax", 14)])
 def test_of_a_set_that_is_too_long_without_a_detour_the_winner_keeps_a_part(graph, method, seed):
     random, n = np.random.default_rng(seed), 11
     places = three_robots_and_four_tasks(random)
     short = random.uniform(0.0, 1.0, (3, n, n)) < 0.3
     ways = np.where(short, random.uniform(0.1, 1.0, (3, n, n)), random.uniform(4.0, 9.0, (3, n, n)))
     raw = places | {"capacity": [4.0] * 3, "route_length_limit": 9.0, "distance": ways.tolist()}
-    try:
-        assert solve_in_loop(Instance.parse(raw), graph("path", 3), method).feasible
-    except SolverError as error:
-        assert "nobody's route has room" in str(error), "what all robots say alike, not one of them alone"
+    assert solve_in_loop(Instance.parse(raw), graph("path", 3), method).feasible
 
 
 @pytest.mark.parametrize(("method", "names_only"), [("resource", True), ("resource-argmax", False)])
