@@ -14,10 +14,11 @@ from crazychoir.types import Vec
 
 DISCLOSED: tuple[str, ...] = (
     "task prices",
+    "largest change of a share",
+    "whether its routes could be listed",
     "route columns (task sets and lengths)",
     "least reduced costs",
     "plan",
-    "route lengths",
 )
 
 

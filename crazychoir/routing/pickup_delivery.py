@@ -22,6 +22,8 @@ from crazychoir.routing.proof import Assignment
 from crazychoir.routing.resource_recovery import ResourceRecovery
 from crazychoir.routing.vehicle import MAKESPAN, TOTAL
 
+CONFIRMED = ("route lengths or times", "task sets and hashes of routes")
+"""What the confirmation of a plan tells of each robot, whatever the method."""
 METHODS = ("columns", "resource-columns", "resource", "resource-argmax", *insertion_bids.METHODS)
 
 
@@ -143,7 +145,7 @@ class PickupDelivery(Program[Solution]):
             lower_bound=bound,
             bound_exact=bound is not None,
             method=self._method,
-            disclosed=disclosed,
+            disclosed=(*disclosed, *CONFIRMED),
             rounds=self.k,
             plan_digest=digest,
             routes=(route,) if nodes else (),

@@ -42,7 +42,8 @@ class ResourceRecovery:
     @property
     def disclosed(self) -> tuple[str, ...]:
         """What the robots told each other."""
-        claims = ("task prices", "claims (task, robot)", "least reduced costs", "route lengths")
+        claims = ("task prices", "largest change of a share", "claims (task, robot)", "least reduced costs",
+                  "whether its routes could be listed")  # fmt: skip
         return (*claims, "largest share of each task") if self._by_share else claims
 
     def run(self) -> Exchange[Assignment]:
