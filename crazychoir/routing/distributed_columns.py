@@ -193,7 +193,7 @@ class DistributedColumns:
             MAKESPAN: max((finish for _, finish in flights), default=0.0),
         }
         first, *rest = (value[name] for name in self._member.local.objective)
-        return [first + float(self._penalty[left].sum()), *rest]
+        return [first + math.fsum(self._penalty[left]), *rest]
 
     def _flown(self, i: int, stops: tuple[int, ...]) -> tuple[float, float]:
         if (i, stops) not in self._costs:

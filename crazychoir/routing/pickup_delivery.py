@@ -131,6 +131,10 @@ class PickupDelivery(Program[Solution]):
         served = [j for _, _, tasks in known.values() for j in tasks]
         refused = np.setdiff1d(np.arange(len(member.local.tasks)), np.array(served, dtype=np.int64))
         penalties = math.fsum(member.local.tasks.penalty[refused])
+        twice = sorted({j for j in served if served.count(j) > 1})
+        if twice or penalties == math.inf:
+            what = f"task(s) {twice} are served twice" if twice else "a task that must be served is left out"
+            raise SolverError(f"robot {place.robot}: confirmation", f"different plans at the robots: {what}")
         cost = (sum(amounts, 0.0) if objective[0] == TOTAL else max(amounts)) + penalties
         digest = digest_of({i: text for i, (_, text, _) in known.items() if text})
         heard = yield from flood(place.robot, digest, place.diameter)

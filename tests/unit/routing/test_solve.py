@@ -10,6 +10,7 @@ import pytest
 from crazychoir.bus.codec import MAX_PAYLOAD, decode, encode
 from crazychoir.errors import ConfigError, SolverError
 from crazychoir.routing.checker import check
+from crazychoir.routing.distributed_columns import DistributedColumns
 from crazychoir.routing.generate import random_instance
 from crazychoir.routing.instance import Instance
 from crazychoir.routing.master import partition
@@ -17,6 +18,7 @@ from crazychoir.routing.member import Settings
 from crazychoir.routing.packing import packed
 from crazychoir.routing.pickup_delivery import METHODS, PickupDelivery
 from crazychoir.routing.pricing import Column, RouteTable
+from crazychoir.routing.proof import Assignment
 from crazychoir.routing.solve import diameter, joined, solve_in_loop, team
 from crazychoir.swarm.round import Round
 
@@ -305,3 +307,26 @@ def test_the_graph_must_be_of_the_robots_and_the_method_known(small, graph):
 
 def test_diameters(graph):
     assert [diameter(graph(shape, 6)) for shape in ("ring", "complete", "path", "star")] == [3, 1, 5, 2]
+
+
+@pytest.mark.parametrize(("plan", "what"), [({0: (0, 1), 1: (0,)}, "served twice"), ({0: (0,)}, "left out")])
+def test_robots_with_different_plans_notice_it_all_in_the_same_round(graph, monkeypatch, plan, what):
+    """Each tells the route that it flies: whether these are one plan is seen of their tasks, not of a hash of them."""
+    points = {key: [[0.0, y], [1.0, y]] for key, y in (("home", 0.0), ("pickup", 1.0), ("delivery", 2.0))}
+
+    def run(self):
+        yield None
+        return Assignment(plan, None)
+
+    monkeypatch.setattr(DistributedColumns, "run", run)
+    agents = team(Instance.parse(points | {"load": [1.0] * 2, "capacity": [2.0] * 2}), graph("path", 2))
+    failed = []
+    while not failed and not any(agent.done for agent in agents.values()):
+        messages = {i: agent.message() for i, agent in agents.items()}
+        for i, agent in agents.items():
+            try:
+                agent.step({1 - i: messages[1 - i]})
+            except SolverError as error:
+                failed.append(str(error))
+    assert len(failed) == 2
+    assert all(what in text for text in failed)
