@@ -124,6 +124,7 @@ class OnlinePDVRPGuidance(CFGuidance):
             "unserved": list(self.unserved),
             "plannings_s": self.plannings,
             "longest_wait_s": self.longest_wait,
+            "dropped": self.news.dropped,
             **({"success": False, "reason": self.reason} if self.reason else {}),
         }
 
@@ -284,6 +285,8 @@ class OnlinePDVRPGuidance(CFGuidance):
     def _adopt(self, share: Share) -> None:
         """From now on this is the route: what it was bound to and has not done yet, then the new stops."""
         self.news.book.merge(share.book)
+        for i, error in share.dropped.items():
+            self.news.drop(i, error)
         done = {(deed.task, deed.kind): None for deed in self.news.record.deeds}
         self.route = [s for s in [*self._planned_head, *share.stops] if (s.task, s.kind) not in done]
         self.planning, self.unserved, self._mark = False, share.unserved, mark(share.book)

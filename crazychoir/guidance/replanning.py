@@ -21,6 +21,7 @@ KINDS = (AUCTION, *METHODS)
 """How tasks may be shared out in flight: by the auction alone, or by a method of PickupDelivery after it."""
 Mark = tuple[tuple[int, int, bool], ...]
 """The tasks that a plan was made for: (id, version, cancelled) of each."""
+Dropped = dict[int, CodecError]
 
 
 @dataclass(frozen=True)
@@ -28,13 +29,15 @@ class Share:
     """What one robot has of a plan.
 
     stops: after those that it was bound to;  unserved: tasks that nobody can serve;  book: what the plan was made with,
-    the same at all robots;  ended: nothing is left to do, and all have landed.
+    the same at all robots;  ended: nothing is left to do, and all have landed;  dropped: why, by robot, what it said
+    counts for nothing.
     """
 
     stops: tuple[Stop, ...]
     unserved: tuple[int, ...]
     book: TaskBook
     ended: bool
+    dropped: Dropped
 
 
 @dataclass(frozen=True)
@@ -69,7 +72,8 @@ class Replanning(Program[Share]):
     problem: this robot's problem of these goods;  recover: see TaskBook.standings;  method: of KINDS; the auction alone
     takes some tens of rounds and milliseconds, the others find shorter plans and compute for seconds.
     What robots know is theirs as of the first round: what they hear later is for the next planning.
-    Raises CodecError if somebody says what is no book, and SolverError as PickupDelivery does.
+    What somebody says that is no book is dropped, by all alike, as everybody hears the same of it.
+    Raises SolverError as PickupDelivery does.
     """
 
     def __init__(
@@ -85,14 +89,16 @@ class Replanning(Program[Share]):
     def run(self) -> Exchange[Share]:
         """Agree, then share out."""
         said = yield from flood(self.robot, self._mine, self.diameter)
-        book, bound, carried = _merged(said)
+        book, bound, carried, dropped = _merged(said)
         goods = self._goods(book, bound, carried)
         free = [n for n, is_free in enumerate(goods.free) if is_free]
         local, m = self._problem(goods), len(goods.tasks)
         route, left = yield from parallel_auction(self.robot, local.vehicle, free, self.diameter)
         sold = [n for n in range(m) if n not in left]
         if self.method != AUCTION and sold and self.diameter:
-            route = yield from self._better(local, sold)
+            # Goods aboard are delivered whatever the way, so a plan of that length must be allowed.
+            least = max(local.vehicle.limit, local.vehicle.length(route))
+            route = yield from self._better(replace(local, left=least), sold)
         stops = tuple(Stop(goods.tasks[v % m].id, "pickup" if v < m else "delivery") for v in route)
         idle = all(record.idle for record in book.alive(self.members).values())
         return Share(
@@ -100,6 +106,7 @@ class Replanning(Program[Share]):
             unserved=tuple(goods.tasks[n].id for n in left),
             book=book,
             ended=idle and len(left) == len(free) and not (bound or carried),
+            dropped=dropped,
         )
 
     def _better(self, local: LocalProblem, sold: list[int]) -> Exchange[tuple[int, ...]]:
@@ -147,16 +154,26 @@ def mark(book: TaskBook) -> Mark:
     return tuple((task.id, task.version, task.cancelled) for _, task in sorted(book.tasks.items()))
 
 
-def _merged(said: dict[int, Any]) -> tuple[TaskBook, dict[int, None], dict[int, int]]:
-    """What all know together: the book, the bound tasks, and who carries which; raises CodecError."""
-    book, bound, carried = TaskBook(), dict[int, None](), dict[int, int]()
+def _merged(said: dict[int, Any]) -> tuple[TaskBook, dict[int, None], dict[int, int], Dropped]:
+    """What all know together: the book, the bound tasks, who carries which, and what was no book or no bonds."""
+    book, bound, carried, dropped = TaskBook(), dict[int, None](), dict[int, int](), Dropped()
     for i, value in said.items():
         try:
-            wire, bonds, aboard = value
-            book.merge(TaskBook.of(wire))
-            bound.update(dict.fromkeys(map(int, bonds)))
-            for j in map(int, aboard):
-                carried.setdefault(j, i)
-        except (TypeError, ValueError) as error:
-            raise CodecError(f"planning: robot {i} says what is no book and no bonds: {error}") from error
-    return book, bound, carried
+            told, bonds, aboard = _read(value)
+        except CodecError as error:
+            dropped[i] = error
+            continue
+        book.merge(told)
+        bound.update(dict.fromkeys(bonds))
+        for j in aboard:
+            carried.setdefault(j, i)
+    return book, bound, {j: i for j, i in carried.items() if j in book.tasks}, dropped
+
+
+def _read(value: Any) -> tuple[TaskBook, list[int], list[int]]:
+    """Book, bonds and goods as one robot says them; raises CodecError."""
+    try:
+        wire, bonds, aboard = value
+        return TaskBook.of(wire), list(map(int, bonds)), list(map(int, aboard))
+    except (TypeError, ValueError, OverflowError) as error:
+        raise CodecError(f"planning: no book and no bonds: {error}") from error

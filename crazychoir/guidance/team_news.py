@@ -30,7 +30,8 @@ class TeamNews:
     """The news of the robot of this communicator.
 
     tasks: that it knows from the start;  here: says where it is, (2,) m;  recover: see TaskBook.standings;
-    changed: set when the team is another one;  quorate: whether its part of the team may decide.
+    changed: set when the team is another one;  quorate: whether its part of the team may decide;
+    dropped: messages that were no books.
     """
 
     def __init__(
@@ -42,6 +43,7 @@ class TeamNews:
         self.book = TaskBook(tasks, [self.record])
         self.changed = asyncio.Event()
         self.quorate = True
+        self.dropped = 0
         self._team: tuple[int, ...] = ()
 
     # Saying and hearing ---------------------------------------------------------------------------------------
@@ -77,10 +79,19 @@ class TeamNews:
 
     def _merge(self, heard: dict[int, Any]) -> None:
         before = self.key()
-        for wire in heard.values():
-            self.book.merge(TaskBook.of(wire))
+        for i, wire in heard.items():
+            try:
+                self.book.merge(TaskBook.of(wire))
+            except CodecError as error:
+                self.drop(i, error)
         if self.key() != before:
             self.changed.set()
+
+    def drop(self, i: int, error: CodecError) -> None:
+        """Count what robot i said that is no book."""
+        if not self.dropped:
+            log.warning("drone %d: from drone %d, dropped: %s", self.id, i, error)
+        self.dropped += 1
 
     async def farewell(self) -> None:
         """Stay until all know that the team has ended, or FAREWELL s are over; beside `gossip`."""

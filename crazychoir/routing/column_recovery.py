@@ -14,10 +14,11 @@ from crazychoir.types import Vec
 
 DISCLOSED: tuple[str, ...] = (
     "task prices",
+    "largest change of a share",
+    "whether its routes could be listed",
     "route columns (task sets and lengths)",
     "least reduced costs",
     "plan",
-    "route lengths",
 )
 
 
@@ -58,7 +59,7 @@ class ColumnRecovery:
         member, bound = self._member, self._bound
         for _ in range(member.settings.passes):
             new = yield from improve(bound, member, self._pool, pi, member.settings.batch)
-            relaxed = self._pool.relax(member.penalty)
+            relaxed = self._pool.relax(member.unserved)
             known = yield from flood(self._i, [relaxed.value, relaxed.prices.tolist()], self._diameter)
             value = min(v for v, _ in known.values())
             if not new or value - bound.value <= member.settings.tolerance * max(1.0, value):

@@ -12,7 +12,7 @@ from crazychoir.optimization.program import Exchange
 from crazychoir.routing.clusters import Cluster, Neighbors, tasks_of, unserved
 from crazychoir.routing.gossip import Gossip
 from crazychoir.routing.instance import LocalProblem
-from crazychoir.routing.introduction import introduce, restricted
+from crazychoir.routing.introduction import TOLD, introduce, restricted
 from crazychoir.routing.member import Member
 from crazychoir.routing.neighborhood import flown, renamed, reoptimize
 from crazychoir.routing.pricing import shortest_route
@@ -21,12 +21,12 @@ from crazychoir.routing.vehicle import MAKESPAN, TOTAL
 from crazychoir.types import Vec
 
 DISCLOSED: tuple[str, ...] = (
-    "homes, capacities, limits and capabilities",
+    *(f"own {name}" for name in TOLD),
+    "how many tasks it can serve, and whether its routes could be listed",
     "route columns (task sets and lengths)",
     "task prices",
     "least reduced costs",
     "plans (stops of all robots)",
-    "route lengths",
 )
 BETTER = 1e-9
 """m: a plan that saves less than this is the same."""
@@ -68,7 +68,7 @@ class DistributedColumns:
         self._take_over(proof)
         if not proof.closed:
             yield from self._improve(proof.proven)
-        return self._assignment(proof.proven if gossip.bound.exact else None)
+        return self._assignment(proof.proven)
 
     @property
     def _penalty(self) -> Vec:
@@ -78,10 +78,15 @@ class DistributedColumns:
 
     def _relax(self) -> Exchange[Gossip | None]:
         """Column generation, if lengths are what is minimised, and every robot can list its routes."""
-        if self._member.local.objective != (TOTAL,):
+        member = self._member
+        if member.local.objective != (TOTAL,):
             return None
-        servable = yield from flood(self._i, len(self._member.local.servable), self._diameter)
-        if max(servable.values()) > self._member.settings.most_listed:
+        servable = yield from flood(self._i, len(member.local.servable), self._diameter)
+        if max(servable.values()) > member.settings.most_listed:
+            return None
+        complete = yield from flood(self._i, member.table.complete, self._diameter)
+        if not all(complete.values()):
+            del member.table  # no bound follows from tables that are cut, and they are large
             return None
         gossip = Gossip(self._member)
         yield from gossip.run()
@@ -169,8 +174,6 @@ class DistributedColumns:
         if left:
             why = f"incomplete: no plan found that serves task(s) {', '.join(map(str, left))}"
             raise SolverError(f"robot {self._i}: clusters", why)
-        if (self._member.local.tasks.priority > 0).any():
-            bound = None  # it is one of refusals weighed by priority
         return Assignment(self._sets(), bound, self.routes)
 
     def _missing(self) -> list[int]:
@@ -190,7 +193,7 @@ class DistributedColumns:
             MAKESPAN: max((finish for _, finish in flights), default=0.0),
         }
         first, *rest = (value[name] for name in self._member.local.objective)
-        return [first + float(self._penalty[left].sum()), *rest]
+        return [first + math.fsum(self._penalty[left]), *rest]
 
     def _flown(self, i: int, stops: tuple[int, ...]) -> tuple[float, float]:
         if (i, stops) not in self._costs:

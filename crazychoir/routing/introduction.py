@@ -14,6 +14,8 @@ from crazychoir.routing.member import Member
 
 PUBLIC = ("robot", "robots", "tasks", "objective")
 """Fields of a LocalProblem that all robots have in common, or that the flood tells by itself."""
+TOLD = tuple(f.name.replace("_", " ") for f in fields(LocalProblem) if f.name not in PUBLIC)
+"""What the flood tells of each robot."""
 MOST_BYTES = 300_000
 """Of introductions in one flood: of robots with matrices of their own only some speak at a time."""
 

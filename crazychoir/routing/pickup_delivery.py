@@ -22,6 +22,8 @@ from crazychoir.routing.proof import Assignment
 from crazychoir.routing.resource_recovery import ResourceRecovery
 from crazychoir.routing.vehicle import MAKESPAN, TOTAL
 
+CONFIRMED = ("route lengths or times", "task sets and hashes of routes")
+"""What the confirmation of a plan tells of each robot, whatever the method."""
 METHODS = ("columns", "resource-columns", "resource", "resource-argmax", *insertion_bids.METHODS)
 
 
@@ -129,13 +131,17 @@ class PickupDelivery(Program[Solution]):
         served = [j for _, _, tasks in known.values() for j in tasks]
         refused = np.setdiff1d(np.arange(len(member.local.tasks)), np.array(served, dtype=np.int64))
         penalties = math.fsum(member.local.tasks.penalty[refused])
+        twice = sorted({j for j in served if served.count(j) > 1})
+        if twice or penalties == math.inf:
+            what = f"task(s) {twice} are served twice" if twice else "a task that must be served is left out"
+            raise SolverError(f"robot {place.robot}: confirmation", f"different plans at the robots: {what}")
         cost = (sum(amounts, 0.0) if objective[0] == TOTAL else max(amounts)) + penalties
         digest = digest_of({i: text for i, (_, text, _) in known.items() if text})
         heard = yield from flood(place.robot, digest, place.diameter)
         if any(other != digest for other in heard.values()):
             raise SolverError(f"robot {place.robot}: confirmation", f"different plans at the robots: {heard}")
         member.report(phase="done", cost=cost)
-        bound = None if assignment.lower_bound is None else min(assignment.lower_bound, cost)
+        bound = self._bound(assignment, cost)
         return Solution(
             bytes_by_kind=dict(member.bytes_by_kind),
             cost=cost,
@@ -143,11 +149,21 @@ class PickupDelivery(Program[Solution]):
             lower_bound=bound,
             bound_exact=bound is not None,
             method=self._method,
-            disclosed=disclosed,
+            disclosed=(*disclosed, *CONFIRMED),
             rounds=self.k,
             plan_digest=digest,
             routes=(route,) if nodes else (),
         )
+
+    def _bound(self, assignment: Assignment, cost: float) -> float | None:
+        """What is proven of the cost: nothing where prices add up what counts otherwise.
+
+        A sum of finishing times is no makespan, and refusals weighed by priority are no cost.
+        """
+        local = self._member.local
+        if assignment.lower_bound is None or local.objective[0] == MAKESPAN or (local.tasks.priority > 0).any():
+            return None
+        return min(assignment.lower_bound, cost)
 
     def _own_route(self, assignment: Assignment) -> tuple[list[int], float]:
         """Stops and length in m of this robot's route."""

@@ -36,7 +36,7 @@ class PriceRounds:
     def run(self) -> Exchange[None]:
         """The rounds; returns when all robots stop."""
         member = self._member
-        program = ColumnProgram(member.table, member.penalty, member.local.robot)
+        program = ColumnProgram(member.table, member.unserved, member.local.robot)
         window, worst, change = max(1, member.place.diameter), 0.0, 1.0
         for k in range(member.settings.price_rounds):
             mu = self._price(program, k)

@@ -27,7 +27,8 @@ class ResourceRecovery:
     The least that settles it is the winner's name: method `resource` takes the lowest robot id that claims j, and
     nothing but names travels. `resource-argmax` compares the shares y_ij (ties: lowest id), so that the
     winner's share is disclosed too; its plans are better.
-    A robot claims only sets that it can serve together with what it keeps, so whatever it wins is feasible.
+    A robot claims only sets that it can serve together with what it keeps, so whatever it wins of them is feasible
+    too; where a detour may be shorter that is not so: then each tells what it keeps of what it has won.
     Passes go on, with claims on every open task, until all are kept. If a pass keeps nothing new, the open tasks
     become urgent, that is, are claimed before others, and the claims start again from robot id `attempt`, up to
     `attempts` times. Raises SolverError, at every robot alike, if tasks are open even then.
@@ -41,7 +42,8 @@ class ResourceRecovery:
     @property
     def disclosed(self) -> tuple[str, ...]:
         """What the robots told each other."""
-        claims = ("task prices", "claims (task, robot)", "least reduced costs", "route lengths")
+        claims = ("task prices", "largest change of a share", "claims (task, robot)", "least reduced costs",
+                  "whether its routes could be listed")  # fmt: skip
         return (*claims, "largest share of each task") if self._by_share else claims
 
     def run(self) -> Exchange[Assignment]:
@@ -68,15 +70,24 @@ class ResourceRecovery:
         while (owner < 0).any():
             bids = {j: [self._amount(j, attempt), self._i] for j in self._choice(owner, wanted)}
             won = yield from highest_bids(bids, self._member.place.diameter)
-            for j, (_, robot) in won.items():
+            kept = yield from self._kept(owner, {j: robot for j, (_, robot) in won.items()})
+            for j, robot in kept.items():
                 owner[j] = robot
-            if not won and last:
+            if not kept and last:
                 break
             wanted, last = np.ones_like(wanted), True  # at every robot alike, whatever its own shares were
         return owner
 
+    def _kept(self, owner: Ints, won: dict[int, int]) -> Exchange[dict[int, int]]:
+        """Who keeps what of the tasks won: of a set that is too long without the others' tasks, the best part."""
+        if self._member.local.vehicle.metric:
+            return won
+        mine = np.array([won.get(j) == self._i for j in range(len(owner))])
+        told = yield from flood(self._i, self._choice(owner, mine), self._member.place.diameter)
+        return {j: robot for robot, tasks in told.items() for j in tasks}
+
     def _choice(self, owner: Ints, wanted: npt.NDArray[np.bool_]) -> list[int]:
-        """The open tasks that this robot serves best together with those that it keeps."""
+        """The open tasks, of those wanted, that this robot serves best together with those that it keeps."""
         mine, free = owner == self._i, owner < 0
         large = 1.0 + float(self._member.penalty.sum()) + self._member.table.length.max()  # also where all points meet
         share = np.clip(self._prices.y, 0.0, 1.0)

@@ -154,7 +154,7 @@ async def test_a_new_plan_keeps_what_it_was_bound_to_and_leaves_out_what_is_done
     guidance.news.say(deeds=(Deed(0, PICK, 1),), idle=True)
     new = Task(9, 0, False, (2.0, 2.0), (3.0, 3.0))
     shared = stops((9, PICK), (0, DROP), (1, DROP), (9, DROP))
-    guidance._adopt(Share(tuple(shared), (3,), TaskBook([*TASKS, new]), False))
+    guidance._adopt(Share(tuple(shared), (3,), TaskBook([*TASKS, new]), False, {}))
     assert guidance.route == stops((1, PICK), (9, PICK), (0, DROP), (1, DROP), (9, DROP))
     assert not guidance.planning
     assert guidance.unserved == (3,)

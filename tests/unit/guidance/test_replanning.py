@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 
 from crazychoir.bus.codec import decode, encode
-from crazychoir.errors import CodecError
 from crazychoir.guidance.replanning import AUCTION, Replanning, mark
 from crazychoir.guidance.task_book import Deed, Record, Task, TaskBook
 from crazychoir.routing.generate import random_instance
-from crazychoir.swarm.graph import Graph, named
+from crazychoir.swarm.graph import Graph
 
 IDS = (2, 3, 5, 8)
 GRAPH = Graph.from_edges(IDS, [(2, 3), (3, 5), (5, 8), (2, 8)])
@@ -149,7 +148,34 @@ def test_a_method_of_pickup_delivery_finds_no_longer_plan_and_serves_the_same(se
     assert max(lengths["columns"], lengths["resource-columns"]) <= lengths[AUCTION] + 1e-6
 
 
-def test_who_says_what_is_no_book_ends_it_for_all():
-    agent = Replanning(2, named("complete", [2, 3]), TaskBook(), (), (), problem(2, HOMES[2]))
-    with pytest.raises(CodecError, match="robot 3"):
-        agent.step({3: [[3, [b"no book", [], []]]]})
+def test_goods_aboard_are_delivered_by_any_method_whatever_is_left_of_the_limit(monkeypatch):
+    books = {i: TaskBook([NEAR_2, NEAR_8], records()) for i in IDS}
+    short = problem
+
+    def tired(i, start):
+        return lambda goods: replace(short(i, start)(goods), left=1.0 if i == 3 else None)
+
+    monkeypatch.setitem(globals(), "problem", tired)
+    for method in (AUCTION, "columns", "resource-columns", "resource"):
+        shares = planned(books, carried={3: (6,)}, method=method)
+        assert stops(shares[3]) == [(6, "delivery")]
+        assert stops(shares[2]) == [(4, "pickup"), (4, "delivery")]
+
+
+@pytest.mark.parametrize("nonsense", [b"no book", [b"no book", [], []], [TaskBook().wire(), ["x"], []], None, 7])
+def test_who_says_what_is_no_book_is_dropped_by_all_alike(nonsense):
+    books = {i: TaskBook([NEAR_2], records()) for i in IDS}
+    agents = {i: Replanning(i, GRAPH, books[i], (), (), problem(i, HOMES[i])) for i in IDS}
+    while not all(agent.done for agent in agents.values()):
+        messages = {i: agent.message() for i, agent in agents.items()}
+        if agents[8].k == 0:
+            messages[8] = [[8, nonsense]]
+        for i, agent in agents.items():
+            agent.step({j: messages[j] for j in GRAPH.neighbors(i)})
+    assert stops(agents[2].result) == [(4, "pickup"), (4, "delivery")]
+    assert [list(agents[i].result.dropped) for i in IDS] == [[8], [8], [8], []]
+
+
+def test_goods_that_nobody_knows_of_are_not_planned_for():
+    books = {i: TaskBook([NEAR_2], records()) for i in IDS}
+    assert stops(planned(books, carried={8: (77,)})[2]) == [(4, "pickup"), (4, "delivery")]

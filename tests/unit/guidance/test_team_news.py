@@ -9,7 +9,7 @@ from crazychoir.bus.impairment import Impairment
 from crazychoir.bus.local import Bus
 from crazychoir.bus.rules import Rule
 from crazychoir.guidance.task_book import Deed, Fate, Task
-from crazychoir.guidance.team_news import PERIOD, TeamNews, mended
+from crazychoir.guidance.team_news import BOOK, PERIOD, TeamNews, mended
 from crazychoir.swarm.communicator import Communicator
 from crazychoir.swarm.graph import Graph, named
 
@@ -56,6 +56,24 @@ async def test_more_than_half_must_be_known_to_know(clock):
     for who in ((0, 1), (0, 1, 2)):
         await gossiping(clock, {i: news[i] for i in who}, 4 * PERIOD)
         assert news[0].known(number) == (len(who) == 3)
+
+
+@virtual
+async def test_what_is_no_book_is_dropped_and_counted_and_the_others_are_heard(clock):
+    news = team(clock, named("complete", 3))
+    news[2].book.learn(TASK)
+
+    async def nonsense():
+        while True:
+            await news[0].communicator.send(b"no book", (1, 2), channel=BOOK)
+            await clock.sleep(PERIOD)
+
+    job = asyncio.ensure_future(nonsense())
+    await gossiping(clock, {i: news[i] for i in (1, 2)}, 6 * PERIOD)
+    job.cancel()
+    assert news[1].book.tasks == {1: TASK}
+    assert news[2].book.newest(1) is not None
+    assert min(news[1].dropped, news[2].dropped) >= 3
 
 
 def test_the_tasks_travel_only_to_who_lacks_them():

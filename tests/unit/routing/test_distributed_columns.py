@@ -214,3 +214,28 @@ def test_refusals_are_weighed_in_the_proof_where_the_relaxation_has_a_gap(graph,
     solution = solve_in_loop(instance, graph("ring", robots), settings=Settings(first_steps=1))
     assert solution.cost == pytest.approx(best.cost, abs=1e-6)
     assert solution.lower_bound == pytest.approx(best.cost, abs=1e-3)
+
+
+def test_tables_that_are_cut_are_given_up_and_no_relaxation_follows(graph):
+    instance = random_instance(3, 9, 4)
+    solution = solve_in_loop(instance, graph("ring", 3), settings=Settings(most_labels=1000, steps=2000))
+    assert solution.feasible
+    assert solution.lower_bound is None
+    assert not {"bases", "prices"} & set(solution.bytes_by_kind)
+
+
+def test_disclosed_names_all_that_introductions_tell(graph):
+    told = {}
+
+    def listen(message):
+        for item in message if isinstance(message, list) else ():
+            if isinstance(item, list) and len(item) == 2 and isinstance(item[1], dict):
+                told.update(item[1])
+        return message
+
+    raw = random_instance(3, 3, 1, route_length_limit=30.0).to_json()
+    instance = Instance.parse(raw | {"fixed_cost": 2.0, "speed": [2.0] * 3})
+    solution = solve_in_loop(instance, graph("ring", 3), carry=listen)
+    assert {"home", "speed", "fixed", "window", "initial_load"} <= set(told)
+    assert {f"own {name.replace('_', ' ')}" for name in told} <= set(solution.disclosed)
+    assert "route lengths or times" in solution.disclosed

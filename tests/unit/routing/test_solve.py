@@ -10,6 +10,7 @@ import pytest
 from crazychoir.bus.codec import MAX_PAYLOAD, decode, encode
 from crazychoir.errors import ConfigError, SolverError
 from crazychoir.routing.checker import check
+from crazychoir.routing.distributed_columns import DistributedColumns
 from crazychoir.routing.generate import random_instance
 from crazychoir.routing.instance import Instance
 from crazychoir.routing.master import partition
@@ -17,6 +18,7 @@ from crazychoir.routing.member import Settings
 from crazychoir.routing.packing import packed
 from crazychoir.routing.pickup_delivery import METHODS, PickupDelivery
 from crazychoir.routing.pricing import Column, RouteTable
+from crazychoir.routing.proof import Assignment
 from crazychoir.routing.solve import diameter, joined, solve_in_loop, team
 from crazychoir.swarm.round import Round
 
@@ -67,6 +69,21 @@ def test_prices_and_claims_alone_end_in_a_feasible_plan_above_their_bound(graph,
     assert solution.lower_bound <= best.cost + 1e-6
     assert best.cost <= solution.cost + 1e-6
     assert not any("columns" in word for word in solution.disclosed)
+
+
+def three_robots_and_four_tasks(random):
+    counts = {"home": 3, "pickup": 4, "delivery": 4}
+    return {key: random.uniform(0.0, 5.0, (n, 2)).tolist() for key, n in counts.items()} | {"load": [1.0] * 4}
+
+
+@pytest.mark.parametrize(("method", "seed"), [("resource", 0), ("resource", 7), ("resource-argmax", 14)])
+def test_of_a_set_that_is_too_long_without_a_detour_the_winner_keeps_a_part(graph, method, seed):
+    random, n = np.random.default_rng(seed), 11
+    places = three_robots_and_four_tasks(random)
+    short = random.uniform(0.0, 1.0, (3, n, n)) < 0.3
+    ways = np.where(short, random.uniform(0.1, 1.0, (3, n, n)), random.uniform(4.0, 9.0, (3, n, n)))
+    raw = places | {"capacity": [4.0] * 3, "route_length_limit": 9.0, "distance": ways.tolist()}
+    assert solve_in_loop(Instance.parse(raw), graph("path", 3), method).feasible
 
 
 @pytest.mark.parametrize(("method", "names_only"), [("resource", True), ("resource-argmax", False)])
@@ -172,6 +189,25 @@ def infeasible():
     return Instance.parse(raw | homes | {"capability": [[True, True], [False, False]]})
 
 
+BOUNDED = ("columns", "resource-columns", "resource", "resource-argmax")
+
+
+@pytest.mark.parametrize("method", BOUNDED)
+@pytest.mark.parametrize(
+    "more",
+    [{"penalty": [0.5] * 4}, {"objective": "makespan"}, {"objective": ["makespan", "total"]},
+     {"penalty": [5.0] * 4, "priority": [1, 2, 0, 0]}],
+)  # fmt: skip
+def test_no_bound_is_above_the_optimum_where_tasks_are_refused_or_time_is_minimised(graph, method, more):
+    raw = three_robots_and_four_tasks(np.random.default_rng(1)) | {"capacity": [2.0] * 3, "route_length_limit": 25.0}
+    instance = Instance.parse(raw | more)
+    solution = solve_in_loop(instance, graph("path", 3), method)
+    assert solution.feasible
+    assert (solution.lower_bound or 0.0) <= solve_in_loop(instance, graph("path", 3)).cost + 1e-6
+    assert solution.bound_exact == (solution.lower_bound is not None)
+    assert solution.bound_exact == (more.keys() == {"penalty"})
+
+
 def test_an_infeasible_instance_is_a_clear_error():
     with pytest.raises(SolverError, match=r"^infeasible: no plan serves every task; each can be served alone"):
         solve_in_loop(infeasible(), {0: [1], 1: [0]})
@@ -271,3 +307,26 @@ def test_the_graph_must_be_of_the_robots_and_the_method_known(small, graph):
 
 def test_diameters(graph):
     assert [diameter(graph(shape, 6)) for shape in ("ring", "complete", "path", "star")] == [3, 1, 5, 2]
+
+
+@pytest.mark.parametrize(("plan", "what"), [({0: (0, 1), 1: (0,)}, "served twice"), ({0: (0,)}, "left out")])
+def test_robots_with_different_plans_notice_it_all_in_the_same_round(graph, monkeypatch, plan, what):
+    """Each tells the route that it flies: whether these are one plan is seen of their tasks, not of a hash of them."""
+    points = {key: [[0.0, y], [1.0, y]] for key, y in (("home", 0.0), ("pickup", 1.0), ("delivery", 2.0))}
+
+    def run(self):
+        yield None
+        return Assignment(plan, None)
+
+    monkeypatch.setattr(DistributedColumns, "run", run)
+    agents = team(Instance.parse(points | {"load": [1.0] * 2, "capacity": [2.0] * 2}), graph("path", 2))
+    failed = []
+    while not failed and not any(agent.done for agent in agents.values()):
+        messages = {i: agent.message() for i, agent in agents.items()}
+        for i, agent in agents.items():
+            try:
+                agent.step({1 - i: messages[1 - i]})
+            except SolverError as error:
+                failed.append(str(error))
+    assert len(failed) == 2
+    assert all(what in text for text in failed)
