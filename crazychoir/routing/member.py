@@ -107,7 +107,10 @@ class Member:
     @cached_property
     def table(self) -> RouteTable:
         """All routes of this robot; made at the first use."""
-        return RouteTable(self.local.vehicle, self.settings.most_labels, self.local.objective)
+        vehicle, most = self.local.vehicle, self.settings.most_labels
+        if not (vehicle.timed or np.isfinite(vehicle.farthest)):
+            most //= 3  # without limits each task trebles their number: more labels are wasted
+        return RouteTable(vehicle, most, self.local.objective)
 
     @cached_property
     def penalty(self) -> Vec:

@@ -11,8 +11,8 @@ from crazychoir.routing.setting import FinalLabels, bits_of, final_labels
 from crazychoir.routing.vehicle import MAKESPAN, TOTAL, Vehicle
 from crazychoir.types import Vec
 
-MOST_LABELS = 1_000_000
-"""Of one table, some 150 MB while it is made; of 20 robots with 40 tasks within 25 m one needs half of them."""
+MOST_LABELS = 3_000_000
+"""Of one table, some 350 MB while it is made; of 20 robots with 40 tasks within 25 m one may need two millions."""
 TOO_MANY = "more labels than allowed"
 
 
