@@ -34,6 +34,7 @@ class Standing(CFGuidance):
     async def mission(self):
         await self.take_off()
         await self.rendezvous()
+        self.member.report = lambda: {"task": "standing"}
         await self.sleep(self.member.config.mission_options["duration"])
         await self.land()
 
@@ -79,19 +80,18 @@ class Run:
         return next(int(c) for c in children if word in Path(f"/proc/{c}/cmdline").read_text().replace("\0", " "))
 
     @property
-    def phases(self) -> dict[int, str]:
-        """The last phase of each drone."""
+    def tasks(self) -> dict[int, str]:
+        """What each drone last said that it does."""
         heard = [json.loads(line) for line in self.observer.said if line.startswith("{")]
-        return {one["drone"]: one["status"]["phase"] for one in heard if "status" in one}
+        return {one["drone"]: one["status"]["task"] for one in heard if "status" in one}
 
-    async def hovers(self) -> None:
-        """Until all drones do."""
+    async def stands(self) -> None:
+        """Until all drones stand in the air, and have met."""
         await until(
-            lambda: [self.phases.get(i) for i in self.config.ids] == ["hovering"] * len(self.config.ids),
+            lambda: [self.tasks.get(i) for i in self.config.ids] == ["standing"] * len(self.config.ids),
             40.0,
-            lambda: f"{self.phases}: {self.program.text}",
+            lambda: f"{self.tasks}: {self.program.text}",
         )
-        await asyncio.sleep(3.0)  # then they stand still, and meet
 
 
 @contextlib.asynccontextmanager
@@ -116,7 +116,7 @@ def gone(pids: list[int]) -> bool:
 
 async def test_four_processes_fly_in_worlds_of_one_owner_that_others_can_look_into(tmp_path):
     async with running(standing(tmp_path, 5.0, motors=2), tmp_path) as run:
-        await run.hovers()
+        await run.stands()
         said = await asyncio.to_thread(call, "crazychoir", "echo", "truth", "--swarm", run.path, "--seconds", 1)
         ended = await run.program.end(60.0)
     truths = [json.loads(line) for line in said.out.splitlines()]
@@ -130,7 +130,7 @@ async def test_four_processes_fly_in_worlds_of_one_owner_that_others_can_look_in
 async def kill_the_owner(folder: Path) -> None:
     """Its drones are blind, and come down; every process ends, with the reason."""
     async with running(standing(folder, 60.0, drones=2), folder) as run:
-        await run.hovers()
+        await run.stands()
         pids = [run.pid("cli.world"), run.pid("--id 0"), run.pid("--id 1")]
         os.kill(pids[0], signal.SIGKILL)
         killed = time.monotonic()
@@ -147,7 +147,7 @@ async def kill_the_owner(folder: Path) -> None:
 async def kill_an_agent(folder: Path) -> None:
     """Its drone falls; the other flies on, and lands in the world that is still there."""
     async with running(standing(folder, 6.0, drones=2), folder) as run:
-        await run.hovers()
+        await run.stands()
         os.kill(run.pid("--id 1"), signal.SIGKILL)
         ended = await run.program.end(60.0)
     assert ended["code"] == 1
