@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+from crazychoir.cli.show import require_drawable
 from crazychoir.errors import ConfigError, Refused
 from crazychoir.guidance.mission import Mission, has, load
 from crazychoir.launch.running import Run, of_file, runs
@@ -91,7 +92,8 @@ def to_run(
 
 
 def check_picture(mission: Mission, path: Path | None) -> None:
-    """Refuse to draw what the mission does not draw."""
+    """Refuse to draw what the mission does not draw, and where it cannot be."""
+    require_drawable(path)
     if path is not None and not has(mission, "picture"):
         do = "Leave it out, or define picture(config, results, path) in the mission."
         raise ConfigError("--picture", str(path), "a mission that draws one", do)

@@ -133,7 +133,7 @@ def impair(
     clear: Annotated[bool, typer.Option(help="Take everything back first.")] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Change the simulated network while the swarm runs; partitions are set in the swarm file, [network].
+    """Change the simulated network while the swarm runs; partitions are set in the swarm file, under `network`.
 
     It acts between drones from now on; what is not named stays as it is. --loss 0 takes loss back.
     """

@@ -7,6 +7,7 @@ import os
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, NoReturn, Self, TypeVar
 
 import typer
@@ -16,7 +17,7 @@ from rich.table import Table
 from rich.text import Text
 
 from crazychoir.bus.plain import plain
-from crazychoir.errors import CrazyChoirError, Refused
+from crazychoir.errors import ConfigError, CrazyChoirError, Refused
 
 if TYPE_CHECKING:
     from crazychoir.launch.score import Score
@@ -28,6 +29,8 @@ REFRESH = 4
 """Tables a second."""
 WIDE = 100
 """Columns of a terminal from which tables show everything."""
+PICTURES = (".png", ".pdf", ".svg")
+"""Kinds of pictures that are drawn."""
 
 
 def set_up_logging(level: int = logging.WARNING) -> None:
@@ -60,6 +63,18 @@ def write_json(value: Any) -> None:
     """One line of JSON on standard output, at once."""
     sys.stdout.write(json.dumps(plain(value), default=str) + "\n")
     sys.stdout.flush()
+
+
+def require_drawable(path: Path | None) -> None:
+    """Raise ConfigError, before anything is computed, for a picture of a kind that there is not, or in no folder."""
+    if path is None:
+        return
+    if path.suffix not in PICTURES:
+        raise ConfigError("--picture", str(path), f"a name that ends in {', '.join(PICTURES)}")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigError("--picture", str(path), "a name in a folder that can be made", f"{error.strerror}.") from None
 
 
 def fail(error: CrazyChoirError, as_json: bool) -> NoReturn:

@@ -7,7 +7,7 @@ import typer
 from rich.console import Group
 from rich.table import Table
 
-from crazychoir.cli.show import STDERR, Progress, fail, interrupted, set_up_logging, write_json
+from crazychoir.cli.show import STDERR, Progress, fail, interrupted, require_drawable, set_up_logging, write_json
 from crazychoir.errors import CrazyChoirError
 
 if TYPE_CHECKING:
@@ -52,6 +52,7 @@ def solve(
     from crazychoir.solving import solve_here
 
     try:
+        require_drawable(picture)
         problem = Instance.load(instance)
         options: dict[str, Any] = {"method": method, "loss": loss, "graph": graph, "seed": seed,
                                    "settings": Settings(prove=prove)}  # fmt: skip

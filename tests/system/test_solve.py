@@ -79,3 +79,9 @@ def test_a_method_and_a_graph_that_do_not_exist_are_refused(here, repository):
     path = repository / "tests" / "data" / "pickup_delivery_flat.json"
     here("crazychoir", "solve", path, "--method", "magic").refuses("magic", "resource-columns")
     here("crazychoir", "solve", path, "--graph", "knot").refuses("knot")
+
+
+@pytest.mark.parametrize(("name", "said"), [("a.txt", ".png, .pdf, .svg"), ("/proc/none/a.png", "can be made")])
+def test_a_picture_that_cannot_be_drawn_is_refused_before_anything_is_solved(here, repository, tmp_path, name, said):
+    path = repository / "tests" / "data" / "pickup_delivery_flat.json"
+    here("crazychoir", "solve", path, "--picture", tmp_path / name).refuses("--picture", said)
