@@ -3,13 +3,11 @@
 Rows are measured in turns and repeated, so that what else the machine does falls on all of them; medians are shown.
 """
 
-import contextlib
 import importlib.util
 import json
 import os
 import secrets
 import shutil
-import socket
 import statistics
 import sys
 from collections.abc import Callable
@@ -21,6 +19,7 @@ from rich.table import Table
 from rich.text import Text
 
 from crazychoir.launch.group import Group
+from crazychoir.launch.network import free_ports
 from crazychoir.swarm.graph import Graph, k_regular, ring
 
 GRAPHS: dict[str, Callable[[int], Graph]] = {"ring": ring, "4-regular": lambda n: k_regular(n, 4)}
@@ -155,7 +154,8 @@ def measure(row: Row, seconds: float) -> None:
 
 def _commands(row: Row, common: dict[str, Any]) -> list[list[str]]:
     """One command a process, each with a contiguous part of the agents, and a core of its own if there are enough."""
-    endpoints = [f"tcp/127.0.0.1:{port}" for port in _free_ports(row.processes)]
+    base = free_ports(list(range(row.processes)))
+    endpoints = [f"tcp/127.0.0.1:{base + p}" for p in range(row.processes)]
     domain = 1 + secrets.randbelow(100)  # ports of higher ones may be anybody's
     cores = sorted(os.sched_getaffinity(0))
     commands = []
@@ -178,9 +178,3 @@ def _mpi_command(row: Row, common: dict[str, Any]) -> list[list[str]]:
 
 def _python(row: Row, specification: dict[str, Any]) -> list[str]:
     return [sys.executable, "-c", BARE, str(PACKAGE), f"crazychoir.cli.{row.module}", json.dumps(specification)]
-
-
-def _free_ports(count: int) -> list[int]:
-    with contextlib.ExitStack() as stack:
-        sockets = [stack.enter_context(socket.create_server(("127.0.0.1", 0))) for _ in range(count)]
-        return [one.getsockname()[1] for one in sockets]

@@ -20,6 +20,9 @@ from crazychoir.runtime.clock import Clock
 from crazychoir.runtime.supervisor import Supervisor
 from crazychoir.swarm.config import SwarmConfig
 
+LOWEST = 10_000
+"""Of the ports that are drawn: below it are those of well-known services, and the default base_port."""
+
 
 def observer(clock: Clock, config: SwarmConfig) -> ZenohLink:
     """The link of an observer under a name and an address of its own: many may look on at once, from many hosts."""
@@ -71,13 +74,25 @@ def apart(config: SwarmConfig, processes: int | None) -> SwarmConfig:
 
 
 def free_ports(offsets: list[int], attempts: int = 200) -> int:
-    """A base port such that base + offset is free for each offset."""
+    """A base port such that base + offset is free for each offset, also when it is used a second later.
+
+    Below the ports that the system gives to who connects: one that calls a port of those before anybody listens on it
+    may be given this very port, is then connected to itself, and the port is taken.
+    """
     draw = random.SystemRandom()
+    end = _first_of_connections() - max(offsets)
     for _ in range(attempts):
-        base = draw.randrange(20_000, 60_000 - max(offsets))
+        base = draw.randrange(min(LOWEST, end // 2), end)
         if all(_free(base + offset) for offset in offsets):
             return base
     raise ConfigError("base_port", f"no free block for {len(offsets)} processes", "free ports", "Set base_port.")
+
+
+def _first_of_connections() -> int:
+    try:
+        return int(Path("/proc/sys/net/ipv4/ip_local_port_range").read_text().split()[0])
+    except (OSError, ValueError, IndexError):
+        return 32_768
 
 
 def _free(port: int) -> bool:

@@ -43,6 +43,14 @@ def test_ports_in_use_are_left_alone(monkeypatch):
         free_ports([0, 2])
 
 
+def test_no_connection_is_given_a_port_that_was_drawn(monkeypatch):
+    with socket.create_server(("127.0.0.1", 0)) as server, socket.create_connection(server.getsockname()) as connection:
+        given = connection.getsockname()[1]
+    assert all(free_ports([0, 200]) + 200 < given for _ in range(50))
+    monkeypatch.setattr(network, "_first_of_connections", lambda: 4_000)
+    assert free_ports([0, 5]) + 5 < 4_000, "also where the system gives low ones"
+
+
 def test_the_swarm_file_is_there_while_it_flies():
     config = default_swarm(3)
     with swarm_file(config) as path:
