@@ -22,19 +22,12 @@ from crazychoir.optimization.projection import Box, Convex, Disc, Intersection, 
 from crazychoir.optimization.push_sum import PushSum
 from crazychoir.optimization.step_size import Constant, Diminishing
 from crazychoir.optimization.subgradient import SubgradientMethod
-from crazychoir.swarm.graph import (
-    GraphSequence,
-    column_stochastic,
-    erdos_renyi_connected,
-    metropolis,
-    ring,
-    row_stochastic,
-)
+from crazychoir.swarm import graph as graphs
 
 Q = random_quadratics(6, 3, seed=1)
-GRAPH = erdos_renyi_connected(6, 0.5, 1)
-DIRECTED = erdos_renyi_connected(6, 0.4, 3, directed=True)
-CHANGING = GraphSequence.draw(GRAPH, 0.4, 5, 1)
+GRAPH = graphs.erdos_renyi_connected(6, 0.5, 1)
+DIRECTED = graphs.erdos_renyi_connected(6, 0.4, 3, directed=True)
+CHANGING = graphs.GraphSequence.draw(GRAPH, 0.4, 5, 1)
 
 
 def matrix(weights, k=0):
@@ -126,9 +119,9 @@ def stepwise(agents, graph, rounds):
         yield k
 
 
-@pytest.mark.parametrize("graph", [DIRECTED, GraphSequence.draw(DIRECTED, 0.5, 3, 1)])
+@pytest.mark.parametrize("graph", [DIRECTED, graphs.GraphSequence.draw(DIRECTED, 0.5, 3, 1)])
 def test_push_sum_follows_its_equation_and_keeps_both_sums(graph):
-    weights = columns(graph, column_stochastic)
+    weights = columns(graph, graphs.column_stochastic)
     x = np.random.default_rng(1).normal(size=(6, 2))
     agents = {i: PushSum(i, x[i], weights[i]) for i in graph.ids}
     s, y = x, np.ones(6)
@@ -153,7 +146,7 @@ def test_gradient_tracking_follows_its_equation_and_tracks_the_sum_of_gradients(
 
 
 def test_directed_gradient_tracking_follows_its_equation_and_tracks_the_sum_of_gradients():
-    pull, push = rows(DIRECTED, row_stochastic), columns(DIRECTED, column_stochastic)
+    pull, push = rows(DIRECTED, graphs.row_stochastic), columns(DIRECTED, graphs.column_stochastic)
     agents = {i: DirectedGradientTracking(i, np.ones(3) * i, pull[i], push[i], Q.gradient(i), 0.02) for i in range(6)}
     a, b, x = matrix(pull), matrix(push).T, gathered(agents, "x")
     d = before = np.array([Q.gradient(i)(x[i]) for i in range(6)])
@@ -248,9 +241,9 @@ def test_aggregative_tracking_follows_costs_that_change():
     assert np.abs(targets.r - targets.r[::-1]).max() > 0.5
 
 
-@pytest.mark.parametrize("graph", [GRAPH, CHANGING, ring(6)])
+@pytest.mark.parametrize("graph", [GRAPH, CHANGING, graphs.ring(6)])
 def test_gradient_tracking_reaches_the_central_optimum_linearly(graph):
-    agents = team(graph, lambda i, w: GradientTracking(i, np.zeros(3), w, Q.gradient(i), 0.01), metropolis)
+    agents = team(graph, lambda i, w: GradientTracking(i, np.zeros(3), w, Q.gradient(i), 0.01), graphs.metropolis)
     errors = []
     for k in stepwise(agents, graph, 2400):
         if k % 600 == 599:
@@ -259,9 +252,9 @@ def test_gradient_tracking_reaches_the_central_optimum_linearly(graph):
     assert all(later < 0.1 * earlier or later < 1e-13 for earlier, later in pairwise(errors))
 
 
-@pytest.mark.parametrize("graph", [DIRECTED, ring(6, directed=True)])
+@pytest.mark.parametrize("graph", [DIRECTED, graphs.ring(6, directed=True)])
 def test_directed_gradient_tracking_reaches_the_central_optimum(graph):
-    pull, push = rows(graph, row_stochastic), columns(graph, column_stochastic)
+    pull, push = rows(graph, graphs.row_stochastic), columns(graph, graphs.column_stochastic)
     agents = {
         i: DirectedGradientTracking(i, np.zeros(3), pull[i], push[i], Q.gradient(i), 0.005, 6000) for i in range(6)
     }
@@ -275,6 +268,7 @@ def test_gradient_tracking_on_a_directed_graph_with_rows_alone_would_end_elsewhe
     class Unchecked(GradientTracking):
         doubly_stochastic = False
 
-    agents = team(DIRECTED, lambda i, w: Unchecked(i, np.zeros(3), w, Q.gradient(i), 0.005, 6000), row_stochastic)
+    weights = graphs.row_stochastic
+    agents = team(DIRECTED, lambda i, w: Unchecked(i, np.zeros(3), w, Q.gradient(i), 0.005, 6000), weights)
     run_in_step(agents, DIRECTED)
     assert np.abs(gathered(agents, "x") - Q.optimum).max() > 1e-2

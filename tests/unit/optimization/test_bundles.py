@@ -89,38 +89,36 @@ def check(agents, tasks):
     return results
 
 
-@pytest.mark.parametrize("seed", range(24))
-def test_with_diminishing_gain_cbba_is_the_sequential_greedy_algorithm(seed):
-    bidders, tasks = discounts(seed)
+def ended(make, bidders, tasks, seed):
+    """The results of a team over links of this seed."""
     graph = links(len(bidders), seed)
-    agents = cbba(bidders, tasks, graph.diameter())
+    agents = make(bidders, tasks, graph.diameter())
     run_team(agents, graph)
+    return check(agents, tasks)
+
+
+def as_greedy(make, bidders, tasks, seed):
+    """Who wins what, and in which order it is served, are those of the sequential greedy algorithm."""
+    results = ended(make, bidders, tasks, seed)
     winners, paths = greedy(bidders, tasks)
-    results = check(agents, tasks)
     assert results[0].winners == winners
     assert [result.path for result in results] == paths
 
 
+@pytest.mark.parametrize("seed", range(24))
+def test_with_diminishing_gain_cbba_is_the_sequential_greedy_algorithm(seed):
+    as_greedy(cbba, *discounts(seed), seed)
+
+
 @pytest.mark.parametrize("seed", range(12))
 def test_with_any_gain_cbba_ends_without_a_conflict(seed):
-    bidders, tasks = tours(seed)
-    graph = links(len(bidders), seed)
-    agents = cbba(bidders, tasks, graph.diameter())
-    run_team(agents, graph)
-    assert check(agents, tasks)[0].open_tasks == ()
+    assert ended(cbba, *tours(seed), seed)[0].open_tasks == ()
 
 
 @pytest.mark.parametrize("make", [discounts, tours])
 @pytest.mark.parametrize("seed", range(8))
 def test_a_sequential_auction_is_the_sequential_greedy_algorithm(seed, make):
-    bidders, tasks = make(seed)
-    graph = links(len(bidders), seed)
-    agents = auction(bidders, tasks, graph.diameter())
-    run_team(agents, graph)
-    winners, paths = greedy(bidders, tasks)
-    results = check(agents, tasks)
-    assert results[0].winners == winners
-    assert [result.path for result in results] == paths
+    as_greedy(auction, *make(seed), seed)
 
 
 def test_bundles_are_no_longer_than_allowed_and_the_rest_is_open():
