@@ -6,11 +6,14 @@ import typer
 
 from crazychoir.cli.look import JsonOption, SwarmOption, looking
 from crazychoir.cli.show import STDERR, fail, write_json
-from crazychoir.errors import ConfigError
+from crazychoir.errors import ConfigError, Refused
 
 if TYPE_CHECKING:
     from crazychoir.cli.window import Answers, Window
 
+REFUSED = "refused"
+UNSURE = "It may have done it all the same: look at the report of the mission before you ask another with --drone."
+START = "crazychoir run online_delivery"
 app = typer.Typer(no_args_is_help=True, help="Add or cancel tasks of a swarm that delivers goods, in flight.")
 DroneOption = Annotated[int | None, typer.Option(help="Tell this drone; else the first that answers. All hear of it.")]
 
@@ -47,14 +50,21 @@ def cancel(
 
 
 def _ask(swarm: str | None, drone: int | None, verb: str, as_json: bool, arguments: dict[str, Any]) -> None:
-    """Ask one drone, or one after the other until one has done it; exit code 1 if none has."""
+    """Ask one drone, or one after the other until one has done it; exit code 1 if none has.
+
+    Who does not answer may have done it all the same: nobody else is asked then, or a task might be there twice.
+    """
 
     async def work(window: "Window") -> "Answers":
         window.check("--drone", () if drone is None else (drone,))
+        there = await _found(window)
+        if drone is not None and drone not in there:
+            raise Refused(f"drone {drone}", f"absent; there are {', '.join(map(str, there))}")
         answers: Answers = {}
-        for i in [drone] if drone is not None else await window.find():
+        for i in there if drone is None else [drone]:
             answers |= await window.request(verb, (i,), **arguments)
-            if answers[i][0]:
+            done, said = answers[i]
+            if done or not str(said).startswith(REFUSED):
                 break
         return answers
 
@@ -63,9 +73,33 @@ def _ask(swarm: str | None, drone: int | None, verb: str, as_json: bool, argumen
     if as_json:
         write_json(done[0] if done else {str(i): said for i, (_, said) in answers.items()})
     else:
-        for i, (good, said) in answers.items():
-            STDERR.print(f"drone {i}: " + (f"task {said['id']}" if good else str(said)), markup=False)
+        for line in _lines(answers):
+            STDERR.print(line, markup=False, highlight=False, soft_wrap=True)
     raise typer.Exit(0 if done else 1)
+
+
+async def _found(window: "Window") -> list[int]:
+    """The drones that are there; raises Refused, with what to start, if nobody flies."""
+    try:
+        return await window.find()
+    except Refused as refused:
+        do = f"Only a swarm that flies takes tasks: start one in real time, as with `{START}`, and name it by --swarm."
+        raise Refused(refused.by, f"{refused.reason} {do}") from None
+
+
+def _lines(answers: "Answers") -> list[str]:
+    """What each has answered, and once what several have."""
+    if done := [f"drone {i}: {_in_words(said)}" for i, (good, said) in answers.items() if good]:
+        return done
+    by_word: dict[str, list[str]] = {}
+    for i, (_, said) in answers.items():
+        text = str(said).removeprefix(f"drone {i}: ")
+        by_word.setdefault(text if text.startswith(REFUSED) else f"{text} {UNSURE}", []).append(str(i))
+    return [f"drone {', '.join(who)}: {said}" for said, who in by_word.items()]
+
+
+def _in_words(said: dict[str, Any]) -> str:
+    return f"task {said['id']}" + (f": {said['note']}" if "note" in said else "")
 
 
 def _numbers(option: str, text: str, kind: type, count: int | None = None) -> list[Any]:

@@ -24,15 +24,16 @@ import numpy as np
 from crazychoir.errors import CrazyChoirError, PeerLost, RosterChanged
 from crazychoir.guidance.airspace import way_round
 from crazychoir.guidance.base import CFGuidance, Interrupted, Member
+from crazychoir.guidance.commitments import Commitments
 from crazychoir.guidance.replanning import AUCTION, Goods, Mark, Replanning, Share, mark
-from crazychoir.guidance.task_book import Deed, Fate, Place, Task
+from crazychoir.guidance.site import Site
+from crazychoir.guidance.task_book import LARGEST, Place, Task
 from crazychoir.guidance.task_source import Event, TaskSource
 from crazychoir.guidance.team_news import PERIOD, Key, TeamNews
 from crazychoir.math3d import Vec
 from crazychoir.planning.point_to_point import duration_for
 from crazychoir.routing.instance import LocalProblem
 from crazychoir.routing.plan import Stop
-from crazychoir.safety.guard import EDGE
 from crazychoir.types import FullState
 
 log = logging.getLogger(__name__)
@@ -47,22 +48,24 @@ LATE = 5.0
 REUNION = 30.0
 """s on the ground after which a part of the team that is cut off ends its mission."""
 UNREACHED = "cut off from more than half of the team"
+TOO_FAR = "no drone that can serve it has enough left of its route_length_limit"
 
 
 @dataclass(frozen=True)
 class Options:
     """What all robots of a mission have in common.
 
+    levels: m above the ground, of each robot;  site: where goods may lie, and who may serve which;
     service_time: s at each stop;  recover: goods of a robot that is gone are fetched from where it was last;
-    until: s after GO before which nobody thinks that the mission is over;  levels: m above the ground, of each robot;
-    clearance: m from other robots' homes, in the plane;  method: how tasks are shared out, see Replanning.
+    until: s after GO before which nobody thinks that the mission is over;
+    method: how tasks are shared out, see Replanning.
     """
 
     levels: dict[int, float]
+    site: Site
     service_time: float = 1.0
     recover: bool = False
     until: float = 0.0
-    clearance: float = 0.4
     method: str = AUCTION
 
 
@@ -77,15 +80,12 @@ class OnlinePDVRPGuidance(CFGuidance):
         self.own, self.options = own, options
         self.events = tuple(sorted(events, key=lambda event: event.t))
         self.tasks = tuple(tasks)
-        self.route: list[Stop] = []
         self.served: list[dict[str, Any]] = []
-        self.unserved: tuple[int, ...] = ()
+        self.unserved: dict[int, str] = {}
         self.plannings: list[float] = []
         self.longest_wait = self.flown = 0.0
-        self.planning = False
         self.up = False
         self.reason = ""
-        self._bound: dict[int, None] = {}
         self._mark: Mark | None = None
         self._promised = np.inf
         self._serving_until = 0.0
@@ -93,8 +93,10 @@ class OnlinePDVRPGuidance(CFGuidance):
     def bind(self, member: Member) -> None:
         """Meet the drone."""
         super().bind(member)
+        self._seen = _flat(self.own.home)
         self.news = TeamNews(member.communicator, self.tasks, self._here, self.options.recover)
-        self.source = TaskSource(self.news, member.config, self.options.clearance)
+        self.commitments = Commitments(self.news)
+        self.source = TaskSource(self.news, self.options.site, self.events, self._may_end)
         self._redirected = asyncio.Event()
         member.report = lambda: {"task": self._task()}
 
@@ -102,7 +104,7 @@ class OnlinePDVRPGuidance(CFGuidance):
         """Fly, gossip, hear and plan, until the team agrees that nothing is left to do."""
         try:
             async with asyncio.TaskGroup() as group:
-                work = self.news.gossip(), self.source.hear(self.events), self._fly()
+                work = self.news.gossip(), self.source.hear(), self._fly()
                 jobs = [group.create_task(job) for job in work]
                 await self._plan()
                 await self.news.farewell()
@@ -121,7 +123,7 @@ class OnlinePDVRPGuidance(CFGuidance):
         return {
             "served": self.served,
             "tasks": {str(j): [s.fate.value, s.robot] for j, s in self.news.standings().items()},
-            "unserved": list(self.unserved),
+            "unserved": {str(j): why for j, why in self.unserved.items()},
             "plannings_s": self.plannings,
             "longest_wait_s": self.longest_wait,
             "dropped": self.news.dropped,
@@ -129,8 +131,8 @@ class OnlinePDVRPGuidance(CFGuidance):
         }
 
     def _task(self) -> str:
-        aboard, left = len(self._aboard()), len(self.route)
-        doing = "planning again, " if self.planning else ""
+        aboard, left = len(self.commitments.aboard()), len(self.commitments.route)
+        doing = "planning again, " if self.commitments.planning else ""
         return f"{doing}{len(self.served)} stops done, {left} to do, {aboard} aboard"
 
     @property
@@ -138,12 +140,19 @@ class OnlinePDVRPGuidance(CFGuidance):
         return self.member.clock.now()
 
     def _here(self) -> Place:
-        x, y = self.state.p[:2].tolist()
-        return float(x), float(y)
+        """Where it is; or was last, when its estimate is no place: that would be news that nobody can read."""
+        place = _flat(self.state.p)
+        if all(abs(x) <= LARGEST for x in place):
+            self._seen = place
+        return self._seen
 
     async def asked(self, verb: str, arguments: dict[str, Any]) -> Any:
         """An operator adds a task, or cancels one; see TaskSource."""
-        return self.source.asked(verb, arguments)
+        return await self.source.asked(verb, arguments)
+
+    def _may_end(self) -> bool:
+        """Whether a planning runs after which the mission may be over: it does not know of what is heard now."""
+        return self.commitments.planning and self.news.record.idle
 
     # Planning -------------------------------------------------------------------------------------------------
 
@@ -185,27 +194,19 @@ class OnlinePDVRPGuidance(CFGuidance):
         return begun or mark(self.news.book) != self._mark or self._late() or all(r.idle for r in alive)
 
     def _late(self) -> bool:
-        return bool(self.route) and self._now + self._seconds(self.route) > self._promised + LATE
+        route = self.commitments.route
+        return bool(route) and self._now + self._seconds(route) > self._promised + LATE
 
     async def _planned(self, key: Key) -> Share | None:
         """One planning, together; None if the team has changed meanwhile."""
         links = self.news.links(without=key[1])
         head, start, ready = self._head()
-        aboard = self._aboard()
-        for stop in head:
-            if stop.kind == "pickup":
-                aboard[stop.task] = None
-            else:
-                aboard.pop(stop.task, None)
-        self.planning, self._bound = True, dict.fromkeys(stop.task for stop in head)
-        bound = tuple(j for j in self._bound if j not in aboard)
-
+        bound, aboard = self.commitments.begin(head)
         left = max(0.0, self.own.limit - self.flown - float(np.linalg.norm(start - self._here())))
         problem = partial(self._problem, start=start, ready=ready, left=left)
         program = Replanning(
-            self.id, links, self.news.book, bound, tuple(aboard), problem, self.options.recover, self.options.method
+            self.id, links, self.news.book, bound, aboard, problem, self.options.recover, self.options.method
         )
-        self._planned_head = head
         channel = "-".join(["plan", *map(str, key[1])])
         while not program.done:
             heard = await self._exchange(program.message(), links.neighbors(self.id), channel, key)
@@ -258,9 +259,8 @@ class OnlinePDVRPGuidance(CFGuidance):
         """
         head: list[Stop] = []
         p, seconds = np.array(self._here()), max(0.0, self._serving_until - self._now)
-        for stop in self.route:
-            new = stop.kind == "pickup" and (self.planning or not self.news.quorate) and stop.task not in self._bound
-            if new or (head and seconds > HORIZON):
+        for stop in self.commitments.route:
+            if not self.commitments.allow(stop) or (head and seconds > HORIZON):
                 break
             goal = self._place(stop)
             seconds += self._leg(p, goal) + self.options.service_time
@@ -269,33 +269,43 @@ class OnlinePDVRPGuidance(CFGuidance):
         return head, p, seconds
 
     def _problem(self, goods: Goods, start: Vec, ready: float, left: float) -> LocalProblem:
-        """This robot's own problem: from where it will be, with what is aboard then, and m that are left."""
-        own, first = self.own, len(self.own.tasks)
-        may = [
-            bool(own.capable[task.id]) if task.id < first else not task.robots or self.id in task.robots
-            for task in goods.tasks
-        ]
+        """This robot's own problem: from where it will be, with what is aboard then, and m that are left.
+
+        No robot is capable of what lies where none can stand: so all leave it alone.
+        """
+        own, site = self.own, self.options.site
+        lie = zip(goods.tasks, goods.pickup, goods.left_by, strict=True)
+        well = np.array([not site.lies_badly(*where) for where in lie], dtype=bool)
+        may = np.array([site.may(self.id, task) for task in goods.tasks], dtype=bool)
         free, mine = np.array(goods.free, dtype=bool), np.array(goods.mine, dtype=bool)
         return replace(
-            own, tasks=goods.public(self.options.service_time), capable=np.array(may, dtype=bool) & (free | mine),
+            own, tasks=goods.public(self.options.service_time), capable=may & (free & well | mine),
             home=own.home[:2], start=start, start_time=ready, aboard=mine, left=left,
             speed=self.member.config.flight.speed_limit,
         )  # fmt: skip
 
     def _adopt(self, share: Share) -> None:
-        """From now on this is the route: what it was bound to and has not done yet, then the new stops."""
-        self.news.book.merge(share.book)
-        for i, error in share.dropped.items():
-            self.news.drop(i, error)
-        done = {(deed.task, deed.kind): None for deed in self.news.record.deeds}
-        self.route = [s for s in [*self._planned_head, *share.stops] if (s.task, s.kind) not in done]
-        self.planning, self.unserved, self._mark = False, share.unserved, mark(share.book)
-        self._promised = self._now + self._seconds(self.route)
-        if share.ended:
-            self.news.say(ended=True)
-        elif self.route and self.news.record.idle:
-            self.news.say(idle=False)
+        """Fly by this plan from now on."""
+        self.commitments.adopt(share)
+        self._mark = mark(share.book)
+        self._promised = self._now + self._seconds(self.commitments.route)
+        self._say_unserved({j: self._why(j) for j in share.unserved})
         self._redirected.set()
+
+    def _why(self, j: int) -> str:
+        """Why nobody serves a task that is free."""
+        task, standing, site = self.news.book.tasks[j], self.news.standings()[j], self.options.site
+        flying = self.news.book.alive(self.news.members)
+        badly = site.lies_badly(task, standing.pickup, standing.robot)
+        return badly or site.never(task) or site.waits(task, flying) or TOO_FAR
+
+    def _say_unserved(self, unserved: dict[int, str]) -> None:
+        """The lowest robot that flies says what is new of that, for all."""
+        speaks = self.id == min(self.news.book.alive(self.news.members), default=self.id)
+        for j, why in unserved.items():
+            if speaks and self.unserved.get(j) != why:
+                log.warning("drone %d: task %d is left alone: %s", self.id, j, why)
+        self.unserved = unserved
 
     async def _cut_off(self, key: Key) -> None:
         """Too few to decide: deliver what is aboard, go home; or, where others may fetch it, stay where one is."""
@@ -303,7 +313,7 @@ class OnlinePDVRPGuidance(CFGuidance):
         if self.options.recover and self.up:
             self.reason = UNREACHED
             self.news.say(out=True)
-        self.route = [Stop(j, "delivery") for j in self._aboard()]
+        self.commitments.keep_aboard()
         self._redirected.set()
         since = self._now
         while self.news.key() == key and not self.news.ended:
@@ -313,16 +323,6 @@ class OnlinePDVRPGuidance(CFGuidance):
             await self.sleep(PERIOD)
 
     # The route ------------------------------------------------------------------------------------------------
-
-    def _aboard(self) -> dict[int, None]:
-        """Tasks whose goods it carries, in the order of their pickups."""
-        found: dict[int, None] = {}
-        for deed in self.news.record.deeds:
-            if deed.kind == "pickup":
-                found[deed.task] = None
-            else:
-                found.pop(deed.task, None)
-        return found
 
     def _place(self, stop: Stop) -> Vec:
         """(2,) m, where a stop is."""
@@ -343,25 +343,13 @@ class OnlinePDVRPGuidance(CFGuidance):
             total, p = total + self._leg(p, goal) + self.options.service_time, goal
         return total
 
-    def _next(self) -> Stop | None:
-        """The next stop; one whose goods are not there to be picked up is left out."""
-        while self.route:
-            stop = self.route[0]
-            if stop.kind == "delivery":
-                return stop
-            standing = self.news.standings()[stop.task]
-            if standing.fate is Fate.OPEN:
-                return stop
-            self.route = [other for other in self.route if other.task != stop.task]
-        return None
-
     # Flying ---------------------------------------------------------------------------------------------------
 
     async def _fly(self) -> None:
         """Stop by stop; without stops go home and wait on the ground. Who cannot fly on says so, and stays a talker."""
         try:
             while not self.news.record.out:
-                stop = self._next()
+                stop = self.commitments.next()
                 if stop is None:
                     await self._rest()
                 elif await self._reach(stop):
@@ -379,16 +367,15 @@ class OnlinePDVRPGuidance(CFGuidance):
             self.up = True
             self.news.say(landed=False, idle=False)
             await self.take_off(self.options.levels[self.id])
-        return await self._to(self._place(stop), lambda: self._next() == stop)
+        return await self._to(self._place(stop), lambda: self.commitments.next() == stop)
 
     async def _to(self, goal: Vec, valid: Callable[[], bool]) -> bool:
         """Fly to a place, round the homes of the others, as long as it is where to fly."""
-        config = self.member.config
+        config, site = self.member.config, self.options.site
         homes = np.array([drone.home[:2] for drone in config.drones if drone.id != self.id])
-        low, high = np.array(config.fence.min[:2]) + EDGE, np.array(config.fence.max[:2]) - EDGE
         z = config.flight.ground + self.options.levels[self.id]
         await self._come_to_rest()
-        for point in way_round(np.array(self._here()), goal, homes, self.options.clearance, low, high):
+        for point in way_round(np.array(self._here()), goal, homes, site.clearance, site.low, site.high):
             leg = asyncio.ensure_future(self.go_to([*point.tolist(), z]))
             began = np.array(self._here())
             try:
@@ -414,24 +401,17 @@ class OnlinePDVRPGuidance(CFGuidance):
         """Announce the stop, serve it, and leave when the team knows."""
         if not await self._permitted(stop):
             return
-        self.route.remove(stop)
         self._serving_until = self._now + self.options.service_time
-        number = self._announce(stop)
+        number = self.commitments.announce(stop)
         await self.sleep(self.options.service_time)
         if await self._known(number, stop):
             self.served.append({"task": stop.task, "kind": stop.kind})
 
-    def _announce(self, stop: Stop) -> int:
-        standing = self.news.standings()[stop.task]
-        deed = Deed(stop.task, stop.kind, standing.generation + (stop.kind == "pickup"))
-        return self.news.say(deeds=(*self.news.record.deeds, deed), place=self._here())
-
     async def _permitted(self, stop: Stop) -> bool:
         """Wait, above the stop, while it may be given to somebody else; False if it is not the next one any more."""
         since = self._now
-        while self._next() == stop:
-            allowed = self.news.quorate and (not self.planning or stop.task in self._bound)
-            if stop.kind == "delivery" or allowed:
+        while self.commitments.next() == stop:
+            if self.commitments.allow(stop):
                 return True
             await self.sleep(POLL)
             self._waited(since)
@@ -445,7 +425,7 @@ class OnlinePDVRPGuidance(CFGuidance):
                 return True
             if not self.news.quorate:
                 if stop.kind == "pickup":
-                    self.news.say(deeds=tuple(d for d in self.news.record.deeds if d.task != stop.task))
+                    self.commitments.take_back(stop.task)
                 return stop.kind == "delivery"
             await self.sleep(POLL)
             self._waited(since)
@@ -456,15 +436,20 @@ class OnlinePDVRPGuidance(CFGuidance):
     async def _rest(self) -> None:
         """Go home, land, wait for something to do."""
         if self.up:
-            if not await self._to(self.own.home[:2], lambda: self._next() is None):
+            if not await self._to(self.own.home[:2], lambda: self.commitments.next() is None):
                 return
             await self.land()
             self.up = False
             self.news.say(landed=True)
-        idle = self.source.age >= self.options.until and not self.route
+        idle = self.source.age >= self.options.until and self.source.heard_all and not self.commitments.route
         if idle != self.news.record.idle:
             self.news.say(idle=idle)
         await self.sleep(POLL)
+
+
+def _flat(p: Vec) -> Place:
+    """A place in the plane."""
+    return float(p[0]), float(p[1])
 
 
 async def _given_up(task: "asyncio.Future[Any]") -> None:

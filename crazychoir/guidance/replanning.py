@@ -44,13 +44,15 @@ class Share:
 class Goods:
     """The tasks of one planning, in the order of their ids: free ones, and those aboard a robot that goes on with them.
 
-    pickup: (2,) m of each, where it lies;  mine: whether it is aboard this robot at its start;  free: to be shared out.
+    pickup: (2,) m of each, where it lies;  mine: whether it is aboard this robot at its start;  free: to be shared out;
+    left_by: the robot that is gone with which it lies there, None if it lies where it always did.
     """
 
     tasks: tuple[Task, ...]
     pickup: tuple[Place, ...]
     mine: tuple[bool, ...]
     free: tuple[bool, ...]
+    left_by: tuple[int | None, ...]
 
     def public(self, service: float) -> Tasks:
         """As the solvers have them."""
@@ -146,6 +148,7 @@ class Replanning(Program[Share]):
             tuple(standings[j].pickup for j in ids),
             mine=tuple(carried.get(j) == self.robot for j in ids),
             free=tuple(j not in carried for j in ids),
+            left_by=tuple(standings[j].robot for j in ids),
         )
 
 
@@ -155,25 +158,27 @@ def mark(book: TaskBook) -> Mark:
 
 
 def _merged(said: dict[int, Any]) -> tuple[TaskBook, dict[int, None], dict[int, int], Dropped]:
-    """What all know together: the book, the bound tasks, who carries which, and what was no book or no bonds."""
+    """What all know together: the book, the bound tasks, who carries which, and what was no book or no bonds.
+
+    Bonds hold though the book that came with them is none: else two would serve what one is bound to.
+    """
     book, bound, carried, dropped = TaskBook(), dict[int, None](), dict[int, int](), Dropped()
     for i, value in said.items():
         try:
-            told, bonds, aboard = _read(value)
+            wire, bonds, aboard = _read(value)
+            bound.update(dict.fromkeys(bonds))
+            for j in aboard:
+                carried.setdefault(j, i)
+            book.merge(TaskBook.of(wire))
         except CodecError as error:
             dropped[i] = error
-            continue
-        book.merge(told)
-        bound.update(dict.fromkeys(bonds))
-        for j in aboard:
-            carried.setdefault(j, i)
     return book, bound, {j: i for j, i in carried.items() if j in book.tasks}, dropped
 
 
-def _read(value: Any) -> tuple[TaskBook, list[int], list[int]]:
-    """Book, bonds and goods as one robot says them; raises CodecError."""
+def _read(value: Any) -> tuple[Any, list[int], list[int]]:
+    """Book as a message, bonds and goods as one robot says them; raises CodecError."""
     try:
         wire, bonds, aboard = value
-        return TaskBook.of(wire), list(map(int, bonds)), list(map(int, aboard))
+        return wire, list(map(int, bonds)), list(map(int, aboard))
     except (TypeError, ValueError, OverflowError) as error:
         raise CodecError(f"planning: no book and no bonds: {error}") from error

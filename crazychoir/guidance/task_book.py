@@ -15,7 +15,9 @@ from msgspec import Meta, Struct
 from crazychoir.errors import CodecError
 from crazychoir.routing.plan import Kind
 
-Number = Annotated[float, Meta(ge=-1e6, le=1e6)]
+LARGEST = 1e6
+"""m and units of load: no task and no place says more."""
+Number = Annotated[float, Meta(ge=-LARGEST, le=LARGEST)]
 Place = tuple[Number, Number]
 """m, in the plane: robots fly at levels of their own."""
 Count = Annotated[int, Meta(ge=0, le=(1 << 63) - 1)]
@@ -33,7 +35,7 @@ class Task(Struct, frozen=True, order=True, array_like=True):
     cancelled: bool
     pickup: Place
     delivery: Place
-    load: Annotated[float, Meta(ge=0.0, le=1e6)] = 1.0
+    load: Annotated[float, Meta(ge=0.0, le=LARGEST)] = 1.0
     robots: tuple[Count, ...] = ()
 
 

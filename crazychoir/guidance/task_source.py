@@ -1,21 +1,25 @@
 """Where tasks come from in flight: events of the mission, and operators. Who hears of one tells the others."""
 
-from collections.abc import Iterable
+import re
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import msgspec
-import numpy as np
 
 from crazychoir.errors import Refused
-from crazychoir.guidance.task_book import Task
+from crazychoir.guidance.site import Site
+from crazychoir.guidance.task_book import Fate, Task
 from crazychoir.guidance.team_news import TeamNews
-from crazychoir.safety.guard import EDGE
-from crazychoir.swarm.config import SwarmConfig
+from crazychoir.swarm.graph import span
 
 ADDED = 10_000
 """Tasks from this id on were added in flight by an operator, at the robot of the last digits."""
 LOOK = 0.05, 1.0
 """s, at least and at most, between two looks at the clock."""
+PATIENCE = 2.0
+"""s that an operator's word waits for the team, twice: a request is given up after 5 s."""
+_FIELD = re.compile(r"`\$\[(\d+)\]")
+"""How a decoder's error names a field of a task: `$[3]`."""
 
 
 class Event(NamedTuple):
@@ -27,66 +31,120 @@ class Event(NamedTuple):
 
 
 class TaskSource:
-    """What one robot hears of tasks, into its news; clearance: m that a task keeps from all homes."""
+    """What one robot hears of tasks, into its news.
 
-    def __init__(self, news: TeamNews, config: SwarmConfig, clearance: float) -> None:
-        self.news, self.config, self.clearance = news, config, clearance
+    events: in the order of their times;  may_end: whether the team decides right now, without knowing of what comes
+    now, whether its mission is over.
+    """
+
+    def __init__(
+        self, news: TeamNews, site: Site, events: Sequence[Event] = (), may_end: Callable[[], bool] = lambda: False
+    ) -> None:
+        self.news, self.site, self.events, self.may_end = news, site, events, may_end
+        self._heard = 0
 
     @property
     def age(self) -> float:
         """s since GO."""
         return self.news.communicator.port.bus.impairment.age(self.news.clock.now())
 
-    async def hear(self, events: Iterable[Event]) -> None:
-        """Learn of each event when it is time; events: in the order of their times."""
+    @property
+    def heard_all(self) -> bool:
+        """Whether no event is to come."""
+        return self._heard == len(self.events)
+
+    async def hear(self) -> None:
+        """Learn of each event when it is time."""
         least, most = LOOK
-        for event in events:
+        for event in self.events:
             while self.age < event.t:
-                await self.news.clock.sleep(min(max(event.t - self.age, least), most), drone=self.news.id)
+                await self._pause(min(max(event.t - self.age, least), most))
             if not event.robots or self.news.id in event.robots:
                 self.news.book.learn(event.task)
+            self._heard += 1
 
-    def asked(self, verb: str, arguments: dict[str, Any]) -> dict[str, int]:
-        """An operator's task_add {"pickup", "delivery", "load", "robots"} or task_cancel {"id"}; returns {"id"}.
+    # Operators ------------------------------------------------------------------------------------------------
 
-        Raises Refused.
+    async def asked(self, verb: str, arguments: dict[str, Any]) -> dict[str, Any]:
+        """An operator's task_add {"pickup", "delivery", "load", "robots"} or task_cancel {"id"}.
+
+        Returns {"id"}, and with "note" what the operator should know, when more than half of the team know of it: so
+        no single drone takes it along when it is lost. Raises Refused, and then nothing has changed.
         """
-        if self.news.ended:
-            raise self._refused("the mission is over")
-        j = self._add(arguments) if verb == "task_add" else self._cancel(arguments)
-        return {"id": j}
+        task = self._read(arguments) if verb == "task_add" else None
+        await self._ready()
+        j, note = self._cancel(arguments) if task is None else self._add(task)
+        notes = [note, await self._told(self.news.say())]
+        return {"id": j} | ({"note": "; ".join(filter(None, notes))} if any(notes) else {})
 
-    def _add(self, arguments: dict[str, Any]) -> int:
+    async def _ready(self) -> None:
+        """Wait until this robot knows what more than half of the team knew when it was started.
+
+        Before that it might number a task as one that it has added in an earlier life.
+        """
+        ends = self.news.clock.now() + PATIENCE
+        while True:
+            if self.news.ended:
+                raise self._refused("the mission is over")
+            if self.news.record.out:
+                raise self._refused("this drone flies no more; ask another one")
+            if self.news.known(1) and not self.may_end():
+                return
+            if self.news.clock.now() > ends:
+                raise self._refused(f"for {PATIENCE:g} s, it has heard of too few others; ask another one, or again")
+            await self._pause(LOOK[0])
+
+    async def _told(self, number: int) -> str:
+        """Wait until more than half of the team know an edition of the record; or say that they do not yet."""
+        ends = self.news.clock.now() + PATIENCE
+        while not self.news.known(number):
+            if self.news.clock.now() > ends:
+                return f"for {PATIENCE:g} s, less than half of the team has heard of it: is this drone cut off?"
+            await self._pause(LOOK[0])
+        return ""
+
+    def _read(self, arguments: dict[str, Any]) -> Task:
+        """The task that is to be added, but for its id."""
+        raw = {"load": 1.0, "robots": [], **arguments, "id": ADDED, "version": 0, "cancelled": False}
+        names = Task.__struct_fields__
+        try:
+            task = msgspec.convert([raw.pop(name, None) for name in names], Task)
+        except msgspec.ValidationError as error:
+            wrong = _FIELD.sub(lambda found: f"`{names[int(found[1])]}`", str(error))
+            raise self._refused(f"{wrong}; allowed: places [x, y] in m, a load of 0 to 1e6, drone ids") from error
+        if raw:
+            raise self._refused(f"unknown: {', '.join(sorted(raw))}; there are {', '.join(names[3:])}")
+        if why := self.site.lies_badly(task, task.pickup) or self.site.never(task):
+            raise self._refused(why)
+        return task
+
+    def _add(self, task: Task) -> tuple[int, str]:
         """Ids differ by the robot that was asked: two operators may add tasks at the same time."""
         tasks, me = self.news.book.tasks, self.news.id
         count = max((j // ADDED for j in tasks if j >= ADDED and j % ADDED == me), default=0) + 1
-        raw = {"load": 1.0, "robots": [], **arguments, "id": ADDED * count + me, "version": 0, "cancelled": False}
-        try:
-            task = msgspec.convert([raw.pop(name, None) for name in Task.__struct_fields__], Task)
-        except msgspec.ValidationError as error:
-            raise self._refused(f"{error}") from error
-        if raw:
-            raise self._refused(f"unknown: {', '.join(sorted(raw))}")
-        self._require_free(task)
+        task = msgspec.structs.replace(task, id=ADDED * count + me)
         self.news.book.learn(task)
-        return task.id
+        waits = self.site.waits(task, self.news.book.alive(self.news.members))
+        return task.id, waits and f"it waits: {waits}"
 
-    def _cancel(self, arguments: dict[str, Any]) -> int:
+    def _cancel(self, arguments: dict[str, Any]) -> tuple[int, str]:
         j, book = arguments.get("id"), self.news.book
         if not isinstance(j, int) or j not in book.tasks:
-            raise self._refused(f"there is no {j}; there are {', '.join(map(str, sorted(book.tasks)))}")
+            groups = [k for k in book.tasks if k < ADDED], [k for k in book.tasks if k >= ADDED]
+            raise self._refused(f"there is no {j}; there are {', '.join(map(span, filter(None, groups))) or 'none'}")
+        standing, was_cancelled = self.news.standings()[j], book.tasks[j].cancelled
+        match standing.fate:
+            case Fate.DELIVERED:
+                raise self._refused(f"drone {standing.robot} has delivered {j} already")
+            case Fate.LOST:
+                raise self._refused(f"{j} is lost, with drone {standing.robot} that had it aboard")
         book.cancel(j)
-        return j
+        if standing.fate is Fate.ABOARD:
+            return j, f"it is aboard drone {standing.robot}, which delivers it all the same"
+        return j, "it was cancelled already" if was_cancelled else ""
 
-    def _require_free(self, task: Task) -> None:
-        """Nobody can fly to a place outside the fence, or stand above a home where another drone may rise."""
-        low, high = np.array(self.config.fence.min[:2]) + EDGE, np.array(self.config.fence.max[:2]) - EDGE
-        for place in (task.pickup, task.delivery):
-            if (place < low).any() or (place > high).any():
-                raise self._refused(f"{list(place)} is outside the fence")
-            for drone in self.config.drones:
-                if np.linalg.norm(np.subtract(place, drone.home[:2])) < self.clearance:
-                    raise self._refused(f"{list(place)} is within {self.clearance:g} m of the home of drone {drone.id}")
+    async def _pause(self, seconds: float) -> None:
+        await self.news.clock.sleep(seconds, drone=self.news.id)
 
     def _refused(self, why: str) -> Refused:
         return Refused(f"drone {self.news.id}", f"task: {why}")

@@ -2,6 +2,7 @@
 
 import asyncio
 import signal
+from functools import partial
 
 import pytest
 from system.agents import CRAZYCHOIR, Program, flying, results, until
@@ -59,9 +60,14 @@ def killed_at_stop(kind, after, **options):
 
     def prepare(agent):
         def watched(drone):
-            announce = drone.guidance._announce
+            bind = drone.guidance.bind
 
-            def announced(stop):
+            def bound(member):
+                bind(member)
+                commitments = drone.guidance.commitments
+                commitments.announce = partial(announced, commitments.announce)
+
+            def announced(announce, stop):
                 number = announce(stop)
                 if stop.kind == kind and not victims:
                     victims.append((drone.id, stop.task))
@@ -69,7 +75,7 @@ def killed_at_stop(kind, after, **options):
                     agent.clock.call_at(now_ns + round(after * SECONDS), kill, drone.id)
                 return number
 
-            drone.guidance._announce = announced
+            drone.guidance.bind = bound
 
         def kill(i):
             killed[i] = carried(agent, i)
@@ -163,8 +169,8 @@ def test_others_take_over_from_a_drone_that_is_held_on_its_way():
 
     def prepare(agent):
         def hold():
-            busy = max(agent.ids, key=lambda i: len(agent.drones[i].guidance.route))
-            held.append((busy, len(agent.drones[busy].guidance.route)))
+            busy = max(agent.ids, key=lambda i: len(agent.drones[i].guidance.commitments.route))
+            held.append((busy, len(agent.drones[busy].guidance.commitments.route)))
             agent.drones[busy].pilot.hold(True)
             agent.clock.call_at(agent.clock.now_ns() + round(25 * SECONDS), agent.drones[busy].pilot.hold, False)
 
@@ -182,7 +188,7 @@ def test_a_drone_that_is_landed_by_its_operator_leaves_its_tasks_to_the_others()
 
     def prepare(agent):
         def land():
-            busy = max(agent.ids, key=lambda i: len(agent.drones[i].guidance.route))
+            busy = max(agent.ids, key=lambda i: len(agent.drones[i].guidance.commitments.route))
             landed.append(busy)
             agent.drones[busy].pilot.land("landing on command")
             agent._guidances[busy].abort("landed on command")

@@ -1,5 +1,6 @@
 """The online mission: what it is made of, and what is refused before anybody flies."""
 
+import json
 import math
 
 import numpy as np
@@ -46,6 +47,11 @@ def test_tasks_appear_and_are_cancelled_as_the_file_says():
     assert (other.task.id, other.robots) == (0, ())
 
 
+def appear(**changes):
+    """One task that appears, sound but for the changes."""
+    return {"appear": [{"t": 1.0, "pickup": [0.0, 1.0], "delivery": [1.0, 1.0], **changes}]}
+
+
 @pytest.mark.parametrize(
     ("options", "said"),
     [
@@ -56,14 +62,98 @@ def test_tasks_appear_and_are_cancelled_as_the_file_says():
         ({"cancel": [{"t": 1.0, "task": 99}]}, "99"),
         ({"appear": [{"t": 1.0, "pickup": [0.0, 1.0]}]}, "delivery"),
         ({"appear": [{"t": 1.0, "pickup": "here", "delivery": [1.0, 1.0]}]}, "pickup"),
-        ({"appear": [{"t": -1.0, "pickup": [0.0, 1.0], "delivery": [1.0, 1.0]}]}, r"appear.*>= 0"),
-        ({"cancel": [{"when": 1.0, "task": 0}]}, "when"),
-        ({"cancel": 3}, "cancel"),
+        (appear(t=-1.0), r"mission_options\.appear\[0\]\.t.*not negative"),
+        (appear(weight=1), r"mission_options\.appear\[0\]\.weight = 1: there is no such key"),
+        (appear(load=-1), r"mission_options\.appear\[0\]\.load: found -1; allowed: a load"),
+        (appear(load=4.5), r"appear\[0\]\.load = 4.5: its load 4.5 is more than any drone can carry: 4"),
+        (appear(robots=[77]), r"appear\[0\]\.robots = \[77\]: there is no drone 77; this swarm has 0 to 9"),
+        (appear(robots=[-1]), r"mission_options\.appear\[0\]\.robots"),
+        (appear(heard_by=[3, 10]), r"appear\[0\]\.heard_by = \[3, 10\]: there is no drone 10"),
+        (appear(pickup=[9.0, 0.0]), r"appear\[0\]\.pickup = \[9.0, 0.0\]: outside the fence, .*\[7, 6.8\]"),
+        (appear(delivery=[0.0, 7.0]), r"appear\[0\]\.delivery = .*outside the fence"),
+        (appear(delivery=[0.0, -0.7]), r"appear\[0\]\.delivery = .*0.10 m from the home of drone 0"),
+        ({"cancel": [{"when": 1.0, "task": 0}]}, r"cancel\[0\]"),
+        ({"cancel": [{"t": 1.0, "task": 0, "heard_by": [10]}]}, r"cancel\[0\]\.heard_by = \[10\]"),
+        ({"cancel": 3}, r"mission_options\.cancel"),
+        ({"tasks": -1}, r"mission_options\.tasks: found -1; allowed: a number of tasks, 1 to"),
+        ({"tasks": 0}, r"mission_options\.tasks: found 0"),
+        ({"tasks": 2.5}, r"mission_options\.tasks: found 2.5"),
+        ({"tasks": 100_000}, r"mission_options\.tasks"),
+        ({"appear": []} | {"later": 1}, "beside appear"),
+        ({"later": -3}, r"mission_options\.later"),
+        ({"later": 3, **appear()}, r"mission_options\.later = 3: beside appear"),
+        ({"service_time": -1.0}, r"mission_options\.service_time: found -1"),
+        ({"until": -1.0}, r"mission_options\.until"),
+        ({"until": "late"}, r"mission_options\.until"),
+        ({"recover": 1}, r"mission_options\.recover: found 1; allowed: true or false"),
+        ({"level_spacing": 0.0}, r"mission_options\.level_spacing: found 0"),
+        ({"level_spacing": 0.1}, r"mission_options\.level_spacing.*nearer, drones touch"),
+        ({"clearance": -0.4}, r"mission_options\.clearance"),
+        ({"instance": 3}, r"mission_options\.instance: found 3"),
+        ({"instance": "no/such.json"}, "no/such.json"),
     ],
 )
 def test_what_cannot_be_is_refused_before_anybody_flies(options, said):
     with pytest.raises(ConfigError, match=said):
         MISSION.check(config(**options), False)
+
+
+@pytest.mark.parametrize("key", ["service_time", "until", "clearance", "level_spacing"])
+def test_no_number_is_not_a_number(key):
+    with pytest.raises(ConfigError, match=f"mission_options.{key}"):
+        config(**{key: float("nan")})
+
+
+def test_drawn_tasks_that_nobody_can_reach_are_refused_before_anybody_flies():
+    homes = [{"id": i, "home": [float(i), -0.8, 0.0]} for i in range(4)]
+    small = MISSION.swarm(4).replace(fence={"min": [-1.0, -1.8, 0.0], "max": [4.5, 6.8, 3.0]}, drones=homes)
+    with pytest.raises(ConfigError, match=r"mission_options.tasks = \d+: its .* is outside the fence"):
+        MISSION.check(small, False)
+    few = [seed for seed in range(60) if fits(small.replace(seed=seed, mission_options={"tasks": 1, "later": 0}))]
+    assert few
+    with pytest.raises(ConfigError, match=r"mission_options.later = \d+: its .* is outside the fence"):
+        MISSION.check(small.replace(seed=few[0], mission_options={"tasks": 1, "later": 40}), False)
+
+
+def fits(config):
+    try:
+        MISSION.check(config, False)
+    except ConfigError:
+        return False
+    return True
+
+
+RAW = {
+    "home": [[0.0, -0.8], [0.0, 5.8]], "pickup": [[1.0, 1.0]], "delivery": [[2.0, 2.0]], "load": [1.0],
+    "capacity": [1.0, 1.0],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("more", "options", "said"),
+    [
+        ({}, {}, ""),
+        ({}, {"tasks": 3}, r"mission_options\.tasks = 3: beside instance"),
+        ({"pickup": [[99.0, 1.0]]}, {}, r"mission_options\.instance = 0: its pickup \[99, 1\] is outside the fence"),
+        ({"delivery": [[0.0, 5.5]]}, {}, r"mission_options\.instance = 0: its delivery .*from the home of drone 1"),
+        ({"end": [[1.0, 0.0], [1.0, 1.0]]}, {}, r"mission_options\.instance = .*it has end; in flight"),
+        ({"open_tours": True}, {}, "it has open_tours"),
+        ({"service_time": 2.0}, {}, "it has service_time"),
+        ({"release": [2.0]}, {}, "it has time_windows or release"),
+        ({"penalty": [2.0]}, {}, "it has penalty"),
+        ({"objective": "makespan"}, {}, "it has objective"),
+        ({"distance": [[0.0 if i == j else 9.0 for i in range(4)] for j in range(4)]}, {}, "it has distance"),
+    ],
+)
+def test_an_instance_is_refused_that_would_be_flown_otherwise(tmp_path, more, options, said):
+    file = tmp_path / "instance.json"
+    file.write_text(json.dumps(RAW | more))
+    flown = config(2, instance=str(file), **options)
+    if not said:
+        assert MISSION.check(flown, False) == []
+        return
+    with pytest.raises(ConfigError, match=said):
+        MISSION.check(flown, False)
 
 
 def test_a_directed_graph_is_refused():
@@ -89,6 +179,7 @@ def result(served, fates, success=True):
 def test_a_run_succeeds_if_all_is_delivered_once_and_all_say_so(results, success):
     report = MISSION.report(config(2), {i: result(*told) for i, told in results.items()})
     assert report["success"] == success
+    assert bool(report["reasons"]) != success
     assert report["plannings"] == 1
     assert report["longest_wait_s"] == 0.5
 
@@ -98,3 +189,16 @@ def test_levels_leave_room_between_drones():
     assert np.diff(heights).min() == pytest.approx(0.2)
     assert heights[0] == 0.4
     assert math.isclose(heights[-1], 2.2)
+
+
+def test_why_a_task_was_not_served_is_in_the_report():
+    fates = {"0": ["delivered", 0], "1": ["open", None], "2": ["lost", 1]}
+    results = {0: result([0], fates) | {"unserved": {"1": "its load 9 is more than any drone can carry: 4"}}}
+    results[1] = {"success": False, "reason": "killed"}
+    report = MISSION.report(config(2), results)
+    assert not report["success"]
+    assert report["undone"]["1"].startswith("its load 9 is more")
+    assert "with drone 1" in report["undone"]["2"]
+    (said,) = report["reasons"].values()
+    assert "task 1: its load 9" in said
+    assert "task 2: lost with drone 1" in said

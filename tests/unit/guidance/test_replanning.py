@@ -176,6 +176,28 @@ def test_who_says_what_is_no_book_is_dropped_by_all_alike(nonsense):
     assert [list(agents[i].result.dropped) for i in IDS] == [[8], [8], [8], []]
 
 
+def test_bonds_hold_though_the_book_beside_them_is_none():
+    """Two would serve a task that a robot is bound to, and the goods aboard it would be nobody's."""
+    foreign = task(7, (5.0, 5.0), (1.0, 9.0))
+    books = {i: TaskBook([NEAR_2, NEAR_8, foreign], records()) for i in IDS}
+    bound, carried = {8: (6,)}, {8: (7,)}
+    whole = planned(books, bound, carried)
+    torn = planned(books | {8: Torn(books[8])}, bound, carried)
+    assert [stops(torn[i]) for i in IDS] == [stops(whole[i]) for i in IDS]
+    assert stops(torn[8]) == [(7, "delivery")]
+    assert [list(share.dropped) for share in torn.values()] == [[8]] * 4
+
+
+class Torn(TaskBook):
+    """A book that nobody can read."""
+
+    def __init__(self, book):
+        super().__init__(book.tasks.values(), book.records.values())
+
+    def wire(self, tasks=True):
+        return b"no book"
+
+
 def test_goods_that_nobody_knows_of_are_not_planned_for():
     books = {i: TaskBook([NEAR_2], records()) for i in IDS}
     assert stops(planned(books, carried={8: (77,)})[2]) == [(4, "pickup"), (4, "delivery")]
