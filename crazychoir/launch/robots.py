@@ -18,7 +18,8 @@ from crazychoir.bus.local import Bus
 from crazychoir.bus.plain import plain
 from crazychoir.bus.rules import Rule
 from crazychoir.bus.zenoh import ZenohLink
-from crazychoir.errors import CrazyChoirError
+from crazychoir.errors import CrazyChoirError, RoundTimeout
+from crazychoir.launch.joining import joined
 from crazychoir.routing.generate import random_instance
 from crazychoir.routing.instance import Instance
 from crazychoir.routing.member import Settings
@@ -160,7 +161,10 @@ class Process:
 
     async def _solve(self, robot: Robot) -> int:
         """All rounds of one robot; returns the instant at which its plan was there, ns."""
-        await run_algorithm(robot.communicator, robot, channel=SOLVE)
+        try:
+            await run_algorithm(robot.communicator, robot, channel=SOLVE)
+        except RoundTimeout as late:
+            raise late.simulated() from None
         ended = self._clock.now_ns()
         counters = robot.communicator.port.counters
         robot.counters = {"messages": counters.sent, **{k: getattr(counters, k) for k in ("bytes", "lost", "resent")}}
@@ -229,19 +233,6 @@ def unpacked(payload: Packed) -> Any:
     if isinstance(payload, dict):
         return PerNeighbor({j: decode(value) for j, value in payload.items()})
     return decode(payload)
-
-
-async def joined(link: ZenohLink, links: Graph) -> None:
-    """Wait until HELLO has gone both ways with every process that holds a neighbour of ours."""
-    here = link.bus.ports
-    elsewhere = dict.fromkeys(j for i in here for j in links.neighbors(i) if j not in here)
-    while not all(_greeted(link, j) for j in elsewhere):
-        await link.bus.clock.sleep(0.01)
-
-
-def _greeted(link: ZenohLink, j: int) -> bool:
-    peer = link.directory.get(j)
-    return peer is not None and peer.hello is not None and link.bus.process in peer.hello.heard
 
 
 def say(answer: dict[str, Any]) -> None:
