@@ -59,7 +59,8 @@ class RoundTimeout(CrazyChoirError, TimeoutError):
         self.drone, self.channel, self.k, self.missing, self.seconds = drone, channel, k, tuple(missing), seconds
         names = ", ".join(str(j) for j in self.missing)
         super().__init__(
-            f"drone {drone}: channel {channel!r}, round {k}: nothing from neighbour(s) {names} within {seconds:g} s. {do}"
+            f"drone {drone}: channel {channel!r}, round {k}: nothing from neighbour(s) {names} within {seconds:g} s. "
+            f"{do}"
         )
 
     def simulated(self) -> "RoundTimeout":

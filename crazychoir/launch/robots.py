@@ -12,6 +12,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from crazychoir import cache
 from crazychoir.bus.codec import decode, encode
 from crazychoir.bus.impairment import Impairment
 from crazychoir.bus.local import Bus
@@ -20,11 +21,10 @@ from crazychoir.bus.rules import Rule
 from crazychoir.bus.zenoh import ZenohLink
 from crazychoir.errors import CrazyChoirError, RoundTimeout
 from crazychoir.launch.joining import joined
-from crazychoir.routing.generate import random_instance
 from crazychoir.routing.instance import Instance
 from crazychoir.routing.member import Settings
 from crazychoir.routing.pickup_delivery import PickupDelivery
-from crazychoir.routing.solve import member, solve_in_loop
+from crazychoir.routing.solve import member, warm
 from crazychoir.runtime.clock import SECOND, Clock, run_wall
 from crazychoir.swarm.communicator import Communicator
 from crazychoir.swarm.graph import Graph
@@ -213,14 +213,6 @@ class Process:
             pass
 
 
-def warm(instance: Instance, method: str) -> None:
-    """Solve a small instance, with trips if `instance` has trips or times: all kernels are loaded before GO."""
-    small, vehicle = random_instance(2, 4, seed=0, route_length_limit=60.0), instance.local(0).vehicle
-    if vehicle.timed or vehicle.trips > 1:
-        small = Instance.parse(small.to_json() | {"recharge": 2})
-    solve_in_loop(small, {0: [1], 1: [0]}, method)
-
-
 def packed(message: Any) -> Packed:
     """A message as bytes, or one for each neighbour: what is kept of it is small, and no later change reaches it."""
     if type(message) is PerNeighbor:
@@ -244,6 +236,7 @@ def say(answer: dict[str, Any]) -> None:
 def main() -> None:
     """The argument is the specification; what is wrong is said as an answer, and ends the process."""
     ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+    cache.say = lambda text: say({"told": text})
     process = Process(json.loads(sys.argv[1]))
     try:
         run_wall(process.run)
