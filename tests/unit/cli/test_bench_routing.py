@@ -142,7 +142,7 @@ def test_each_size_has_its_number_of_instances(sizes, found):
     assert instances(sizes) == found
 
 
-@pytest.mark.parametrize("sizes", ["", "huge", "small:0", "small:-1", "small:1.5", "small:9999", "small,small", "tiny;2"])
+@pytest.mark.parametrize("sizes", ["", "huge", "small:0", "small:-1", "small:1.5", "small:2000", "small,small"])
 def test_sizes_that_are_none_are_refused(sizes):
     with pytest.raises(ConfigError, match=r"^--sizes: found .*; allowed: .* As small:20,middle:5,large:5\."):
         instances(sizes)
