@@ -33,6 +33,7 @@ except ImportError:  # elsewhere than on Unix each process compiles for itself
 VERSIONS = (numba.__version__, np.__version__)
 LIBRARIES = ("builtins", "math", "cmath", "numpy", "numba")
 """Packages whose functions and constants are told by their names: the versions say the rest."""
+COMPILES = "crazychoir compiles its laws, once on this machine; that takes a minute or two"
 PATIENCE, LOOK = 2400, 0.05
 """Looks, and s between them, at whether another process has compiled a law; then we do it, too."""
 EXACT = (type(None), bool, int, float, complex, str, bytes, type(Ellipsis))
@@ -106,11 +107,16 @@ class Kept(NullCache):
         self._files.flush()
 
 
+def say(text: str) -> None:
+    """A line for who waits; a program whose standard error nobody reads puts another function in this one's place."""
+    sys.stderr.write(f"{text}\n")
+    sys.stderr.flush()
+
+
 @cache
 def _say_once() -> None:
     """People who wait are told what for."""
-    if sys.stderr.isatty():
-        sys.stderr.write("crazychoir compiles its laws, once; that takes up to a minute\n")
+    say(COMPILES)
 
 
 class _Turn:

@@ -46,16 +46,26 @@ class CodecError(CrazyChoirError, ValueError):
     """A value cannot be encoded, or received bytes cannot be decoded."""
 
 
-class RoundTimeout(CrazyChoirError, TimeoutError):
-    """A round is incomplete at its deadline; `missing` names the silent neighbours."""
+IN_FLIGHT = "Lower the loss, or give it a longer deadline or another policy; `crazychoir status` says who flies."
+SIMULATED = "Lower the loss of the simulated network: nothing else keeps simulated agents from each other."
 
-    def __init__(self, drone: int, channel: str, k: int, missing: Iterable[int], seconds: float) -> None:
+
+class RoundTimeout(CrazyChoirError, TimeoutError):
+    """A round is incomplete at its deadline; `missing` names the silent neighbours, `do` says what to do about it."""
+
+    def __init__(
+        self, drone: int, channel: str, k: int, missing: Iterable[int], seconds: float, do: str = IN_FLIGHT
+    ) -> None:
         self.drone, self.channel, self.k, self.missing, self.seconds = drone, channel, k, tuple(missing), seconds
         names = ", ".join(str(j) for j in self.missing)
         super().__init__(
             f"drone {drone}: channel {channel!r}, round {k}: nothing from neighbour(s) {names} within {seconds:g} s. "
-            "Lower the loss, or give it a longer deadline or another policy; `crazychoir status` says who flies."
+            f"{do}"
         )
+
+    def simulated(self) -> "RoundTimeout":
+        """The same of a team that does not fly."""
+        return RoundTimeout(self.drone, self.channel, self.k, self.missing, self.seconds, SIMULATED)
 
 
 class ChannelEnded(CrazyChoirError, RuntimeError):

@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -14,8 +15,8 @@ from crazychoir.bus.impairment import Impairment
 from crazychoir.bus.local import Bus
 from crazychoir.bus.plain import plain
 from crazychoir.bus.rules import Rule
-from crazychoir.errors import AgentFailed, ConfigError, CrazyChoirError
-from crazychoir.optimization.checks import require_team
+from crazychoir.errors import AgentFailed, ConfigError, CrazyChoirError, RoundTimeout
+from crazychoir.optimization.checks import nan_in, require_team
 from crazychoir.runtime.clock import Clock, run_virtual
 from crazychoir.swarm.communicator import Communicator
 from crazychoir.swarm.graph import Graph, GraphSequence
@@ -77,11 +78,13 @@ class History:
         return np.abs(x - x.mean(axis=0)).reshape(*x.shape[:2], -1).max(axis=(0, 2))
 
     def disagreement(self, name: str = "x") -> float | None:
-        """max_i |x_i - mean_j x_j| at the end; None if the agents' x are no arrays of one shape."""
+        """max_i |x_i - mean_j x_j| at the end; None if the agents' x are no arrays of one shape, inf if one is."""
         last = list(self.last(name).values())
         numeric = all(isinstance(x, np.ndarray | np.generic) and x.dtype.kind in "fiu" for x in last)
         if not numeric or len({x.shape for x in last}) != 1:
             return None
+        if not all(np.isfinite(x).all() for x in last):
+            return math.inf
         return float(np.abs(np.array(last) - np.mean(last, axis=0)).max(initial=0.0))
 
     def to_json(self) -> dict[str, Any]:
@@ -159,6 +162,9 @@ def simulate(
     loss: share of messages that is lost;  network: more of it, as {"burst": 4, "delay": 0.01, "jitter": 0.02};
     record: attributes to keep of each agent after each step;  watch: is shown the agents after each step;
     run: run_virtual, or run_wall for real time.
+    An agent has failed, with its name and the round, where a nan is in what it sends, or in what is recorded of it
+    after a step. An infinity is let pass, for some algorithms mean it (the maximum of nothing, the price of what cannot
+    be done); where one is an overflow the next difference makes a nan of it.
     Raises ConfigError where agents do not fit each other or the graph; what an agent raises, or AgentFailed.
     """
     began = time.perf_counter()
@@ -173,6 +179,8 @@ def simulate(
             await run_algorithm(communicator, agent, channel=channel, pace=pace)
             if not agent.asynchronous:
                 await communicator.close(channel)
+        except RoundTimeout as late:
+            errors[communicator.id] = late.simulated()
         except CrazyChoirError as error:  # the others hear of it, and end too
             errors[communicator.id] = error
 
@@ -227,7 +235,9 @@ class _Followed:
         return bool(self.agent.done) or len(self.cpu) >= self.most
 
     def message(self) -> Any:
-        return self.agent.message()
+        message = self.agent.message()
+        self._require_numbers(message, "message()", len(self.cpu))
+        return message
 
     def step(self, heard: dict[int, Any]) -> None:
         now = time.thread_time if self.heavy else time.perf_counter  # which asks no kernel, but counts its pauses
@@ -235,7 +245,15 @@ class _Followed:
         self.agent.step(heard)
         self.cpu.append(now() - began)
         self._keep()
+        for name, series in self.kept.items():
+            self._require_numbers(series[-1], name, len(self.cpu) - 1)
         self.watch()
+
+    def _require_numbers(self, value: Any, name: str, k: int) -> None:
+        place = nan_in(value)
+        if place is not None:
+            do = "Look at its data, at divisions by zero, and at its step size: too large a one overflows."
+            raise AgentFailed(self.i, f"round {k}: nan in {name}{place}. {do}")
 
     def _keep(self) -> None:
         self.times.append(self.clock.now() - self.began)

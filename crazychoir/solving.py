@@ -1,12 +1,14 @@
 """All robots of an instance in this process, over the communicator and its simulated network, in virtual time."""
 
+import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
 from crazychoir.routing.instance import Instance
 from crazychoir.routing.member import Settings
 from crazychoir.routing.pickup_delivery import PickupDelivery
-from crazychoir.routing.solve import joined, team
+from crazychoir.routing.schedule import outcome
+from crazychoir.routing.solve import joined, team, warm
 from crazychoir.runtime.clock import run_virtual
 from crazychoir.simulate import Run, simulate
 from crazychoir.swarm.graph import named
@@ -27,16 +29,20 @@ def solve_here(
 ) -> dict[str, Any]:
     """Solve it together; returns what `crazychoir solve --json` prints.
 
-    critical_path_s: sum over the rounds of the slowest robot's CPU time;  run: run_virtual, or run_wall.
+    startup_s: until all laws are loaded, and compiled if they were not;  wall_s: from then on;  critical_path_s: sum
+    over the rounds of the slowest robot's CPU time;  run: run_virtual, or run_wall.
     Raises InstanceError, SolverError, ConfigError.
     """
+    began = time.perf_counter()
     links = named(graph, instance.robots, seed)
+    warm(instance, method)
     agents = team(instance, {i: list(links.neighbors(i)) for i in links.ids}, method, settings)
+    started = time.perf_counter() - began
     history = simulate(
         agents, links, loss=loss, network={"delay": 0.0}, seed=seed, record=(), watch=watch, run=run,
         channel="pickup_delivery",
     )  # fmt: skip
     solution = joined(instance, [agent.solution for agent in agents.values()])
-    return solution.to_json() | {
-        name: getattr(history, name) for name in ("messages", "lost", "resent", "bytes", "wall_s", "critical_path_s")
-    }
+    figures = ("messages", "lost", "resent", "bytes", "wall_s", "critical_path_s")
+    measured = {name: getattr(history, name) for name in figures} | {"startup_s": started}
+    return solution.to_json() | outcome(instance, solution.routes) | measured

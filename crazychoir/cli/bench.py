@@ -9,6 +9,7 @@ from typing import Annotated, Any
 
 import typer
 from rich.console import RenderableType
+from rich.markup import escape
 
 from crazychoir.cli.bench_latency import latency
 from crazychoir.cli.show import STDERR, fail, set_up_logging
@@ -59,8 +60,9 @@ def tracking(as_json: JsonOption = False, quick: QuickOption = False) -> None:
 def routing(
     as_json: JsonOption = False,
     quick: QuickOption = False,
-    sizes: Annotated[str, typer.Option(help="Of tiny, small, middle, large, with commas.")] = "small,middle,large",
-    seeds: Annotated[int, typer.Option(min=1, help="Instances of each size.")] = 5,
+    sizes: Annotated[
+        str, typer.Option(help="Of tiny, small, middle, large, with commas; how many instances after a colon.")
+    ] = "small:20,middle:5,large:5",
     graph: Annotated[str, typer.Option(help="Communication graph of the team.")] = "k-regular:4",
     method: Annotated[str | None, typer.Option(help="Method of the team, instead of the default.")] = None,
     prove: Annotated[bool, typer.Option(help="A further run of the team that tries to prove an optimum.")] = False,
@@ -68,8 +70,7 @@ def routing(
     """Plans of pickups and deliveries: the team beside VROOM, OR-tools, MILP, auctions and DISROPT's rule."""
     from crazychoir.cli import bench_routing
 
-    names = tuple(name.strip() for name in sizes.split(","))
-    measure = partial(bench_routing.run, names, seeds, graph=graph, method=method, prove=prove, quick=quick)
+    measure = partial(bench_routing.run, sizes, graph=graph, method=method, prove=prove, quick=quick)
     _show(lambda say: measure(say=say), bench_routing.table, as_json)
 
 
@@ -108,11 +109,14 @@ def everything(quick: QuickOption = False) -> None:
 def _show(
     measure: Callable[[Say], dict[str, Any]], table: Callable[[dict[str, Any]], RenderableType], as_json: bool
 ) -> None:
-    """Measure under a line that says what is measured, then print."""
+    """Measure under a line that says what is measured, or one line each where nobody looks on, then print."""
     set_up_logging()
     try:
-        with STDERR.status("starting") as status:
-            result = measure(status.update)
+        if STDERR.is_terminal:
+            with STDERR.status("starting") as status:
+                result = measure(lambda text: status.update(escape(text)))
+        else:
+            result = measure(lambda text: STDERR.print(text, markup=False, highlight=False, soft_wrap=True))
     except CrazyChoirError as error:
         fail(error, as_json)
     if as_json:

@@ -13,7 +13,7 @@ from crazychoir.cli.bench_statistics import spread
 from crazychoir.routing.generate import random_instance
 from crazychoir.routing.instance import Instance
 from crazychoir.routing.pickup_delivery import METHODS
-from crazychoir.routing.solve import joined, team
+from crazychoir.routing.solve import joined, team, warm
 from crazychoir.simulate import simulate
 from crazychoir.swarm.graph import named
 from crazychoir.swarm.impairment import changes
@@ -88,6 +88,7 @@ def measured(case: Case) -> dict[str, Any]:
     """The row of a case: what it was, and its figures."""
     links = named(GRAPHS[case.graph](case.robots), case.robots, case.seed)
     instance, n = instance_of(case), case.robots
+    warm(instance, case.method)
     agents = team(instance, {i: list(links.neighbors(i)) for i in links.ids}, case.method)
     losses = changes({"loss": case.loss, "burst": case.burst}) if case.loss else {}
     network = {"delay": DELAY, **{name: value for name, value in losses.items() if value is not None}}

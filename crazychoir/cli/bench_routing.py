@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from rich import box
 from rich.console import Group as Shown
 from rich.table import Table
 from rich.text import Text
@@ -34,12 +35,20 @@ from crazychoir.swarm.graph import named
 
 SIZES = {"tiny": (3, 5), "small": (10, 20), "middle": (20, 40), "large": (50, 100)}
 """Robots and tasks, in a room of 10 m by 10 m, with routes of at most LIMIT m."""
+INSTANCES = {"tiny": 5, "small": 20, "middle": 5, "large": 5}
+"""Of each size, where the command line does not say how many."""
+MOST_INSTANCES = 1000
+DEFAULT = "small:20,middle:5,large:5"
 PROVABLE = ("tiny", "small", "middle")
 LIMIT = 25.0
 OURS, PROOF = "crazychoir", "crazychoir, proof"
 LOSS, PROCESSES = 0.1, 2
 PATIENCE = 300.0
 """s that a peer gets at most."""
+LEGEND = """
+Medians over the instances that are done, that is, solved. opt.: proven optimal.
+gap, worst: % over the proven optimum, else over the bound. wall, CPU: s.
+path: s, of the critical path. wins: of the team, p: that it is better."""
 CLOSED = 1e-6
 """Relative: a plan that is this close to its bound is proven optimal."""
 
@@ -70,26 +79,40 @@ RIVALS = ("cbba", "auction")
 
 
 def run(
-    sizes: tuple[str, ...] = ("small", "middle", "large"), seeds: int = 5, *, graph: str = "k-regular:4",
-    method: str | None = None, prove: bool = False, quick: bool = False, say: Callable[[str], None] = lambda text: None,
+    sizes: str = DEFAULT, *, graph: str = "k-regular:4", method: str | None = None, prove: bool = False,
+    quick: bool = False, say: Callable[[str], None] = lambda text: None,
 ) -> dict[str, Any]:  # fmt: skip
-    """Measure all solvers on `seeds` instances of each size.
+    """Measure all solvers on the instances 1, 2, ... of each size.
 
-    prove: the team tries to prove an optimum, too, in a run of its own, where that may end;  quick: the tiny instances,
-    OR-tools for 1 s.
+    sizes: as "small:20,middle";  prove: the team tries to prove an optimum, too, in a run of its own, of every instance
+    of the sizes where that may end;  quick: two tiny instances, OR-tools for 1 s.
     """
-    for size in sizes:
-        if size not in SIZES:
-            raise ConfigError("sizes", size, ", ".join(SIZES))
+    chosen = {"tiny": 2} if quick else instances(sizes)
     method = method or METHODS[0]
+    if method not in METHODS:
+        raise ConfigError("--method", method, ", ".join(METHODS))
+    for size in chosen:
+        named(_graph(graph, SIZES[size][0]), SIZES[size][0], 1)
     rows: list[dict[str, Any]] = []
-    for size in ("tiny",) if quick else sizes:
-        for seed in range(1, (2 if quick else seeds) + 1):
-            of_one = list(_rows(size, seed, graph, method, quick, say))
-            of_one += [_proof(size, seed, graph, method, say)] if prove and size in PROVABLE else []
-            rows += rated(of_one)
+    for size, seed in ((size, seed) for size, count in chosen.items() for seed in range(1, count + 1)):
+        of_one = list(_rows(size, seed, graph, method, quick, say))
+        of_one += [_proof(size, seed, graph, method, say)] if prove and size in PROVABLE else []
+        rows += rated(of_one)
     return {"rows": rows, "summary": summary(rows), "graph": graph, "method": method, "loss": LOSS,
             "processes": PROCESSES}  # fmt: skip
+
+
+def instances(sizes: str) -> dict[str, int]:
+    """How many of each size "small:20,middle" means; ConfigError for what is none."""
+    chosen: dict[str, int] = {}
+    for word in sizes.split(","):
+        size, _, count = word.strip().partition(":")
+        if size not in SIZES or size in chosen:
+            raise ConfigError("--sizes", word, f"each of {', '.join(SIZES)} once", f"As {DEFAULT}.")
+        if count and not (count.isdecimal() and 1 <= int(count) <= MOST_INSTANCES):
+            raise ConfigError("--sizes", word, f"1 to {MOST_INSTANCES} instances after the colon", f"As {DEFAULT}.")
+        chosen[size] = int(count or INSTANCES[size])
+    return chosen
 
 
 def _rows(
@@ -98,7 +121,7 @@ def _rows(
     """One instance, every solver."""
     instance, head = _instance(size, seed), _head(size, seed)
     robots = instance.robots
-    say(f"{size} {seed}: {OURS}, {PROCESSES} processes, {LOSS:.0%} of messages lost")
+    say(f"{size} {seed}: {OURS}: {robots} robots in {PROCESSES} processes, {LOSS:.0%} of messages lost")
     ours = _team(instance, lambda: solve_in_processes(
         instance, PROCESSES, method=method, loss=LOSS, graph=_graph(graph, robots), seed=seed))  # fmt: skip
     yield head | {"name": OURS} | ours
@@ -108,12 +131,12 @@ def _rows(
         yield head | {"name": rival} | (_team(instance, lambda rival=rival: solve_here(  # type: ignore[misc]
             instance, method=rival, loss=LOSS, graph=_graph(graph, robots), seed=seed
         )) if known else _nothing("no such method"))  # fmt: skip
-    for peer in PEERS:
+    for peer in (peer for peer in PEERS if size in peer.sizes):
         say(f"{size} {seed}: {peer.name}")
         options = peer.options | {"seed": seed, "neighbors": _neighbors(graph, robots, seed)}
         options.setdefault("seconds", ours["wall_s"] or 1.0)
         options |= {"seconds": min(1.0, options["seconds"])} if quick else {}
-        yield head | {"name": peer.name} | measured(instance, peer, size, options)
+        yield head | {"name": peer.name} | measured(instance, peer, options)
 
 
 def _proof(size: str, seed: int, graph: str, method: str, say: Callable[[str], None]) -> dict[str, Any]:
@@ -134,12 +157,10 @@ def _head(size: str, seed: int) -> dict[str, Any]:
     return {"size": size, "robots": robots, "tasks": tasks, "seed": seed}
 
 
-def measured(instance: Instance, peer: Peer, size: str, options: dict[str, Any]) -> dict[str, Any]:
+def measured(instance: Instance, peer: Peer, options: dict[str, Any]) -> dict[str, Any]:
     """What a peer makes of the instance; why it made nothing is its note."""
     if peer.extra and importlib.util.find_spec(peer.extra) is None:
         return _nothing(INSTALL)
-    if size not in peer.sizes:
-        return _nothing(f"not for {size} instances")
     with tempfile.TemporaryDirectory(prefix="crazychoir-bench-") as folder:
         file = Path(folder) / "instance.json"
         file.write_text(json.dumps(instance.to_json()))
@@ -240,28 +261,42 @@ def _is_optimal(row: dict[str, Any]) -> bool:
 
 
 def table(result: dict[str, Any]) -> Shown:
-    """The summary, for people."""
-    made = Table(title=f"Pickup and delivery: {result['method']} on {result['graph']}, {result['loss']:.0%} lost")
-    figures = ("cost", "gap %", "worst", "wall s", "CPU s", "path s")
-    for name in ("size", "solver", "solved", "proven", *figures, "wins", "p"):
-        made.add_column(name, justify="left" if name in ("size", "solver") else "right")
-    for row in result["summary"]:
+    """The summary, for people: a table a size, so that each fits into 80 columns."""
+    head = f"Pickup and delivery: {result['method']} on {result['graph']}, {result['loss']:.0%} lost"
+    summed = result["summary"]
+    tables: list[Table | str] = []
+    for size in dict.fromkeys(row["size"] for row in summed):
+        tables += ["", _table_of(size, [row for row in summed if row["size"] == size])]
+    broken = [f"{row['size']}: BROKEN BOUNDS" for row in summed if row["broken_bounds"]]
+    notes = [f"{row['name']}, {row['size']}: {row['notes'][0]}" for row in summed if row["notes"]]
+    return Shown(Text(head), *tables, Text("\n".join([*dict.fromkeys([*broken, *notes]), LEGEND])))
+
+
+def _table_of(size: str, rows: list[dict[str, Any]]) -> Table:
+    robots, tasks = SIZES[size]
+    made = Table(title=f"{size}: {robots} robots, {tasks} tasks", box=box.SIMPLE_HEAD, padding=0,
+                 title_justify="left", show_edge=False)  # fmt: skip
+    for name in ("solver", "done", "opt.", "cost", "gap", "worst", "wall", "CPU", "path", "wins", "p"):
+        made.add_column(name, justify="left" if name == "solver" else "right", no_wrap=True)
+    for row in rows:
         versus = row["against_team"] or {}
         wins = f"{versus['wins']}/{versus['pairs']}" if versus else ""
-        p = "" if versus.get("p") is None else f"{versus['p']:.3g}"
-        worst = "" if row["gap_percent"] is None else f"{row['gap_percent']['most']:.2f}"
-        costs = [_median(row[key]) for key in ("cost", "gap_percent")]
-        times = [_median(row[key]) for key in ("wall_s", "cpu_s", "critical_path_s")]
-        made.add_row(row["size"], row["name"], f"{row['solved']}/{row['instances']}", str(row["optimal"]),
-                     *costs, worst, *times, wins, p)  # fmt: skip
-    broken = [f"{row['size']}: BROKEN BOUNDS" for row in result["summary"] if row["broken_bounds"]]
-    notes = [f"{row['name']}, {row['size']}: {row['notes'][0]}" for row in result["summary"] if row["notes"]]
-    below = "Medians. Gaps: to the proven optimum, else to the bound; path: critical; wins: of the team, with p."
-    return Shown(made, Text("\n".join([*dict.fromkeys([*broken, *notes]), below])))
+        p = "" if versus.get("p") is None else f"{versus['p']:.1g}"
+        worst = "-" if row["gap_percent"] is None else _short(row["gap_percent"]["most"])
+        cost = "-" if row["cost"] is None else f"{row['cost']['median']:.2f}"
+        gap, *times = (_median(row[key]) for key in ("gap_percent", "wall_s", "cpu_s", "critical_path_s"))
+        made.add_row(row["name"], f"{row['solved']}/{row['instances']}", str(row["optimal"]),
+                     cost, gap, worst, *times, wins, p)  # fmt: skip
+    return made
 
 
 def _median(figures: dict[str, float] | None) -> str:
-    return "-" if figures is None else f"{figures['median']:.2f}"
+    return "-" if figures is None else _short(figures["median"])
+
+
+def _short(figure: float) -> str:
+    """Three figures, and hundredths at most."""
+    return f"{figure:.2f}" if figure < 9.995 else f"{figure:.1f}" if figure < 99.95 else f"{figure:.0f}"
 
 
 def _graph(graph: str, robots: int) -> str:

@@ -8,6 +8,7 @@ import numpy as np
 from crazychoir.bus.local import Bus
 from crazychoir.bus.zenoh import ZenohLink
 from crazychoir.cli.peers import report, say, specification, wait_for_go
+from crazychoir.launch.joining import joined
 from crazychoir.runtime.clock import Clock, run_wall
 from crazychoir.swarm.communicator import Communicator
 from crazychoir.swarm.graph import Graph
@@ -21,35 +22,28 @@ async def agent(communicator: Communicator, rounds: dict[int, int]) -> None:
         rounds[i] += 1
 
 
-async def joined(link: ZenohLink, neighbors: dict[int, tuple[int, ...]]) -> None:
-    """Wait until HELLO has gone both ways with every process that holds a neighbour of ours."""
-    elsewhere = [j for i in link.bus.ports for j in neighbors[i] if j not in link.bus.ports]
-    me = link.bus.process
-    while True:
-        peers = [link.directory.get(j) for j in elsewhere]
-        if all(peer is not None and peer.hello is not None and me in peer.hello.heard for peer in peers):
-            return
-        await link.bus.clock.sleep(0.01)
+async def start(group: asyncio.TaskGroup, bus: Bus, team: Graph, spec: dict[str, Any], rounds: dict[int, int]) -> None:
+    """Find the other processes, say so, wait for the word; from then on `rounds` are counted."""
+    if spec["connect"]:
+        endpoints = {"listen": spec["listen"], "connect": spec["connect"]}
+        link = ZenohLink(bus, spec["swarm"], incarnation=1, version="bench", **endpoints)
+        link.open()
+        group.create_task(link.run())
+        await joined(link, team)
+    say({"ready": True})
+    await asyncio.to_thread(wait_for_go)
+    report(rounds, spec)
 
 
 async def main(clock: Clock) -> None:
     """Join, wait for the word, exchange until killed."""
     spec: dict[str, Any] = specification()
-    neighbors = spec["neighbors"]
     bus = Bus(clock, process=spec["process"], host="bench")
-    team = Graph.from_neighbors(neighbors)
+    team = Graph.from_neighbors(spec["neighbors"])
     members = [Communicator(bus.port(i), team) for i in spec["mine"]]
     rounds = dict.fromkeys(spec["mine"], 0)
     async with asyncio.TaskGroup() as group:
-        if spec["connect"]:
-            endpoints = {"listen": spec["listen"], "connect": spec["connect"]}
-            link = ZenohLink(bus, spec["swarm"], incarnation=1, version="bench", **endpoints)
-            link.open()
-            group.create_task(link.run())
-            await joined(link, neighbors)
-        say({"ready": True})
-        await asyncio.to_thread(wait_for_go)
-        report(rounds, spec)
+        await start(group, bus, team, spec, rounds)
         for member in members:
             group.create_task(agent(member, rounds))
 

@@ -5,9 +5,8 @@ from collections.abc import Mapping
 from typing import Any
 
 from crazychoir.bus.local import Bus
-from crazychoir.bus.zenoh import ZenohLink
-from crazychoir.cli.peers import report, say, specification, wait_for_go
-from crazychoir.cli.peers_crazychoir import joined
+from crazychoir.cli.peers import specification
+from crazychoir.cli.peers_crazychoir import start
 from crazychoir.cli.peers_optimization import algorithm
 from crazychoir.runtime.clock import Clock, run_wall
 from crazychoir.swarm.communicator import Communicator
@@ -40,15 +39,7 @@ async def main(clock: Clock) -> None:
     agents = {i: Counted(algorithm(spec["algorithm"], neighbors, i), i, rounds) for i in spec["mine"]}
     members = {i: Communicator(bus.port(i), team) for i in spec["mine"]}
     async with asyncio.TaskGroup() as group:
-        if spec["connect"]:
-            endpoints = {"listen": spec["listen"], "connect": spec["connect"]}
-            link = ZenohLink(bus, spec["swarm"], incarnation=1, version="bench", **endpoints)
-            link.open()
-            group.create_task(link.run())
-            await joined(link, neighbors)
-        say({"ready": True})
-        await asyncio.to_thread(wait_for_go)
-        report(rounds, spec)
+        await start(group, bus, team, spec, rounds)
         for i, agent in agents.items():
             group.create_task(run_algorithm(members[i], agent))
 

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.console import Group
 from rich.table import Table
+from rich.text import Text
 
 from crazychoir.cli.show import STDERR, Progress, fail, interrupted, require_drawable, set_up_logging, write_json
 from crazychoir.errors import CrazyChoirError
@@ -97,15 +98,57 @@ def _progress_table(progress: "TeamProgress") -> Table:
 
 
 def _tables(result: dict[str, Any]) -> Group:
+    """What came of it, and a row a trip."""
     figures = Table("figure", "value", title="plan" if result["feasible"] else "[red]not feasible[/]")
-    for key in ("cost", "lower_bound", "bound_exact", "method", "disclosed", "rounds", "messages", "bytes", "wall_s",
-                "startup_s", "cpu_s", "critical_path_s", "plan_digest"):  # fmt: skip
-        if key not in result:
-            continue
-        value = result[key]
-        figures.add_row(key, f"{value:.6g}" if isinstance(value, float) else str(value))
-    routes = Table("robot", "length m", "stops")
-    for route in result["routes"]:
-        stops = " ".join(f"{'+' if stop['kind'] == 'pickup' else '-'}{stop['task']}" for stop in route["stops"])
-        routes.add_row(str(route["robot"]), f"{route['length']:.3f}", stops)
-    return Group(figures, routes)
+    for name, text in _figures(result).items():
+        figures.add_row(name, Text(text))
+    for wrong in result["violations"]:
+        figures.add_row("wrong", Text(wrong, "red"))
+    if not result["trips"]:
+        return Group(figures, Text("No robot leaves home."))
+    times = "; @: s, when service begins" if result["timed"] else ""
+    return Group(figures, Text(f"+3: picks task 3 up, -3: delivers it{times}"), _trip_table(result))
+
+
+def _figures(result: dict[str, Any]) -> dict[str, str]:
+    """The rows of the first table; what says nothing of this instance is left out."""
+    rows = {"cost": f"{result['cost']:.6g}{_unit(result)}"}
+    if result["penalties"] or result["objective"] != ["total"]:
+        rows["total_m"] = f"{result['total_m']:.6g} m"
+    if result["timed"]:
+        rows["makespan_s"] = f"{result['makespan_s']:.6g} s"
+    if result["refused"]:
+        rows["refused"] = ", ".join(f"task {one['task']} (penalty {one['penalty']:g})" for one in result["refused"])
+    rows["lower_bound"] = "none" if result["lower_bound"] is None else f"{result['lower_bound']:.6g}{_unit(result)}"
+    rows |= {"bound_exact": str(result["bound_exact"]), "method": result["method"]}
+    rows["disclosed"] = f"{len(result['disclosed'])} kinds of facts; --json lists them"
+    rows |= {name: str(result[name]) for name in ("rounds", "messages", "lost", "resent", "bytes")}
+    times = ("startup_s", "wall_s", "cpu_s", "critical_path_s")
+    rows |= {name: f"{result[name]:.3g} s" for name in times if name in result}
+    return rows | {"plan_digest": result["plan_digest"][:16]}
+
+
+def _unit(result: dict[str, Any]) -> str:
+    """Of the cost, where it has one: penalties are of none."""
+    if result["penalties"]:
+        return ""
+    return " m" if result["objective"][0] == "total" else " s"
+
+
+def _trip_table(result: dict[str, Any]) -> Table:
+    """Trips are numbered where there are several, and times shown where they matter."""
+    several, timed = any(trip["trip"] > 1 for trip in result["trips"]), result["timed"]
+    made = Table()
+    made.add_column("robot", justify="right")
+    if several:
+        made.add_column("trip", justify="right")
+    made.add_column("length m", justify="right")
+    if timed:
+        made.add_column("done at s", justify="right")
+    made.add_column("stops")
+    for trip in result["trips"]:
+        row = [str(trip["robot"]), *([str(trip["trip"])] if several else []), f"{trip['length_m']:.3f}"]
+        times = [f"@{begin:.2f}" if timed else "" for begin in trip["begin_s"]]
+        stops = " ".join(stop + time for stop, time in zip(trip["stops"], times, strict=True))
+        made.add_row(*row, *([f"{trip['end_s']:.2f}"] if timed else []), Text(stops))
+    return made

@@ -12,18 +12,19 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from crazychoir import cache
 from crazychoir.bus.codec import decode, encode
 from crazychoir.bus.impairment import Impairment
 from crazychoir.bus.local import Bus
 from crazychoir.bus.plain import plain
 from crazychoir.bus.rules import Rule
 from crazychoir.bus.zenoh import ZenohLink
-from crazychoir.errors import CrazyChoirError
-from crazychoir.routing.generate import random_instance
+from crazychoir.errors import CrazyChoirError, RoundTimeout
+from crazychoir.launch.joining import joined
 from crazychoir.routing.instance import Instance
 from crazychoir.routing.member import Settings
 from crazychoir.routing.pickup_delivery import PickupDelivery
-from crazychoir.routing.solve import member, solve_in_loop
+from crazychoir.routing.solve import member, warm
 from crazychoir.runtime.clock import SECOND, Clock, run_wall
 from crazychoir.swarm.communicator import Communicator
 from crazychoir.swarm.graph import Graph
@@ -160,7 +161,10 @@ class Process:
 
     async def _solve(self, robot: Robot) -> int:
         """All rounds of one robot; returns the instant at which its plan was there, ns."""
-        await run_algorithm(robot.communicator, robot, channel=SOLVE)
+        try:
+            await run_algorithm(robot.communicator, robot, channel=SOLVE)
+        except RoundTimeout as late:
+            raise late.simulated() from None
         ended = self._clock.now_ns()
         counters = robot.communicator.port.counters
         robot.counters = {"messages": counters.sent, **{k: getattr(counters, k) for k in ("bytes", "lost", "resent")}}
@@ -209,14 +213,6 @@ class Process:
             pass
 
 
-def warm(instance: Instance, method: str) -> None:
-    """Solve a small instance, with trips if `instance` has trips or times: all kernels are loaded before GO."""
-    small, vehicle = random_instance(2, 4, seed=0, route_length_limit=60.0), instance.local(0).vehicle
-    if vehicle.timed or vehicle.trips > 1:
-        small = Instance.parse(small.to_json() | {"recharge": 2})
-    solve_in_loop(small, {0: [1], 1: [0]}, method)
-
-
 def packed(message: Any) -> Packed:
     """A message as bytes, or one for each neighbour: what is kept of it is small, and no later change reaches it."""
     if type(message) is PerNeighbor:
@@ -231,19 +227,6 @@ def unpacked(payload: Packed) -> Any:
     return decode(payload)
 
 
-async def joined(link: ZenohLink, links: Graph) -> None:
-    """Wait until HELLO has gone both ways with every process that holds a neighbour of ours."""
-    here = link.bus.ports
-    elsewhere = dict.fromkeys(j for i in here for j in links.neighbors(i) if j not in here)
-    while not all(_greeted(link, j) for j in elsewhere):
-        await link.bus.clock.sleep(0.01)
-
-
-def _greeted(link: ZenohLink, j: int) -> bool:
-    peer = link.directory.get(j)
-    return peer is not None and peer.hello is not None and link.bus.process in peer.hello.heard
-
-
 def say(answer: dict[str, Any]) -> None:
     """One line to `launch.team`."""
     sys.stdout.write(json.dumps(plain(answer)) + "\n")
@@ -253,6 +236,7 @@ def say(answer: dict[str, Any]) -> None:
 def main() -> None:
     """The argument is the specification; what is wrong is said as an answer, and ends the process."""
     ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+    cache.say = lambda text: say({"told": text})
     process = Process(json.loads(sys.argv[1]))
     try:
         run_wall(process.run)

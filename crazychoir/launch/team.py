@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from crazychoir.bus.rules import Rule
+from crazychoir.cache import say
 from crazychoir.errors import ConfigError, ProcessFailed
 from crazychoir.launch.group import Ended, Group
 from crazychoir.launch.network import free_ports
@@ -20,6 +21,7 @@ from crazychoir.routing.instance import Instance
 from crazychoir.routing.member import Settings
 from crazychoir.routing.pickup_delivery import METHODS
 from crazychoir.routing.plan import Solution
+from crazychoir.routing.schedule import outcome
 from crazychoir.routing.solve import joined
 from crazychoir.swarm.graph import Graph, named, span
 from crazychoir.swarm.impairment import changes
@@ -91,6 +93,7 @@ class _Run:
     def __init__(self, group: Group, parts: list[list[int]], watch: Callable[[Progress], None]) -> None:
         self._group, self._parts, self._watch = group, parts, watch
         self._progress: Progress = {}
+        self._told = False
 
     def wait(self, key: str, patience: float, complaint: str) -> list[Any]:
         """This answer of every process."""
@@ -114,6 +117,9 @@ class _Run:
 
     def _look(self, heard: Answer) -> Answer:
         number, answer = heard
+        if "told" in answer and not self._told:
+            self._told = True
+            say(answer["told"])
         if "error" in answer:
             raise ProcessFailed(f"robots {span(self._parts[number])}", f"{answer['kind']}: {answer['error']}")
         if "progress" in answer:
@@ -143,7 +149,7 @@ def _result(
     robots = [robot for part in solved for robot in part["robots"]]
     steps = [max(times) for times in zip(*(part["steps"] for part in solved), strict=True)]
     totals = {key: sum(robot[key] for robot in robots) for key in ("messages", "lost", "resent", "bytes")}
-    return solution.to_json() | totals | {
+    return solution.to_json() | outcome(instance, solution.routes) | totals | {
         "wall_s": max(part["wall_s"] for part in solved),
         "cpu_s": sum(part["cpu_s"] for part in solved),
         "critical_path_s": critical_path(steps, max(replayed)),

@@ -1,12 +1,15 @@
-"""What no agent can see alone: whether the agents of a team fit each other and their graph."""
+"""What no agent can see alone: whether the agents of a team fit each other and their graph, and send numbers."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
 
 from crazychoir.errors import ConfigError
 from crazychoir.swarm.graph import Graph, GraphSequence, span
+
+NUMBERLESS = frozenset({type(None), bool, int, str, bytes})
+"""What holds no float."""
 
 
 def require_team(agents: Mapping[int, Any], graph: Graph | GraphSequence) -> None:
@@ -47,6 +50,42 @@ def require_graph(agent: Any, graph: Graph | GraphSequence) -> None:
     if isinstance(diameter, int) and diameter < (least := graph.diameter()):
         do = "Take graph.diameter(), or any bound on it, the same at all agents."
         raise ConfigError(f"{where}: diameter", f"{diameter}", f"at least {least}: rounds in which all hear of all", do)
+
+
+def nan_in(value: Any) -> str | None:
+    """Where in what travels the first nan is, as an index: "", "[2]", "['x'][0, 1]"; None where there is none.
+
+    Looks at floats and at arrays of them, in lists, tuples and dictionaries at any depth.
+    """
+    if type(value) is float:
+        return None if value == value else ""
+    if isinstance(value, np.ndarray | np.generic):
+        return _nan_of(np.asarray(value))
+    if isinstance(value, dict):
+        return _first_nan(value.items(), value.values())
+    if isinstance(value, list | tuple):
+        return _first_nan(enumerate(value), value)
+    return None
+
+
+def _first_nan(items: Iterable[tuple[Any, Any]], values: Iterable[Any]) -> str | None:
+    if NUMBERLESS.issuperset(map(type, values)):
+        return None
+    for key, item in items:
+        if type(item) not in NUMBERLESS and (place := nan_in(item)) is not None:
+            return f"[{key!r}]{place}"
+    return None
+
+
+def _nan_of(array: Any) -> str | None:
+    if array.dtype.kind not in "fc":
+        return None
+    flat = array.ravel()
+    square = flat.dot(flat)  # nan where one is, and quicker than to ask each; of complex numbers where one is infinite
+    if square == square or not np.isnan(flat).any():
+        return None
+    at = np.argwhere(np.isnan(array))[0].tolist()
+    return str(at) if at else ""
 
 
 def _require_fitting(i: int, agent: Any, graph: Graph | GraphSequence) -> None:

@@ -9,6 +9,7 @@ import numpy as np
 from crazychoir.optimization.picture import COLOURS, DASHES, INK
 from crazychoir.routing.instance import Instance
 from crazychoir.routing.plan import Plan, Route
+from crazychoir.routing.schedule import Trip, times_matter, trips
 from crazychoir.routing.vehicle import MAKESPAN
 from crazychoir.types import Mat, Vec
 
@@ -29,8 +30,9 @@ def draw_routes(instance: Instance, plan: Plan, path: str | Path) -> None:
     figure = Figure(figsize=(8.6, 6.2), dpi=200, layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.add_subplot()
+    timed = times_matter(instance)
     for route in plan.routes:
-        _draw_route(axes, instance, route)
+        _draw_route(axes, instance, route, timed)
     _draw_points(axes, instance)
     axes.set_aspect("equal")
     axes.margins(0.06)
@@ -55,15 +57,22 @@ def _title(instance: Instance, plan: Plan) -> str:
     return text + (f"; refused: {', '.join(refused)}" if refused else "")
 
 
-def _draw_route(axes: "Axes", instance: Instance, route: Route) -> None:
-    tour = _tour(instance, route)
+def _draw_route(axes: "Axes", instance: Instance, route: Route, timed: bool) -> None:
+    """A line a trip, in the robot's colour."""
+    flown = trips(instance, route)
     colour = COLOURS[route.robot % len(COLOURS)]
-    dash = DASHES[route.robot % len(DASHES)]
-    tasks = ", ".join(str(j) for j in route.tasks)
-    label = f"robot {route.robot}: {route.length:.2f} m, tasks {tasks}"
-    axes.plot(tour[:, 0], tour[:, 1], color=colour, linestyle=dash, linewidth=1.5, label=label, zorder=2)
-    for a, b in pairwise(tour):
-        _draw_arrow(axes, a, b, colour)
+    for trip, tour in zip(flown, _tours(instance, route), strict=True):
+        dash = DASHES[(route.robot + trip.number - 1) % len(DASHES)]
+        label = _label(trip, several=len(flown) > 1, timed=timed)
+        axes.plot(tour[:, 0], tour[:, 1], color=colour, linestyle=dash, linewidth=1.5, label=label, zorder=2)
+        for a, b in pairwise(tour):
+            _draw_arrow(axes, a, b, colour)
+
+
+def _label(trip: Trip, several: bool, timed: bool) -> str:
+    tasks = ", ".join(str(stop.task) for stop in trip.stops if stop.kind == "delivery")
+    who = f"robot {trip.robot}, trip {trip.number}" if several else f"robot {trip.robot}"
+    return f"{who}: {trip.length:.2f} m" + (f", until {trip.end:.2f} s" if timed else "") + f", tasks {tasks}"
 
 
 def _draw_arrow(axes: "Axes", a: Vec, b: Vec, colour: str) -> None:
@@ -104,10 +113,18 @@ def _write_names(axes: "Axes", points: Mat) -> None:
         )
 
 
-def _tour(instance: Instance, route: Route) -> Mat:
-    """(n, 2) or (n, 3) m: home, the stops, and where the robot ends."""
+def _tours(instance: Instance, route: Route) -> list[Mat]:
+    """Of each trip (n, 2) or (n, 3) m: home, or where the robot ends, the stops, and where it ends."""
     home, tasks = instance.home[route.robot], instance.tasks
     end = home if instance.end is None else instance.end[route.robot]
     at = {"pickup": tasks.pickup, "delivery": tasks.delivery}
-    stops = [end if s.kind == "recharge" else at[s.kind][s.task] for s in route.stops]
-    return np.array([home, *stops] if instance.open_tours else [home, *stops, end])
+    tours = [[home]]
+    for stop in route.stops:
+        if stop.kind == "recharge":
+            tours[-1].append(end)
+            tours.append([end])
+        else:
+            tours[-1].append(at[stop.kind][stop.task])
+    if not instance.open_tours:
+        tours[-1].append(end)
+    return [np.array(tour) for tour in tours]

@@ -3,10 +3,13 @@
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
+from functools import cache
 from typing import Any
 
+from crazychoir.bus.codec import decode, encode
 from crazychoir.errors import ConfigError, SolverError
 from crazychoir.routing.checker import check
+from crazychoir.routing.generate import random_instance
 from crazychoir.routing.instance import Instance
 from crazychoir.routing.member import Settings
 from crazychoir.routing.pickup_delivery import METHODS, PickupDelivery
@@ -33,6 +36,20 @@ def solve_in_loop(
         for i, agent in agents.items():
             agent.step({j: carry(messages[j]) for j in sorted(graph[i])})
     return joined(instance, [agent.solution for agent in agents.values()])
+
+
+def warm(instance: Instance, method: str = METHODS[0]) -> None:
+    """Compile the kernels that a solution of this instance will need, or load them, before a clock starts; once."""
+    vehicle = instance.local(0).vehicle
+    _warm(method, instance.objective, 2 if vehicle.timed or vehicle.trips > 1 else 1)
+
+
+@cache
+def _warm(method: str, objective: tuple[str, ...], trips: int) -> None:
+    """Solve a small instance; messages pass the codec, as arrays that have arrived are another type for a kernel."""
+    changes = {"objective": list(objective), "recharge": trips}
+    small = Instance.parse(random_instance(2, 4, seed=0, route_length_limit=60.0).to_json() | changes)
+    solve_in_loop(small, {0: [1], 1: [0]}, method, carry=lambda message: decode(encode(message)))
 
 
 def team(

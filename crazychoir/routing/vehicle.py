@@ -120,13 +120,15 @@ class Vehicle:
 
     def finish(self, route: Sequence[int]) -> float:
         """s, when a route is over that begins each service as soon as its window allows; 0 for one without stops."""
-        if not len(route):
-            return 0.0
+        return self.begins(route)[-1] if len(route) else 0.0
+
+    def begins(self, route: Sequence[int]) -> list[float]:
+        """s, when each service of such a route begins, and when it is over."""
         m = self.tasks
-        t = float(self.earliest[2 * m])
+        times = [float(self.earliest[2 * m])]
         for v, w in pairwise([2 * m, *route, 2 * m + 1]):
-            t = max(t + float(self.duration[v, w]), float(self.earliest[w]))
-        return t
+            times.append(max(times[-1] + float(self.duration[v, w]), float(self.earliest[w])))
+        return times[1:]
 
     def only(self, chosen: npt.NDArray[np.int64]) -> "Vehicle":
         """The same robot with the tasks `chosen` (K,) alone."""

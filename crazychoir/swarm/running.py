@@ -85,7 +85,7 @@ async def _in_rounds(
         try:
             heard = await communicator.neighbors_exchange(message, channel=channel, deadline=deadline, policy=policy)
         except CodecError as error:
-            raise _Ended.at(i, error) from error
+            raise _Ended.at(i, _unsent(communicator, channel, error)) from error
         _require_alive(heard)
         try:
             if heavy:
@@ -118,7 +118,7 @@ async def _wake_and_sleep(communicator: Communicator, algorithm: Round, channel:
         try:
             await communicator.send(message, channel=channel)
         except CodecError as error:
-            raise _Ended.at(i, error) from error
+            raise _Ended.at(i, _unsent(communicator, channel, error)) from error
     await _repeat(communicator, message, channel, pace)
 
 
@@ -146,6 +146,11 @@ def _require_alive(heard: Mapping[int, Any]) -> None:
             raise _Ended(failed, failed)
 
 
+def _unsent(communicator: Communicator, channel: str, error: CodecError) -> CodecError:
+    """What cannot be sent, with whose it is and in which round."""
+    return CodecError(f"agent {communicator.id}: message(), round {communicator.open(channel).sending}: {error}")
+
+
 def _word(failed: AgentFailed) -> Failure:
     return Failure(failed.agent, failed.reason)
 
@@ -158,7 +163,9 @@ class _Ended(Exception):
 
     @classmethod
     def at(cls, i: int, error: Exception) -> "_Ended":
-        """Our own algorithm has raised this."""
+        """Our own algorithm has raised this, or is told by this that it has failed."""
+        if isinstance(error, AgentFailed):
+            return cls(error, error)
         reason = f"{type(error).__name__}: {error}"
         if isinstance(error, CrazyChoirError):
             return cls(AgentFailed(i, reason), error)

@@ -1,6 +1,8 @@
 """`crazychoir solve`: instances with a proven optimum, without flying."""
 
 import json
+import subprocess
+import sys
 
 import pytest
 from system.commands import call
@@ -51,6 +53,36 @@ def test_own_instances(repository, name):
     path = repository / "tests" / "data" / f"pickup_delivery_{name}.json"
     result, optimum = solved(path, "--loss", 0.3, "--seed", 7)
     near(result, optimum)
+
+
+WARM = """
+import gc, json, sys
+from numba.core.dispatcher import Dispatcher
+from crazychoir.routing.instance import Instance
+from crazychoir.routing.solve import warm
+from crazychoir.solving import solve_here
+
+def compiled():
+    return {repr(d): len(d.overloads) for d in gc.get_objects() if isinstance(d, Dispatcher)}
+
+changes = [{}, {"recharge": 2}, {"objective": "makespan"}, {"release": 1.0}, {"penalty": [9.0] * 4}]
+for method in ("columns", "resource-columns", "cbba"):
+    for change in changes:
+        instance = Instance.parse(json.load(open(sys.argv[1])) | change)
+        warm(instance, method)
+        before = compiled()
+        result = solve_here(instance, method=method)
+        assert compiled() == before, (method, change, set(compiled().items()) - set(before.items()))
+        assert result["wall_s"] > 0.0 < result["startup_s"]
+"""
+
+
+@pytest.mark.timeout(300)  # on a fresh machine it compiles
+def test_the_clock_of_a_solution_counts_no_compiling(repository):
+    """Nor any loading of compiled laws: before it starts all have been called, with the types that they will get."""
+    path = repository / "tests" / "data" / "pickup_delivery_flat.json"
+    done = subprocess.run([sys.executable, "-c", WARM, path], capture_output=True, text=True, check=False, timeout=300)
+    assert done.returncode == 0, done.stderr
 
 
 @pytest.fixture

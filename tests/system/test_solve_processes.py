@@ -68,6 +68,14 @@ def test_a_process_that_ends_is_told_with_its_last_words(demo, monkeypatch):
         team.solve_in_processes(Instance.load(demo), 2)
 
 
+def test_that_processes_compile_is_told_once(demo, monkeypatch, capsys):
+    words = "import json; print(json.dumps({'told': 'compiling'})); raise SystemExit('done')"
+    monkeypatch.setattr(team, "_commands", lambda parts, common: [[sys.executable, "-c", words]] * 2)
+    with pytest.raises(ProcessFailed, match="done"):
+        team.solve_in_processes(Instance.load(demo), 2)
+    assert capsys.readouterr().err == "compiling\n"
+
+
 def test_no_robot_outlives_who_started_it(demo):
     words = [sys.executable, "-m", "crazychoir.cli.crazychoir", "solve", str(demo), "--processes", "2", "--loss", "0.9"]
     with subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as parent:

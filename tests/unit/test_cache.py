@@ -61,6 +61,13 @@ def test_of_processes_that_start_together_one_compiles(folder):
     assert not list(folder.rglob("*.turn"))
 
 
+def test_who_waits_is_told_that_it_compiles_once_though_standard_error_is_no_terminal(folder):
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    said = [subprocess.run([sys.executable, folder / "law.py"], env=environment, capture_output=True, check=True).stderr
+            for _ in range(2)]  # fmt: skip
+    assert said == [f"{cache.COMPILES}\n".encode(), b""]
+
+
 def test_a_constant_of_another_file_that_has_changed_compiles_what_names_it_anew(folder):
     assert run(folder)[:2] == (7.0, 2)
     assert run(folder)[:2] == (7.0, 0)

@@ -11,7 +11,7 @@ import pytest
 from crazychoir.bus.impairment import Impairment
 from crazychoir.bus.local import Bus
 from crazychoir.bus.rules import Rule
-from crazychoir.errors import AgentFailed, CodecError, ConfigError, SolverError
+from crazychoir.errors import AgentFailed, CodecError, ConfigError, RoundTimeout, SolverError
 from crazychoir.optimization.bundles import SequentialAuction
 from crazychoir.optimization.consensus import Consensus
 from crazychoir.optimization.max_consensus import MaxConsensus
@@ -249,7 +249,7 @@ def test_a_message_that_cannot_be_sent_ends_all_too(message, error, asynchronous
     agents = {i: Mute(1000) if i == 2 else Counting(1000) for i in range(5)}
     for agent in agents.values():
         agent.asynchronous = asynchronous
-    with pytest.raises(CodecError, match=error):
+    with pytest.raises(CodecError, match=rf"^agent 2: message\(\), round [23]: .*{error}"):
         simulate(agents, path(5), loss=0.3)
     assert all(agent.x < 50 for agent in agents.values())
 
@@ -260,6 +260,65 @@ def test_they_end_in_real_time_too():
     found, _, _ = ends(ring(6), SolverError("agent 2", "unbounded"), "step", 0.3, run=run_wall)
     assert [type(found[i]) for i in range(6)] == [AgentFailed, AgentFailed, SolverError, *[AgentFailed] * 3]
     assert time.perf_counter() - began < 10.0
+
+
+class Spoilt(Counting):
+    """Agent 2 sends a nan in round 4, and is one from step 6 on; `deep` as a part of a message."""
+
+    def __init__(self, i, where, deep=False):
+        super().__init__(50)
+        self.i, self.where, self.deep, self.y = i, where, deep, np.zeros(2)
+
+    def message(self):
+        y = np.array([0.0, np.nan]) if self.where == "message" and (self.i, self.x) == (2, 4) else self.y
+        return {"k": self.x, "more": [None, (1, y)]} if self.deep else y
+
+    def step(self, heard):
+        super().step(heard)
+        if self.where == "step" and (self.i, self.x) == (2, 7):
+            self.y = np.array([np.inf, np.nan])
+
+
+@pytest.mark.parametrize("asynchronous", [False, True])
+@pytest.mark.parametrize(
+    ("where", "deep", "said"),
+    [
+        ("message", False, r"round 4: nan in message\(\)\[1\]\."),
+        ("message", True, r"round 4: nan in message\(\)\['more'\]\[1\]\[1\]\[1\]\."),
+        ("step", True, r"round 6: nan in y\[1\]\."),
+    ],
+)
+def test_an_agent_whose_numbers_are_none_has_failed(where, deep, said, asynchronous):
+    agents = {i: Spoilt(i, where, deep) for i in range(5)}
+    for agent in agents.values():
+        agent.asynchronous = asynchronous
+    with pytest.raises(AgentFailed, match=rf"^agent 2 has failed, and with it the team: {said}") as caught:
+        simulate(agents, ring(5), loss=0.3, record=("y",))
+    assert caught.value.agent == 2
+
+
+def test_an_infinity_may_be_meant():
+    class Most(Counting):
+        def step(self, heard):
+            self.most = max(self.most, *heard.values())
+            super().step(heard)
+
+        def message(self):
+            return self.most
+
+    agents = {i: Most(3) for i in range(5)}
+    for i, agent in agents.items():
+        agent.most = float(i) if i == 3 else -np.inf
+    history = simulate(agents, ring(5), rounds=1, record=("most",))
+    assert history.last("most") == {0: -np.inf, 1: -np.inf, 2: 3.0, 3: 3.0, 4: 3.0}
+    assert history.disagreement("most") == np.inf
+
+
+def test_a_simulation_names_no_command_that_looks_at_flights():
+    with pytest.raises(RoundTimeout, match="Lower the loss of the simulated network") as caught:
+        simulate(averaging(ring(5)), ring(5), loss=1.0)
+    assert "status" not in str(caught.value)
+    assert caught.value.missing == (1, 4)
 
 
 def test_a_simulation_raises_what_the_failing_agent_raised():

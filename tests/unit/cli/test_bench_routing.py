@@ -2,13 +2,15 @@
 
 import io
 import math
+from collections import Counter
 
 import numpy as np
 import pytest
 from rich.console import Console
 
-from crazychoir.cli import bench_routing, bench_statistics, peers_disropt, peers_routing
-from crazychoir.cli.bench_routing import OURS, PEERS, judged, measured, rated, summary
+from crazychoir.cli import bench, bench_routing, bench_statistics, peers_disropt, peers_routing
+from crazychoir.cli.bench_routing import OURS, PEERS, SIZES, instances, judged, measured, rated, summary
+from crazychoir.errors import ConfigError
 from crazychoir.launch.team import best_so_far, critical_path
 from crazychoir.routing.instance import Instance
 from crazychoir.routing.pricing import Column
@@ -68,7 +70,7 @@ def test_a_solver_without_a_plan_is_a_row_with_its_word(instance):
 
 def test_a_peer_that_is_not_installed_says_how_to(instance, monkeypatch):
     monkeypatch.setattr(bench_routing.importlib.util, "find_spec", lambda name: None)
-    assert measured(instance, PEERS[0], "small", {})["note"] == "not measured: pip install crazychoir[bench]"
+    assert measured(instance, PEERS[0], {})["note"] == "not measured: pip install crazychoir[bench]"
 
 
 def row(name, seed, cost, bound=None, **more):
@@ -100,10 +102,82 @@ def test_the_summary_compares_on_instances_that_both_have_solved():
     assert (vroom["solved"], vroom["optimal"]) == (4, 1)
     versus = vroom["against_team"]
     assert (versus["pairs"], versus["wins"], versus["ties"]) == (4, 2, 1)
-    console = Console(width=120, record=True, file=io.StringIO())
-    result = {"summary": [team, vroom], "method": "columns", "graph": "ring", "loss": 0.1}
-    console.print(bench_routing.table(result))
-    assert "2/4" in console.export_text()
+    shown = next(line.split() for line in printed([team, vroom]) if line.startswith("VROOM"))
+    assert shown[:-1] == ["VROOM", "4/5", "1", "10.50", "7.78", "20.0", "1.00", "1.00", "-", "2/4"]
+
+
+def printed(rows, width=80):
+    console = Console(width=width, record=True, file=io.StringIO())
+    console.print(bench_routing.table({"summary": rows, "method": "columns", "graph": "k-regular:4", "loss": 0.1}))
+    return console.export_text().splitlines()
+
+
+def test_the_table_of_all_sizes_and_solvers_fits_into_80_columns():
+    rows = []
+    for size, seed in ((size, seed) for size in SIZES for seed in range(1, 21)):
+        names = [OURS, *bench_routing.RIVALS, *(peer.name for peer in PEERS), bench_routing.PROOF]
+        large = {"size": size, "wall_s": 1234.5, "cpu_s": 4321.5, "critical_path_s": 123.456}
+        costs = [1234.567 + seed + n**2 for n in range(len(names))]
+        rows += rated([row(name, seed, cost, 1111.1, **large) for name, cost in zip(names, costs, strict=True)])
+    lines = printed(summary(rows))
+    assert max(map(len, lines)) <= 80
+    assert "…" not in "".join(lines)
+    heads = [n for n, line in enumerate(lines) if line.startswith("solver")]
+    assert [lines[n - 1].strip() for n in heads] == [
+        "tiny: 3 robots, 5 tasks", "small: 10 robots, 20 tasks", "middle: 20 robots, 40 tasks",
+        "large: 50 robots, 100 tasks",
+    ]  # fmt: skip
+    assert lines[heads[0] + 2].split() == ["crazychoir", "20/20", "0", "1245.07", "12.1", "12.9", "1234", "4322", "123"]
+
+
+@pytest.mark.parametrize(
+    ("sizes", "found"),
+    [
+        (bench_routing.DEFAULT, {"small": 20, "middle": 5, "large": 5}),
+        ("small,large:2", {"small": 20, "large": 2}),
+        (" tiny:1 , middle", {"tiny": 1, "middle": 5}),
+    ],
+)
+def test_each_size_has_its_number_of_instances(sizes, found):
+    assert instances(sizes) == found
+
+
+@pytest.mark.parametrize("sizes", ["", "huge", "small:0", "small:-1", "small:1.5", "small:2000", "small,small"])
+def test_sizes_that_are_none_are_refused(sizes):
+    with pytest.raises(ConfigError, match=r"^--sizes: found .*; allowed: .* As small:20,middle:5,large:5\."):
+        instances(sizes)
+
+
+@pytest.mark.parametrize("prove", [False, True])
+def test_a_run_is_of_all_instances_and_proves_all_that_it_can(monkeypatch, prove):
+    monkeypatch.setattr(bench_routing, "_rows", lambda size, seed, *more: [row(OURS, seed, 9.0, 9.0, size=size)])
+    monkeypatch.setattr(bench_routing, "_proof", lambda size, seed, *more: row("proof", seed, 9.0, 9.0, size=size))
+    found = Counter((one["size"], one["name"]) for one in bench_routing.run(prove=prove)["rows"])
+    ours = {("small", OURS): 20, ("middle", OURS): 5, ("large", OURS): 5}
+    assert found == (ours | {("small", "proof"): 20, ("middle", "proof"): 5} if prove else ours)
+
+
+@pytest.mark.parametrize(
+    ("option", "said"), [({"method": "magic"}, "--method: found magic"), ({"graph": "knot"}, "knot")]
+)
+def test_what_cannot_be_is_refused_before_anything_is_measured(monkeypatch, option, said):
+    monkeypatch.setattr(bench_routing, "_rows", pytest.fail)
+    with pytest.raises(ConfigError, match=said):
+        bench_routing.run(**option)
+
+
+@pytest.mark.parametrize("terminal", [False, True])
+def test_a_bench_says_what_it_measures_on_lines_where_nobody_looks_on(monkeypatch, terminal):
+    console = Console(file=io.StringIO(), force_terminal=terminal, width=80)
+    monkeypatch.setattr(bench, "STDERR", console)
+
+    def measure(say):
+        say("small 1: [VROOM]")
+        return {}
+
+    bench._show(measure, lambda result: "", as_json=True)
+    lines = [line for line in console.file.getvalue().splitlines() if line == "small 1: [VROOM]"]
+    assert lines == ([] if terminal else ["small 1: [VROOM]"])
 
 
 def test_the_paired_test_is_that_of_wilcoxon():

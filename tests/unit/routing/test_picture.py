@@ -5,7 +5,7 @@ import pytest
 
 from crazychoir.routing.compact import solve_compact
 from crazychoir.routing.instance import Instance
-from crazychoir.routing.picture import _title, _tour, draw_routes
+from crazychoir.routing.picture import _title, _tours, draw_routes
 from crazychoir.routing.plan import Plan, Route
 
 
@@ -28,9 +28,33 @@ def test_recharges_ends_and_open_tours_are_drawn_where_they_are():
            "load": [1.0, 1.0], "capacity": [1.0]}  # fmt: skip
     route = Route.from_nodes(0, [0, 2, 5, 1, 3], 2, 1.0)
     ends = Instance.parse(raw | {"end": [[0.0, 3.0]], "recharge": 2})
-    assert _tour(ends, route).tolist() == [[0, 0], [1, 0], [1, 1], [0, 3], [2, 0], [2, 1], [0, 3]]
+    one, two = (tour.tolist() for tour in _tours(ends, route))
+    assert (one, two) == ([[0, 0], [1, 0], [1, 1], [0, 3]], [[0, 3], [2, 0], [2, 1], [0, 3]])
     free = Instance.parse(raw | {"open_tours": True})
-    assert _tour(free, Route.from_nodes(0, [0, 2], 2, 2.0)).tolist() == [[0, 0], [1, 0], [1, 1]]
+    assert [tour.tolist() for tour in _tours(free, Route.from_nodes(0, [0, 2], 2, 2.0))] == [[[0, 0], [1, 0], [1, 1]]]
+
+
+def test_a_trip_is_a_line_of_its_own_with_a_label_of_its_own(monkeypatch, tmp_path):
+    from matplotlib.axes import Axes
+
+    raw = {"home": [[0.0, 0.0]], "pickup": [[1.0, 0.0], [2.0, 0.0]], "delivery": [[1.0, 1.0], [2.0, 1.0]],
+           "load": [1.0, 1.0], "capacity": [1.0], "recharge": 2}  # fmt: skip
+    drawn, plot = [], Axes.plot
+
+    def noted(axes, *points, **style):
+        drawn.append(style)
+        return plot(axes, *points, **style)
+
+    monkeypatch.setattr(Axes, "plot", noted)
+    for instance in (Instance.parse(raw), Instance.parse(raw | {"release": [0.0, 2.5]})):
+        draw_routes(instance, instance.plan([Route.from_nodes(0, [0, 2, 5, 1, 3], 2, 8.65)]), tmp_path / "plan.png")
+    trips = [style for style in drawn if style.get("label", "").startswith("robot 0")]
+    assert [style["label"] for style in trips] == [
+        "robot 0, trip 1: 3.41 m, tasks 0", "robot 0, trip 2: 5.24 m, tasks 1",
+        "robot 0, trip 1: 3.41 m, until 3.41 s, tasks 0", "robot 0, trip 2: 5.24 m, until 8.65 s, tasks 1",
+    ]  # fmt: skip
+    assert len({style["color"] for style in trips}) == 1
+    assert trips[0]["linestyle"] != trips[1]["linestyle"]
 
 
 def test_the_title_names_what_is_refused_and_the_last_to_be_done(small, tmp_path):
