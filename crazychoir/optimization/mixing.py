@@ -11,6 +11,7 @@ from typing import Any, Final, TypeVar
 
 from crazychoir.errors import ConfigError
 from crazychoir.optimization.iteration import Iteration
+from crazychoir.optimization.messages import NUMBER, parts
 from crazychoir.swarm.graph import Graph, GraphSequence, Weights, metropolis
 from crazychoir.types import PerNeighbor, Vec
 
@@ -115,6 +116,7 @@ class Mixing(Iteration):
         row = self.row
         if self.k < len(self.weights) and self.doubly_stochastic:
             require_heard(self.i, row, heard)
+            parts(self.i, self.k, heard, NUMBER, object)
             self._check_column(math.fsum([row[self.i], *(w for w, _ in heard.values())]))
             heard = {j: payload for j, (_, payload) in heard.items()}
         self.mix_in(row, heard)
