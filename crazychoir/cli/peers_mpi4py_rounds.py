@@ -20,7 +20,7 @@ Exchange = Callable[..., dict[int, Any]]
 
 
 def communicator(neighbors: Neighbors) -> Exchange:
-    """Sends the data, dumped once for all, or with `each` to each neighbour its own; returns what has come from each."""
+    """Sends the data, dumped once for all, with `each` to each neighbour its own; returns what has come from each."""
     mpi = importlib.import_module("mpi4py.MPI")
     dill = importlib.import_module("dill")
     world = mpi.COMM_WORLD
