@@ -16,17 +16,18 @@ from crazychoir.cli.peers_optimization import STEP, problem, start, weights
 from crazychoir.types import Vec
 
 Neighbors = tuple[int, ...]
-Exchange = Callable[[dict[int, Any]], dict[int, Any]]
+Exchange = Callable[..., dict[int, Any]]
 
 
 def communicator(neighbors: Neighbors) -> Exchange:
-    """Sends to each neighbour what is for it and returns what has come from each."""
+    """Sends the data, dumped once for all, with `each` to each neighbour its own; returns what has come from each."""
     mpi = importlib.import_module("mpi4py.MPI")
     dill = importlib.import_module("dill")
     world = mpi.COMM_WORLD
 
-    def exchange(data: dict[int, Any]) -> dict[int, Any]:
-        sent = [world.Isend([dill.dumps(data[j]), mpi.BYTE], dest=j) for j in neighbors]
+    def exchange(data: Any, each: bool = False) -> dict[int, Any]:
+        dumped = {j: dill.dumps(data[j]) for j in neighbors} if each else dict.fromkeys(neighbors, dill.dumps(data))
+        sent = [world.Isend([dumped[j], mpi.BYTE], dest=j) for j in neighbors]
         heard: dict[int, Any] = {}
         status = mpi.Status()
         while len(heard) < len(neighbors):
@@ -48,7 +49,7 @@ def consensus(i: int, neighbors: dict[int, Neighbors], exchange: Exchange) -> Ca
 
     def step() -> None:
         nonlocal x
-        heard = exchange(dict.fromkeys(neighbors[i], x))
+        heard = exchange(x)
         x = row[i] * x + sum(row[j] * heard[j] for j in neighbors[i])
 
     return step
@@ -60,9 +61,9 @@ def dual_decomposition(i: int, neighbors: dict[int, Neighbors], exchange: Exchan
     multipliers: dict[int, Vec] = {j: np.zeros(local.n) for j in neighbors[i]}
 
     def step() -> None:
-        theirs = exchange(multipliers)
+        theirs = exchange(multipliers, each=True)
         x = local.argmin(sum((multipliers[j] - theirs[j] for j in neighbors[i]), np.zeros(local.n)))
-        heard = exchange(dict.fromkeys(neighbors[i], x))
+        heard = exchange(x)
         for j in neighbors[i]:
             multipliers[j] = multipliers[j] + STEP * (x - heard[j])
 

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 from crazychoir.errors import ConfigError
 from crazychoir.optimization.gradient import Checked, Project, anywhere
 from crazychoir.optimization.iteration import vector
+from crazychoir.optimization.messages import parts
 from crazychoir.optimization.mixing import Mixing, Row, Rows, mix
 from crazychoir.optimization.step_size import StepSize, step_size
 from crazychoir.types import Vec
@@ -64,6 +65,7 @@ class AggregativeTracking(Mixing):
     def mix_in(self, row: Row, heard: Mapping[int, Any]) -> None:
         """Move, track sigma, track the gradient with respect to it."""
         k, x = self.k, self.x
+        parts(self.i, k, heard, object, object)
         jacobian = self.jacobian(k, x, shape=(len(self.sigma), len(x)))
         down = self.gradient_own(k, x, self.sigma) + jacobian.T @ self.y
         new = x + self.delta * (self.project(k, x - self.step_size(k) * down) - x)

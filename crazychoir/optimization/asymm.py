@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 
 from crazychoir.errors import ConfigError, SolverError
 from crazychoir.optimization.iteration import vector
-from crazychoir.optimization.messages import like
+from crazychoir.optimization.messages import INTEGER, NUMBER, like, parts
 from crazychoir.optimization.smooth import Smooth, descended
 from crazychoir.optimization.stopping import Flags
 from crazychoir.types import PerNeighbor, Vec
@@ -18,6 +18,8 @@ CALM: Final = 5
 """Times in a row that an agent must find its gradient small: time for the others' last steps to reach it."""
 GROWING: Final = 0.05
 """Of |nu_ij|, relative to 1 + |nu_ij|: if it changes by more in the last epoch, it has not converged."""
+MOST_STEPS: Final = 5_000
+"""Of an agent, in an epoch."""
 Heard = tuple[int, bytes, Vec, Vec, float]
 
 
@@ -37,16 +39,20 @@ class ASYMM:
 
     rho_ij and s_i grow, by `growth`, if what they punish has not shrunk to `shrink` of what it was, and is more than e
     explains; e falls by `sharpen`.
+    After the last epoch nobody steps any more, and a second logical and says when all are there: so nobody is done
+    while another one may still fail.
     A message says all that is new since the first: lost ones are made up for by any later one. No step size.
     A static undirected graph. f_i, h_i, g_i: twice differentiable, not necessarily convex: x is a local minimum.
     neighbors: N_i;  diameter: of the graph;  x: (n,) the start;  epochs: until done;  penalty: the first rho and s;
     tolerance: the first e;  epoch: the present one;  nu, rho: by neighbour;  l, m: multipliers of h_i and g_i.
     Raises ConfigError, SolverError: a function of a wrong shape, or that is not finite; and SolverError where nu_ij
-    changes by more than GROWING in the last epoch, as where no x meets the constraints of all.
+    changes by more than GROWING in the last epoch, as where no x meets the constraints of all, and where |grad L_i|
+    is not small after MOST_STEPS steps of an epoch, as where L_i has no minimum.
     Source: Farina, Garulli, Giannitrapani & Notarstefano 2019, Automatica 103, 243-253; here with a Newton step.
     """
 
     asynchronous = True
+    waits = True
     connected = True
     undirected = True
 
@@ -61,6 +67,8 @@ class ASYMM:
         for name, value in (("shrink", shrink), ("sharpen", sharpen), ("1 / growth", 1.0 / growth)):
             if not 0.0 < value < 1.0:
                 raise ConfigError(f"agent {i}: {name}", f"{value:g}", "above 0, below 1")
+        if epochs < 1:
+            raise ConfigError(f"agent {i}: epochs", epochs, "1 or more, the same at all agents")
         self.i, self.where, self.neighbors = i, f"agent {i}", tuple(sorted(neighbors))
         self.x = vector(f"{self.where}: x", x)
         self.epochs, self.tolerance = epochs, tolerance
@@ -71,13 +79,13 @@ class ASYMM:
         self._gap = dict.fromkeys(self.neighbors, np.inf)
         self._own = _Own(self.where, len(self.x), objective, equalities, inequalities, penalty)
         self.diameter, self._flags = diameter, Flags(diameter, False)
-        self._calm = 0
+        self._calm = self._steps = 0
         self._heard: dict[int, Heard] = {}
 
     @property
     def done(self) -> bool:
-        """Whether the last epoch is over."""
-        return self.epoch >= self.epochs
+        """Whether the last epoch is over, at all agents."""
+        return self.epoch >= self.epochs and self._flags.agreed
 
     def message(self) -> PerNeighbor:
         """[epoch, bits of the logical and, x_i, nu_ij, rho_ij] for each neighbour."""
@@ -87,17 +95,23 @@ class ASYMM:
     def step(self, heard: Mapping[int, Any]) -> None:
         """Take what has come; descend, or take the multipliers to the next epoch, or wait."""
         self.k += 1
-        for j, (epoch, bits, x, nu, rho) in heard.items():
+        said = parts(self.i, self.k, heard, INTEGER, bytes, object, object, NUMBER)
+        for j, (epoch, bits, x, nu, rho) in said.items():
             self._heard[j] = epoch, bits, like(self.i, j, x, self.x), like(self.i, j, nu, self.x), rho
         others = [self._heard[j] for j in self.neighbors if j in self._heard]
         if len(others) < len(self.neighbors) or any(epoch < self.epoch for epoch, *_ in others):
             return
         if all(epoch == self.epoch for epoch, *_ in others):
-            self._calm = 0 if self._descend() else self._calm + 1
-            self._flags.step(self._calm >= CALM, {j: bits for j, (_, bits, *_) in self._heard.items()})
-            if not self._flags.agreed:
+            ready = self.epoch >= self.epochs or self._is_calm()
+            self._flags.step(ready, {j: bits for j, (_, bits, *_) in self._heard.items()})
+            if self.epoch >= self.epochs or not self._flags.agreed:
                 return
         self._ascend()
+
+    def _is_calm(self) -> bool:
+        """One step, unless the gradient is small; whether it has been for some time."""
+        self._calm = 0 if self._descend() else self._calm + 1
+        return self._calm >= CALM
 
     def _descend(self) -> bool:
         """One step, unless the gradient is small; whether x has changed."""
@@ -114,8 +128,12 @@ class ASYMM:
         def gradient(x: Vec) -> Vec:
             return self._own.gradient(x) + slope + pull * x - centre
 
-        if np.linalg.norm(gradient(self.x)) <= self.tolerance:
+        if (length := float(np.linalg.norm(gradient(self.x)))) <= self.tolerance:
             return False
+        self._steps += 1
+        if self._steps > MOST_STEPS:
+            found = f"epoch {self.epoch}: |grad L| = {length:.3g} > {self.tolerance:.3g} after {MOST_STEPS} steps"
+            raise SolverError(f"{self.where}: {found}, at x = {self.x.tolist()}", "no minimum, or tolerance too sharp")
         before, self.x = self.x, descended(value, gradient, self.x)
         return self.x is not before
 
@@ -136,7 +154,7 @@ class ASYMM:
         self.epoch += 1
         self.tolerance *= self.sharpen
         self._flags = Flags(self.diameter, False)
-        self._calm = 0
+        self._calm = self._steps = 0
 
 
 class _Own:

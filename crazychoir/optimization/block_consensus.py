@@ -7,7 +7,8 @@ from numpy.typing import ArrayLike
 
 from crazychoir.errors import ConfigError
 from crazychoir.optimization.blocks import Blocks, flat
-from crazychoir.optimization.iteration import result, vector
+from crazychoir.optimization.iteration import vector
+from crazychoir.optimization.messages import INTEGER, like, parts
 from crazychoir.optimization.mixing import Mixing, Row, Rows, require_heard
 from crazychoir.types import Vec
 
@@ -70,8 +71,15 @@ class BlockConsensus(Mixing):
 
     def _remember(self, j: int, message: Any) -> None:
         """The neighbour's x, or its block."""
-        if isinstance(message, list):
-            block, values = message
-            self._known[j][self.blocks.part(block)] = values
-        elif message is not None:
-            self._known[j] = result(f"agent {self.i}: message of agent {j}", message, self.x.shape).copy()
+        if message is None:
+            return
+        if not isinstance(message, list):
+            self._known[j] = like(self.i, j, message, self.x).copy()
+            return
+        parts(self.i, self.k, {j: message}, INTEGER, object)
+        block, values = message
+        if j not in self._known or not 0 <= block < len(self.blocks):
+            allowed = f"all of x, then of blocks 0 to {len(self.blocks) - 1}"
+            raise ConfigError(f"agent {self.i}: message of agent {j}, round {self.k}", f"block {block}", allowed)
+        part = self.blocks.part(block)
+        self._known[j][part] = like(self.i, j, values, self.x[part])

@@ -30,6 +30,9 @@ class Blocks:
         self._weights, self._awake = weights, awake
         self._chance = random.Random(f"{seed} {i}")  # noqa: S311 - which block, not secrets
 
+    def __len__(self) -> int:
+        return len(self._parts)
+
     def draw(self) -> int | None:
         """The number of this round's block, None if the agent sleeps."""
         if self._chance.random() >= self._awake:

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from crazychoir.errors import ConfigError, SolverError
 from crazychoir.optimization.agreement import best_offer
+from crazychoir.optimization.messages import like, parts
 from crazychoir.optimization.program import Exchange, Program
 from crazychoir.optimization.stillness import Stillness
 from crazychoir.types import Vec
@@ -147,9 +148,10 @@ class CBBA(Program[Bundle]):
                 return Bundle(tuple(self._order), self._paths[-1], tuple(table.winner.tolist()), self.k)
             before = table.bid.tobytes(), table.winner.tobytes(), tuple(self._order)
             heard = yield [self._stillness.message(), table.bid, table.winner, table.stamps(self._robots, self.k)]
-            for j, (_, bid, winner, stamps) in heard.items():
-                theirs = dict(zip(self._robots, np.asarray(stamps).tolist(), strict=True))
-                table.hear(j, np.asarray(bid).tolist(), np.asarray(winner).tolist(), theirs)
+            for j, (_, bid, winner, stamps) in parts(self._i, self.k, heard, bytes, object, object, object).items():
+                bids, winners = like(self._i, j, bid, table.bid), like(self._i, j, winner, table.winner)
+                known = like(self._i, j, stamps, table.stamps(self._robots, self.k))
+                table.hear(j, bids.tolist(), winners.tolist(), dict(zip(self._robots, known.tolist(), strict=True)))
             self._release()
             self._extend()
             changed = before != (table.bid.tobytes(), table.winner.tobytes(), tuple(self._order))

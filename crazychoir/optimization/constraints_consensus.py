@@ -9,6 +9,7 @@ from scipy.optimize import nnls
 from crazychoir.errors import ConfigError, SolverError
 from crazychoir.optimization.iteration import Iteration
 from crazychoir.optimization.linear import LinearProgram
+from crazychoir.optimization.messages import INTEGER, parts
 from crazychoir.optimization.problems import CommonCost
 from crazychoir.optimization.quadratic import Polyhedron, QuadraticProgram, positive
 from crazychoir.types import Mat, Vec
@@ -67,7 +68,7 @@ class ConstraintsConsensus(Iteration):
 
     def update(self, heard: Mapping[int, Any]) -> None:
         """Take the others' bases; if x violates one of their rows, find the new optimum and its basis."""
-        for j, (_, basis) in heard.items():
+        for j, (_, basis) in parts(self.i, self.k, heard, INTEGER, object).items():
             if getattr(basis, "ndim", 0) != 2 or basis.shape[1] != self.basis.shape[1]:
                 allowed = f"(m, {self.basis.shape[1]}), as its own"
                 raise ConfigError(f"agent {self.i}: message of agent {j}", f"a basis {np.shape(basis)}", allowed)

@@ -5,10 +5,10 @@ from typing import Any
 
 from numpy.typing import ArrayLike
 
-from crazychoir.errors import ConfigError
 from crazychoir.optimization.gradient import Checked, Gradient
 from crazychoir.optimization.iteration import Iteration, vector
-from crazychoir.optimization.mixing import Rows, checked_rows, mix, shape_of
+from crazychoir.optimization.messages import like, parts
+from crazychoir.optimization.mixing import Rows, checked_rows, mix
 from crazychoir.optimization.step_size import StepSize, step_size
 from crazychoir.types import PerNeighbor, Vec
 
@@ -52,11 +52,10 @@ class DirectedGradientTracking(Iteration):
     def update(self, heard: Mapping[int, Any]) -> None:
         """Pull x, push d."""
         row = self.weights[self.k % len(self.weights)]
+        parts(self.i, self.k, heard, object, object)
         x = mix(self.i, row, self._moved(), {j: theirs[0] for j, theirs in heard.items()})
         g = self.gradient(self.k, x)
         d = self.shares[self.k % len(self.shares)][self.i] * self.d + g - self.g
         for j, (_, theirs) in heard.items():
-            if getattr(theirs, "shape", None) != d.shape:
-                raise ConfigError(f"agent {self.i}: message of agent {j}", shape_of(theirs), f"shape {d.shape}")
-            d = d + theirs
+            d = d + like(self.i, j, theirs, d)
         self.x, self.d, self.g = x, d, g

@@ -7,6 +7,7 @@ from numpy.typing import ArrayLike
 
 from crazychoir.optimization.gradient import Checked, Gradient
 from crazychoir.optimization.iteration import vector
+from crazychoir.optimization.messages import parts
 from crazychoir.optimization.mixing import Mixing, Row, Rows, mix
 from crazychoir.optimization.step_size import StepSize, step_size
 from crazychoir.types import Vec
@@ -41,6 +42,7 @@ class GradientTracking(Mixing):
 
     def mix_in(self, row: Row, heard: Mapping[int, Any]) -> None:
         """Average, move along the tracked gradient, track on."""
+        parts(self.i, self.k, heard, object, object)
         x = mix(self.i, row, self.x, {j: theirs[0] for j, theirs in heard.items()}) - self.step_size(self.k) * self.d
         g = self.gradient(self.k, x)
         self.d = mix(self.i, row, self.d, {j: theirs[1] for j, theirs in heard.items()}) + g - self.g

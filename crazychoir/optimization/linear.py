@@ -60,7 +60,9 @@ class LinearProgram:
         self._highs.addVars(n, np.asarray(low, float), np.asarray(high, float))
         self._add(A, np.full(len(b), -np.inf), b)
         self._add(E, e, e)
+        self._mixed = False
         if integer is not None and np.any(integer):
+            self._mixed = True
             kinds = np.where(integer, int(highspy.HighsVarType.kInteger), int(highspy.HighsVarType.kContinuous))
             self._highs.changeColsIntegrality(n, self._index, kinds.astype(np.uint8))
             self._highs.setOptionValue("mip_max_nodes", most_nodes)
@@ -69,6 +71,12 @@ class LinearProgram:
     def solve(self, p: Vec) -> Vec | str:
         """A solution x (n,), a corner; or why there is none, in the words of WORDS, or in HiGHS' own."""
         return self._minimise(self._c + p)
+
+    @property
+    def proven(self) -> float:
+        """No x costs less, by the last `solve` that found one; with integers the bound of its search."""
+        info = self._highs.getInfo()
+        return float(info.mip_dual_bound if self._mixed else info.objective_function_value)
 
     def _minimise(self, c: Vec) -> Vec | str:
         if not np.isfinite(c).all():

@@ -5,9 +5,8 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import ArrayLike
 
-from crazychoir.errors import ConfigError
 from crazychoir.optimization.iteration import Iteration, vector
-from crazychoir.optimization.mixing import shape_of
+from crazychoir.optimization.messages import like
 from crazychoir.types import Vec
 
 
@@ -38,7 +37,5 @@ class MaxConsensus(Iteration):
         """The greatest of those heard."""
         x = self.x
         for j, other in heard.items():
-            if getattr(other, "shape", None) != x.shape:
-                raise ConfigError(f"agent {self.i}: message of agent {j}", shape_of(other), f"shape {x.shape}")
-            x = np.maximum(x, other)
+            x = np.maximum(x, like(self.i, j, other, x))
         self.x = x

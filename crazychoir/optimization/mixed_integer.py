@@ -75,6 +75,10 @@ class MixedIntegerBlock:
         """argmin cost'x over X_i (n,)."""
         return self._exact(self._require(self._over.solve(cost)))
 
+    def least(self, cost: Vec) -> tuple[Vec, float]:
+        """A corner that minimises cost'x over X_i, and what no point of X_i costs less than."""
+        return self.corner(cost), self._over.proven
+
     @cached_property
     def _elastic(self) -> "_Elastic":
         return _Elastic(self)

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -28,8 +29,10 @@ WORTH = 1e-9
 class MixedIntegerSolution:
     """What one agent knows of the team's solution.
 
-    x: (n_i,) own part;  cost: of all agents;  left: (S,) of the resources, >= 0;  lower_bound: no solution costs less,
-    sum_i min over X_i of (c_i + A_i'pi)'x - pi'b, -inf if the agents' pi were not the same;
+    x: (n_i,) own part;  cost: of all agents;  left: (S,) of the resources, negative by no more than a solver's
+    tolerance, SLACK (1 + |b|);  lower_bound: no solution costs less, sum_i min over X_i of (c_i + A_i'pi)'x - pi'b,
+    -inf if the agents' pi were not the same. It is at most cost - pi'left, but for rounding: where a resource is
+    exceeded within the tolerance, that may be above the cost by what the excess is worth;
     restricted: whether the resources had to be tightened;
     rounds: in all.
     """
@@ -145,27 +148,39 @@ class PrimalDecompositionMILP(Program[MixedIntegerSolution]):
         self._excess = -self._left
         if (self._excess > SLACK * (1.0 + np.abs(self._capacity))).any():
             return None
-        left = np.maximum(self._left, 0.0)
-        return MixedIntegerSolution(self._x, self._cost, left, min(bound, self._cost), restricted, self.k)
+        self._require_dual(*bound)
+        return MixedIntegerSolution(self._x, self._cost, self._left, bound[0], restricted, self.k)
 
-    def _share(self, options: Options, pool: Pool) -> Exchange[float]:
-        """Stage 2, first half: all hear the options of all, and those that the prices of their mixture ask for."""
-        block, fresh, asked = self._block, 0, [[], 0.0]
-        bound = -np.inf
+    def _require_dual(self, bound: float, pi: Vec) -> None:
+        """Weak duality, sum_i min_x (c_i + A_i'pi)'x - pi'b <= cost - pi'left, holds for any x_i in X_i: all check."""
+        most = self._cost - float(pi @ self._left)
+        if bound > most + SLACK * (1.0 + abs(most) + float(pi @ np.abs(self._capacity))):
+            found = f"bound {bound:.9g} above cost - pi'left = {most:.9g}: a local problem was not solved to its end"
+            raise SolverError(self._where, found)
+
+    def _share(self, options: Options, pool: Pool) -> Exchange[tuple[float, Vec]]:
+        """Stage 2, first half: all hear the options of all, and those that the prices of their mixture ask for.
+
+        Returns the best bound that they found, and its pi.
+        """
+        block, fresh = self._block, 0
+        asked: list[Any] = [None, 0.0]
+        bound, at = -np.inf, np.zeros(block.S)
         for _ in range(PASSES):
             known = yield from flood(self._i, [options.table[fresh:], *asked], self.diameter)
             fresh = len(options.table)
             prices = asked[0]
-            if prices and all(theirs == prices for _, theirs, _ in known.values()):
+            if prices is not None and all(theirs == prices for _, theirs, _ in known.values()):
                 least = math.fsum([*(value for *_, value in known.values()), *(-np.array(prices) * self._capacity)])
-                bound = max(bound, least)
+                if least > bound:
+                    bound, at = least, np.array(prices)
             if not pool.add({j: rows for j, (rows, _, _) in known.items()}):
                 break
             pi = pool.prices()
-            corner = block.corner(block.c + pi @ block.A)
+            corner, proven = block.least(block.c + pi @ block.A)
             options.add(corner)
-            asked = [pi.tolist(), float((block.c + pi @ block.A) @ corner)]
-        return bound
+            asked = [pi.tolist(), proven]
+        return bound, at
 
     def _vary(self, options: Options, pool: Pool) -> Exchange[None]:
         """All hear what each would do with its present use, and with more or less than it."""

@@ -10,7 +10,9 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final, TypeVar
 
 from crazychoir.errors import ConfigError
+from crazychoir.math3d import kernel, memory, real, vector
 from crazychoir.optimization.iteration import Iteration
+from crazychoir.optimization.messages import NUMBER, like, parts
 from crazychoir.swarm.graph import Graph, GraphSequence, Weights, metropolis
 from crazychoir.types import PerNeighbor, Vec
 
@@ -43,17 +45,31 @@ def _check_row(i: int, row: Row, what: str) -> None:
         raise ConfigError(f"agent {i}: {what}", dict(row), "weights that sum to one", do, f"they sum to {total:.9g}")
 
 
+@kernel(memory, real, vector)
+def _add(total: Vec, weight: float, x: Vec) -> bool:
+    """total += weight x, if they are of one length: whether they are."""
+    if len(x) != len(total):
+        return False
+    for n in range(len(x)):
+        total[n] += weight * x[n]
+    return True
+
+
 def mix(i: int, row: Row, own: Vec, heard: Mapping[int, Vec]) -> Vec:
     """sum_j w_ij x_j over i itself and those heard; raises ConfigError that names whom the row does not fit."""
     if len(heard) + 1 != len(row):
         require_heard(i, row, heard)
     mixed = row[i] * own
+    total = mixed if own.ndim == 1 else mixed.reshape(-1)
     for j, x in heard.items():
         if j not in row:
             require_heard(i, row, heard)
-        if getattr(x, "shape", None) != own.shape:
+        try:
+            fits = _add(total, row[j], x if own.ndim == 1 else like(i, j, x, own).reshape(-1))
+        except TypeError:  # no vector of floats
+            fits = False
+        if not fits:
             raise ConfigError(f"agent {i}: message of agent {j}", shape_of(x), f"shape {own.shape}, as its own")
-        mixed += row[j] * x
     return mixed
 
 
@@ -115,6 +131,7 @@ class Mixing(Iteration):
         row = self.row
         if self.k < len(self.weights) and self.doubly_stochastic:
             require_heard(self.i, row, heard)
+            parts(self.i, self.k, heard, NUMBER, object)
             self._check_column(math.fsum([row[self.i], *(w for w, _ in heard.values())]))
             heard = {j: payload for j, (_, payload) in heard.items()}
         self.mix_in(row, heard)

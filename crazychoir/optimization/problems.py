@@ -7,10 +7,12 @@ from typing import Any
 
 import cvxpy as cp
 import numpy as np
+from numpy.typing import ArrayLike
 
 from crazychoir.errors import ConfigError, SolverError
 from crazychoir.optimization import diagnosis
 from crazychoir.optimization import expressions as ex
+from crazychoir.optimization.arrays import vector
 from crazychoir.optimization.conic import ConicProgram
 from crazychoir.optimization.expressions import Quadratic
 from crazychoir.optimization.mixed_integer import MixedIntegerBlock
@@ -171,14 +173,9 @@ class ConstraintCoupled:
     """
 
     def __init__(
-        self,
-        agent: int,
-        x: cp.Variable,
-        objective: Any,
-        coupling: Any,
-        constraints: Sequence[cp.Constraint] = (),
-        share: Vec | None = None,
-    ) -> None:
+        self, agent: int, x: cp.Variable, objective: Any, coupling: Any, constraints: Sequence[cp.Constraint] = (),
+        share: ArrayLike | None = None,
+    ) -> None:  # fmt: skip
         self.local = CostCoupled(agent, x, objective, constraints)
         self.agent, self.x, self.n, self.where = agent, x, self.local.n, self.local.where
         self.coupling = ex.coupling(coupling, f"{self.where}: coupling")
@@ -186,7 +183,7 @@ class ConstraintCoupled:
             names = [variable.name() for variable in self.coupling.variables()]
             raise ConfigError(f"{self.where}: coupling", f"variables {names}", f"{x.name()} alone")
         self.S = int(self.coupling.size)
-        self.share = self._prices(np.zeros(self.S) if share is None else share, "share")
+        self.share = _share(share, self.S, self.where)
 
     @cached_property
     def _affine(self) -> tuple[Mat, Vec] | None:
@@ -213,7 +210,7 @@ class ConstraintCoupled:
 
     def argmin(self, prices: Vec) -> Vec:
         """argmin f_i(x) + mu'g_i(x) over X_i; prices: mu (S,) >= 0."""
-        mu = self._prices(prices, "prices")
+        mu = self._prices(prices)
         if self._affine is not None:
             return self.local.argmin(self._affine[0].T @ mu)
         found = self._priced.solve(mu)
@@ -221,14 +218,19 @@ class ConstraintCoupled:
             raise SolverError(f"{self.where}: local problem", self.local.why(found, np.zeros(self.n)))
         return found
 
-    def _prices(self, value: Vec, name: str) -> Vec:
+    def _prices(self, value: Vec) -> Vec:
         found = np.asarray(value, float)
         if found.shape != (self.S,):
-            raise ConfigError(f"{self.where}: {name}", f"shape {found.shape}", f"shape ({self.S},), as the coupling")
+            raise ConfigError(f"{self.where}: prices", f"shape {found.shape}", f"shape ({self.S},), as the coupling")
         if not np.isfinite(found).all():
             s = int(np.argmin(np.isfinite(found)))
-            raise SolverError(f"{self.where}: {name}[{s}] = {found[s]}", "not finite")
+            raise SolverError(f"{self.where}: prices[{s}] = {found[s]}", "not finite")
         return found
+
+
+def _share(given: ArrayLike | None, S: int, where: str) -> Vec:
+    """b_i (S,), 0 if nothing is given; raises ConfigError that names the entry."""
+    return vector(np.zeros(S) if given is None else given, where, "share", S)
 
 
 class MixedIntegerConstraintCoupled(MixedIntegerBlock):
@@ -242,14 +244,9 @@ class MixedIntegerConstraintCoupled(MixedIntegerBlock):
     """
 
     def __init__(
-        self,
-        agent: int,
-        x: cp.Variable,
-        objective: Any,
-        coupling: Any,
-        constraints: Sequence[cp.Constraint] = (),
-        share: Vec | None = None,
-    ) -> None:
+        self, agent: int, x: cp.Variable, objective: Any, coupling: Any, constraints: Sequence[cp.Constraint] = (),
+        share: ArrayLike | None = None,
+    ) -> None:  # fmt: skip
         where = f"agent {agent}"
         n, (integer, binary) = ex.decision(x, where), ex.whole(x)
         own = [*ex.constraint_list(constraints, where), *ex.domain(x, where, whole=True)]
@@ -259,11 +256,8 @@ class MixedIntegerConstraintCoupled(MixedIntegerBlock):
         A, b, E, e = ex.rows(own, x)
         low, high = np.full(n, -inf), np.full(n, inf)
         low[binary], high[binary] = 0.0, 1.0
-        given = np.zeros(len(h)) if share is None else np.asarray(share, float)
-        if given.shape != h.shape:
-            raise ConfigError(f"{where}: share", f"shape {given.shape}", f"shape {h.shape}, as the coupling")
-        rows = np.vstack([A, E, -E]), np.concatenate([b, e, -e])
-        super().__init__(agent, cost, G, given - h, rows=rows, bounds=(low, high), integer=integer)
+        rows, left = (np.vstack([A, E, -E]), np.concatenate([b, e, -e])), _share(share, len(h), where) - h
+        super().__init__(agent, cost, G, left, rows=rows, bounds=(low, high), integer=integer)
         self.x = x
 
 

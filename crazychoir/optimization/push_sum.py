@@ -8,7 +8,8 @@ from numpy.typing import ArrayLike
 
 from crazychoir.errors import ConfigError
 from crazychoir.optimization.iteration import Iteration, vector
-from crazychoir.optimization.mixing import Rows, checked_rows, shape_of
+from crazychoir.optimization.messages import NUMBER, like, parts
+from crazychoir.optimization.mixing import Rows, checked_rows
 from crazychoir.types import PerNeighbor
 
 
@@ -43,10 +44,8 @@ class PushSum(Iteration):
         """Sum up."""
         a = self.shares[self.k % len(self.shares)][self.i]
         s, y = a * self.s, a * self.y
-        for j, (theirs, weight) in heard.items():
-            if getattr(theirs, "shape", None) != s.shape:
-                raise ConfigError(f"agent {self.i}: message of agent {j}", shape_of(theirs), f"shape {s.shape}")
-            s = s + theirs
+        for j, (theirs, weight) in parts(self.i, self.k, heard, object, NUMBER).items():
+            s = s + like(self.i, j, theirs, s)
             y += weight
         self.s, self.y = s, y
         self.x = s / np.float64(y)

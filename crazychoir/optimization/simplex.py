@@ -6,7 +6,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from crazychoir.errors import SolverError
+from crazychoir.errors import ConfigError, SolverError
 from crazychoir.optimization.agreement import greatest, same_everywhere
 from crazychoir.optimization.arrays import matrix, vector
 from crazychoir.optimization.lexicographic import ZERO, Basis, Columns, optimal_basis, union
@@ -63,15 +63,26 @@ class BasisExchange:
 
     def step(self, heard: Mapping[int, Any]) -> None:
         """Take the neighbours' bases; None from who is not at this problem yet."""
+        received = [self._unpacked(j, message) for j, message in heard.items() if message is not None]
         still = {j: b"" if message is None else message[0] for j, message in heard.items()}
         heard = {j: message for j, message in heard.items() if message is not None}
         before, ray = self.basis.columns.ids, self._ray
         self._ray = min((r for r in [ray, *(m[1] for m in heard.values())] if r is not None), default=None)
-        received = [_unpacked(message[2:], len(self._b)) for message in heard.values()]
         columns = self.basis.columns
         self.basis = self._best([columns, self._own, *received], columns)
         changed = self._ray != ray or not np.array_equal(before, self.basis.columns.ids)
         self._stillness.step(changed, still)
+
+    def _unpacked(self, j: int, message: Any) -> Columns:
+        try:
+            still, ray, *packed = message
+            if not (isinstance(still, bytes) and isinstance(ray, list | None)):
+                raise TypeError(f"{type(still).__name__} and {type(ray).__name__} before it")
+            return _unpacked(packed, len(self._b))
+        except (TypeError, ValueError, LookupError) as error:
+            allowed = f"flags, a ray, and {len(self._b)} columns: ids, costs, entries"
+            where = f"agent {self._agent}: message of agent {j}"
+            raise ConfigError(where, "no basis", allowed, "", str(error)) from error
 
     def _best(self, parts: list[Columns], start: Columns) -> Basis:
         if self._ray is None:
@@ -276,7 +287,10 @@ def _packed(columns: Columns) -> list[Any]:
 
 
 def _unpacked(packed: list[Any], m: int) -> Columns:
+    """Columns of m rows; raises ValueError, IndexError, TypeError for what is none."""
     ids, c, counts, row, value = (np.asarray(part) for part in packed)
+    if len(c) != m or min(row, default=0) < 0 or not (np.isfinite(c).all() and np.isfinite(value).all()):
+        raise ValueError(f"{len(c)} columns for {m} rows, or not finite")
     ids = ids.astype(np.int64).reshape(-1, 2)
     entries = np.zeros((m, len(ids)))
     entries[row, np.repeat(np.arange(len(ids)), counts)] = value

@@ -85,9 +85,11 @@ class LogicAnd:
 
     connected = True
 
+    asynchronous = False
+
     def __init__(self, diameter: int, flag: bool = False) -> None:
         self.flag, self.diameter = flag, diameter
-        self._flags = Flags(diameter, flag)
+        self._flags = Flags(diameter, flag, latched=self.asynchronous)
 
     @property
     def done(self) -> bool:
@@ -103,31 +105,21 @@ class LogicAnd:
         self._flags.step(self.flag, heard)
 
 
-class AsynchronousLogicAnd:
+class AsynchronousLogicAnd(LogicAnd):
     """As LogicAnd, for agents that wake when they do; each is done when it knows. A flag that was up counts as up.
 
     neighbors: all whom this agent hears.
     """
 
     asynchronous = True
-    connected = True
 
     def __init__(self, neighbors: tuple[int, ...], diameter: int, flag: bool = False) -> None:
-        self.neighbors, self.flag, self.diameter = neighbors, flag, diameter
-        self._flags = Flags(diameter, flag, latched=True)
-
-    @property
-    def done(self) -> bool:
-        """Whether all flags have been up."""
-        return self._flags.agreed
-
-    def message(self) -> bytes:
-        """D + 1 bits."""
-        return self._flags.message()
+        super().__init__(diameter, flag)
+        self.neighbors = neighbors
 
     def step(self, heard: Mapping[int, bytes]) -> None:
         """One hop more; who has not been heard yet has no flag."""
-        self._flags.step(self.flag, {**dict.fromkeys(self.neighbors, b""), **heard})
+        super().step({**dict.fromkeys(self.neighbors, b""), **heard})
 
 
 class Riding(Generic[A]):

@@ -13,6 +13,7 @@ class Round(Protocol):
 
     One with `asynchronous = True` is instead woken by itself, again and again: `step` gets the latest message of each
     neighbour that has been heard, then `message()` is sent once, and may be lost. Each ends when it is `done` itself.
+    `waits = True` beside it says that it cannot go on without all of its neighbours: one that is lost ends it.
     """
 
     @property

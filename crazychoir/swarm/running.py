@@ -3,12 +3,12 @@
 import contextlib
 import random
 import traceback
-from collections.abc import Mapping
+from collections.abc import AsyncIterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from crazychoir.errors import AgentFailed, CodecError, ConfigError, CrazyChoirError
+from crazychoir.errors import AgentFailed, ChannelEnded, CodecError, ConfigError, CrazyChoirError, PeerLost
 from crazychoir.swarm.communicator import Communicator, Policy
 from crazychoir.swarm.graph import GraphSequence
 from crazychoir.swarm.round import Round
@@ -50,9 +50,11 @@ async def run_algorithm(
 ) -> None:
     """Run a pure algorithm to its end: in rounds, or, with `asynchronous = True` in it, whenever it wakes.
 
-    `heavy = True` in an algorithm steps away from the event loop.  Where `message` or `step` raises at one agent, it
-    tells its neighbours, they theirs, and all end within as many rounds as the graph's diameter: that one with its
-    error, the others, and it too where the error is none of ours, with AgentFailed. The channel is then of no more use.
+    `heavy = True` in an algorithm steps away from the event loop.  Where `message` or `step` raises at one agent, or a
+    neighbour is lost to it or has ended the channel, it tells its neighbours, they theirs, and all end within as many
+    rounds as the graph's diameter: that one with its error, the others, and it too where the error is none of ours,
+    with AgentFailed, which names who failed, is lost, or has ended. The channel is then of no more use.
+    After a RoundTimeout, which each gets by itself, the same algorithm may go on.
     """
     asynchronous = getattr(algorithm, "asynchronous", False)
     try:
@@ -64,7 +66,8 @@ async def run_algorithm(
         failed = ended.failed
         with contextlib.suppress(CrazyChoirError):  # why it cannot be told is not what went wrong
             if asynchronous:
-                await _repeat(communicator, _word(failed), channel, pace or Pace())
+                async for _ in _repeat(communicator, _word(failed), channel, pace or Pace()):
+                    pass
             else:
                 await _tell(communicator, _word(failed), channel)
         raise ended.error from ended.error.__cause__
@@ -86,6 +89,8 @@ async def _in_rounds(
             heard = await communicator.neighbors_exchange(message, channel=channel, deadline=deadline, policy=policy)
         except CodecError as error:
             raise _Ended.at(i, _unsent(communicator, channel, error)) from error
+        except (PeerLost, ChannelEnded) as error:
+            raise _Ended.by(error) from error
         _require_alive(heard)
         try:
             if heavy:
@@ -97,7 +102,10 @@ async def _in_rounds(
 
 
 async def _wake_and_sleep(communicator: Communicator, algorithm: Round, channel: str, pace: Pace) -> None:
-    """Sleep, take the latest of each neighbour, compute, step, send; nothing is resent, nobody waited for."""
+    """Sleep, take the latest of each neighbour, compute, step, send; nothing is resent, nobody waited for.
+
+    An algorithm that itself `waits` for all its neighbours ends with PeerLost where one is lost.
+    """
     i, clock = communicator.id, communicator.port.bus.clock
     chance = random.Random(f"{pace.seed} {i}")  # noqa: S311 - when to wake, not secrets
     heavy, message = getattr(algorithm, "heavy", False), None
@@ -105,6 +113,8 @@ async def _wake_and_sleep(communicator: Communicator, algorithm: Round, channel:
         await clock.sleep(chance.uniform(*pace.sleep), drone=i)
         heard = await communicator.asynchronous_receive(channel=channel)
         _require_alive(heard)
+        if getattr(algorithm, "waits", False):
+            _require_all(communicator)
         if pace.compute[1] > 0.0:
             await clock.sleep(chance.uniform(*pace.compute), drone=i)
         try:
@@ -119,15 +129,17 @@ async def _wake_and_sleep(communicator: Communicator, algorithm: Round, channel:
             await communicator.send(message, channel=channel)
         except CodecError as error:
             raise _Ended.at(i, _unsent(communicator, channel, error)) from error
-    await _repeat(communicator, message, channel, pace)
+    async for _ in _repeat(communicator, message, channel, pace):
+        _require_alive(await communicator.asynchronous_receive(channel=channel))
 
 
-async def _repeat(communicator: Communicator, message: Any, channel: str, pace: Pace) -> None:
+async def _repeat(communicator: Communicator, message: Any, channel: str, pace: Pace) -> AsyncIterator[None]:
     """The last message, until all have it who are not cut off."""
     pause = max(sum(pace.sleep) / 2, 1e-3)
     for _ in range(LAST_WORDS):
         await communicator.send(message, channel=channel)
         await communicator.port.bus.clock.sleep(pause, drone=communicator.id)
+        yield
 
 
 async def _tell(communicator: Communicator, word: Failure, channel: str) -> None:
@@ -149,6 +161,14 @@ def _require_alive(heard: Mapping[int, Any]) -> None:
 def _unsent(communicator: Communicator, channel: str, error: CodecError) -> CodecError:
     """What cannot be sent, with whose it is and in which round."""
     return CodecError(f"agent {communicator.id}: message(), round {communicator.open(channel).sending}: {error}")
+
+
+def _require_all(communicator: Communicator) -> None:
+    """Raise PeerLost, for all, if a neighbour is gone for good."""
+    lost = [j for j in communicator.graph.at(0).in_neighbors(communicator.id) if communicator.membership.lost(j)]
+    if lost:
+        error = PeerLost(communicator.id, lost, communicator.deadline)
+        raise _Ended.by(error) from error
 
 
 def _word(failed: AgentFailed) -> Failure:
@@ -173,3 +193,9 @@ class _Ended(Exception):
         failed = AgentFailed(i, f"{reason} ({Path(place.filename).name}:{place.lineno})")
         failed.__cause__ = error
         return cls(failed, failed)
+
+    @classmethod
+    def by(cls, error: PeerLost | ChannelEnded) -> "_Ended":
+        """A neighbour will not come: it is the one who has failed."""
+        who = error.lost[0] if isinstance(error, PeerLost) else next(iter(error.ended))
+        return cls(AgentFailed(who, f"{type(error).__name__}: {error}"), error)

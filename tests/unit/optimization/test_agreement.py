@@ -1,6 +1,8 @@
+import numpy as np
 import pytest
 
-from crazychoir.optimization.agreement import best_offer, flood, highest_bids
+from crazychoir.errors import ConfigError
+from crazychoir.optimization.agreement import best_offer, flood, greatest, highest_bids, same_everywhere
 from crazychoir.swarm.graph import named
 
 
@@ -67,3 +69,33 @@ def test_the_highest_bid_wins_each_task_and_ties_go_to_the_lowest_id(team):
     bids[4] = {2: [0.2, 4]}
     values, _ = together({i: highest_bids(bids[i], team.diameter()) for i in team.ids}, team)
     assert all(value == {2: [0.2, 4], 7: [0.5, 0]} for value in values.values())
+
+
+@pytest.mark.parametrize(
+    ("program", "heard", "error"),
+    [
+        (lambda: flood(3, "a", 2), "x", r"agent 3: flood: message of agent 5, round 1: found str; allowed: a list of"),
+        (lambda: flood(3, "a", 2), None, r"agent 3: flood: message of agent 5, round 1: found NoneType"),
+        (lambda: flood(3, "a", 2), [[1, 2, 3]], r"agent 3: flood: .* round 1: found a list of 1: list; allowed"),
+        (lambda: flood(3, "a", 2), [[[1], "b"]], r"agent 3: flood: message of agent 5, round 1: found"),
+        (lambda: best_offer([1.0, 3], 2), 7.0, r"best offer: .* agent 5, round 1: found float; allowed: an"),
+        (lambda: best_offer([1.0, 3], 2), [0.5], r"best offer: .* agent 5, round 1: found a list of 1: float"),
+        (lambda: best_offer([1.0, 3], 2), [[], 1], r"best offer: .*agent 5, round 1: found a list of 2: list, int"),
+        (lambda: highest_bids({}, 2), [[1, "dear", 2]], r"highest bids: .* agent 5, round 1: found a list of 1"),
+        (lambda: greatest(np.ones(2), 2), np.ones(3), r"greatest: .* agent 5, round 1: found shape \(3,\); .*2,"),
+        (lambda: greatest(np.ones(2), 2), [1.0, 2.0], r"greatest: .* agent 5, round 1: found a list of 2: float"),
+    ],
+)
+def test_a_malformed_message_names_the_neighbour_and_the_round(program, heard, error):
+    running = program()
+    first = next(running)
+    running.send({5: first})
+    with pytest.raises(ConfigError, match=error):
+        running.send({5: heard})
+
+
+def test_what_cannot_be_compared_is_not_the_same():
+    running = same_everywhere([1.0, 2.0], "agent 3", "b")
+    next(running)
+    with pytest.raises(ConfigError, match="agent 3: b of agent 5"):
+        running.send({5: np.ones(2)})

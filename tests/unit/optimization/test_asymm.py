@@ -133,6 +133,11 @@ def test_what_is_wrong_is_named():
         make(Smooth(lambda x: 0.0, lambda x: np.zeros(3))).step(said)
     with pytest.raises(SolverError, match=r"agent 3: inequalities: value, row 1, at x = \[0.0, 0.0\]: .* not finite"):
         make(good, inequalities=Smooth(lambda x: np.array([0, np.nan]), lambda x: np.zeros((2, 2)))).step(said)
+    with pytest.raises(ConfigError, match="agent 3: epochs: found 0; allowed: 1 or more"):
+        make(good, epochs=0)
+    for bad in (None, [0], [0, 1, np.ones(2), np.zeros(2), 1.0], [0, b"", np.ones(2), np.zeros(2), "x"]):
+        with pytest.raises(ConfigError, match=r"agent 3: message of agent 4, round 1: found .*; allowed: a list of 5"):
+            make(good).step({4: bad})
     with pytest.raises(ConfigError, match=r"agent 3: message of agent 4: found shape \(3,\)"):
         make(good).step({4: [0, b"\x00", np.ones(3), np.zeros(2), 1.0]})
 

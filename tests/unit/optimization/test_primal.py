@@ -106,6 +106,39 @@ def test_a_wrong_size_is_named(name):
         agent.step(heard)
 
 
+@pytest.mark.parametrize("name", [name for name in MAKERS if name == "push-sum" or "tracking" in name])
+@pytest.mark.parametrize("bad", ["text", [1.0], [ONES, 1.0, 2.0], {"x": 1.0}])
+def test_a_malformed_message_names_the_neighbour_and_the_round(name, bad):
+    graph, make = MAKERS[name]
+    heard = {j: bad for j in graph.in_neighbors(0)}
+    if getattr(make(0), "doubly_stochastic", False):
+        heard = {j: [rows(graph)[j][0][0], bad] for j in heard}
+    with pytest.raises(ConfigError, match=r"agent 0: message of agent \d, round 0: found .*; allowed: a list of 2"):
+        make(0).step(heard)
+
+
+@pytest.mark.parametrize(
+    ("messages", "error"),
+    [
+        ([[0, np.ones(1)]], r"agent 0: message of agent \d, round 0: found block 0; allowed: all of x, then"),
+        ([ONES, [7, np.ones(1)]], r"agent 0: message of agent \d, round 1: found block 7; allowed: .* 0 to 1"),
+        ([ONES, [1, np.ones(2)]], r"agent 0: message of agent \d: found shape \(2,\); allowed: shape \(1,\)"),
+        ([ONES, [1]], r"agent 0: message of agent \d, round 1: found a list of 1: int; allowed: a list of 2"),
+        ([ONES, "x"], r"agent 0: message of agent \d: found str"),
+    ],
+)
+def test_a_block_that_is_none_is_named(messages, error):
+    graph, make = MAKERS["block consensus"]
+    agent = make(0)
+
+    def run():
+        for message in messages:
+            agent.step(dict.fromkeys(graph.in_neighbors(0), message))
+
+    with pytest.raises(ConfigError, match=error):
+        run()
+
+
 # Optima -------------------------------------------------------------------------------------------------------------
 
 

@@ -4,6 +4,7 @@ import cvxpy as cp
 import numpy as np
 import pytest
 from coupled import central, random_blocks
+from scipy.optimize import Bounds, LinearConstraint, milp
 from teams import run_team
 
 from crazychoir.errors import ConfigError, SolverError
@@ -122,7 +123,7 @@ def check(blocks, results):
         assert (result.cost, result.rounds) == (results[0].cost, results[0].rounds)
     left = sum(block.share - block.A @ result.x for block, result in zip(blocks, results, strict=True))
     assert (left >= -1e-5).all()
-    assert results[0].left == pytest.approx(np.maximum(left, 0.0), abs=1e-6)
+    assert results[0].left == pytest.approx(left, abs=1e-9)
     assert results[0].cost == pytest.approx(sum(b.c @ r.x for b, r in zip(blocks, results, strict=True)))
 
 
@@ -163,6 +164,37 @@ def test_random_problems_are_feasible_and_near_the_central_optimum(seed):
     optimum = central(blocks)
     assert optimum * (1 + 1e-6) <= results[0].cost <= 0.95 * optimum
     assert central(blocks, relaxed=True) - 1e-6 <= results[0].lower_bound <= optimum + 1e-6
+
+
+def too_high(blocks, by):
+    """Agent 1 says that no point of its own set costs less than by `by` more than is true."""
+    least = blocks[1].least
+    blocks[1].least = lambda cost: ((found := least(cost))[0], found[1] + by)
+    return blocks
+
+
+def test_a_bound_is_said_as_it_is_found_and_refused_by_all_where_it_contradicts_the_cost():
+    """Here the bound is the cost: 0.1 more is no rounding, 1e-8 more is, and is not hidden either."""
+    blocks = [MixedIntegerBlock(i, [-1.0 - i], [[1.0]], [0.5], bounds=(0, 1), integer=[0]) for i in range(2)]
+    assert solve(blocks, ring(2), rounds=5)[0].lower_bound == pytest.approx(-2.0, abs=1e-9)
+    results = solve(too_high(blocks, 1e-8), ring(2), rounds=5)
+    assert [result.lower_bound - result.cost for result in results] == pytest.approx([1e-8] * 2, abs=1e-9)
+    with pytest.raises(SolverError, match=r"agent 0: primal .* bound -1\.8.* above cost - pi'left = -2:"):
+        solve(too_high(blocks, 0.1), ring(2), rounds=5)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_what_is_proven_is_the_least_of_the_set(seed):
+    block, prices = random_blocks(1, seed)[0], np.random.default_rng(seed).random(3)
+    cost = block.c + prices @ block.A
+    corner, proven = block.least(cost)
+    D, d = block.rows
+    exact = milp(
+        cost, constraints=LinearConstraint(D, ub=d), bounds=Bounds(*block.bounds), integrality=block.integer,
+        options={"mip_rel_gap": 0.0},
+    )  # fmt: skip
+    assert proven <= cost @ corner + 1e-9
+    assert proven == pytest.approx(exact.fun, abs=2e-6)
 
 
 def knapsack(limit):

@@ -141,6 +141,23 @@ def test_data_that_do_not_fit_are_refused_with_agent_row_and_value(c, A, b, matc
         DistributedSimplex(4, c, A, b, 1)
 
 
+@pytest.mark.parametrize(
+    "change",
+    [lambda m: "x", lambda m: m[:3], lambda m: [1, *m[1:]], lambda m: [*m[:3], np.array([np.nan]), *m[4:]],
+     lambda m: [*m[:5], np.array([4]), m[6]], lambda m: [*m[:2], m[2][:1], *m[3:]]],
+)  # fmt: skip
+def test_what_is_no_basis_names_the_neighbour(change):
+    agents = {i: DistributedSimplex(i, [1.0], [[1.0]], [1.0], 1) for i in range(2)}
+    for _ in range(2):
+        sent = {i: agent.message() for i, agent in agents.items()}
+        if isinstance(sent[1][0], bytes):
+            break
+        for i, agent in agents.items():
+            agent.step({1 - i: sent[1 - i]})
+    with pytest.raises(ConfigError, match=r"agent 0: message of agent 1 = no basis: .*; flags, a ray, and 1 columns"):
+        agents[0].step({1: change(sent[1])})
+
+
 def test_another_right_hand_side_at_a_neighbour_is_refused():
     agents = {i: DistributedSimplex(i, [1.0], [[1.0]], [1.0 + i], 1) for i in range(2)}
     with pytest.raises(ConfigError, match=r"b of agent 1: found \[2.0\]; allowed: \[1.0\], the same at all agents"):

@@ -1,0 +1,148 @@
+"""An algorithm that cannot go on at one agent ends at all of them, soon, with who it was and why."""
+
+import asyncio
+
+import numpy as np
+import pytest
+
+from crazychoir.bus.impairment import Impairment
+from crazychoir.bus.local import Bus
+from crazychoir.bus.rules import Rule
+from crazychoir.errors import AgentFailed, ChannelEnded, PeerLost, SolverError
+from crazychoir.optimization import asymm
+from crazychoir.optimization.asymm import ASYMM
+from crazychoir.optimization.smooth import Smooth
+from crazychoir.runtime.clock import run_virtual
+from crazychoir.swarm.communicator import Communicator
+from crazychoir.swarm.graph import complete, path, ring
+from crazychoir.swarm.running import Pace, run_algorithm
+
+
+class Counting:
+    """So many rounds; in one of them it may fail."""
+
+    def __init__(self, rounds, fails_at=-1, asynchronous=False):
+        self.rounds, self.fails_at, self.asynchronous, self.k = rounds, fails_at, asynchronous, 0
+
+    @property
+    def done(self):
+        return self.k >= self.rounds
+
+    def message(self):
+        return self.k
+
+    def step(self, heard):
+        if self.k == self.fails_at:
+            raise SolverError("its local problem, row 1", "infeasible, b = -1")
+        self.k += 1
+
+
+class Missing:
+    """The membership after some s: these are lost."""
+
+    def __init__(self, clock, ids, since):
+        self.clock, self.ids, self.since = clock, ids, since
+
+    def lost(self, j):
+        return j in self.ids and self.clock.now() > self.since
+
+
+def endings(agents, graph, loss=0.0, lost=(), seed=1, pace=None, **options):
+    """What each of `agents` ends with, None if with nothing, and the s until the last has; others never begin."""
+
+    async def part(communicator, algorithm, ends):
+        try:
+            await run_algorithm(communicator, algorithm, pace=pace, **options)
+            if not getattr(algorithm, "asynchronous", False):
+                await communicator.close()
+        except Exception as error:  # noqa: BLE001 - what it is is what the tests look at
+            ends[communicator.id] = error
+
+    async def main(clock):
+        bus, ends = Bus(clock, Impairment(seed, [Rule({"loss": loss, "delay": 0.001})])), dict.fromkeys(agents)
+        membership = Missing(clock, lost, 1.0)
+        members = {i: Communicator(bus.port(i), graph, membership) for i in graph.ids}
+        await asyncio.gather(*(part(members[i], agent, ends) for i, agent in agents.items()))
+        return ends, clock.now()
+
+    return run_virtual(main)
+
+
+@pytest.mark.parametrize("loss", [0.0, 0.4])
+@pytest.mark.parametrize("graph", [path(6), ring(6, directed=True)])
+def test_who_is_lost_is_named_at_all_long_before_the_deadline(graph, loss):
+    found, seconds = endings({i: Counting(99) for i in range(5)}, graph, loss, lost=(5,))
+    assert isinstance(found.pop(graph.out_neighbors(5)[0]), PeerLost)
+    assert {(type(error), error.agent) for error in found.values()} == {(AgentFailed, 5)}
+    assert seconds < 8.0
+
+
+def test_who_ends_in_an_earlier_round_is_named_at_all():
+    agents = {i: Counting(3 if i == 0 else 9) for i in range(5)}
+    found, seconds = endings(agents, path(5), loss=0.3)
+    assert found.pop(0) is None
+    assert isinstance(found.pop(1), ChannelEnded)
+    assert {(type(error), error.agent) for error in found.values()} == {(AgentFailed, 0)}
+    assert seconds < 10.0
+
+
+@pytest.mark.parametrize("loss", [0.0, 0.4])
+def test_an_asynchronous_agent_that_fails_while_others_say_their_last_words_ends_these_too(loss):
+    agents = {i: Counting(30, 29 if i == 2 else -1, asynchronous=True) for i in range(4)}
+    found, _ = endings(agents, complete(4), loss, pace=Pace((0.01, 0.02)))
+    assert isinstance(found.pop(2), SolverError)
+    assert {(type(error), error.agent) for error in found.values()} == {(AgentFailed, 2)}
+
+
+# The asynchronous method of multipliers: its agents wait for each other -------------------------------------------
+
+
+def contradictory(graph):
+    """x <= -1 and x >= 1, at two agents."""
+    rows = {2: Smooth(lambda x: x + 1.0, lambda x: np.eye(1)), 4: Smooth(lambda x: 1.0 - x, lambda x: -np.eye(1))}
+    return {
+        i: ASYMM(
+            i, graph.neighbors(i), graph.diameter(), [1.0 * i],
+            Smooth(lambda x, i=i: (x[0] - i) ** 2, lambda x, i=i: 2.0 * (x - i)), inequalities=rows.get(i),
+        )
+        for i in graph.ids
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_nobody_is_done_while_another_one_may_still_fail(seed):
+    graph = path(5)
+    found, seconds = endings(contradictory(graph), graph, loss=0.4, seed=seed, pace=Pace(seed=seed))
+    assert None not in found.values()
+    assert any(isinstance(error, SolverError) for error in found.values())
+    for error in found.values():
+        assert "from that of agent" in str(error)
+        assert "after 25 epochs" in str(error)
+    assert seconds < 300.0
+
+
+BOWL = Smooth(lambda x: x @ x, lambda x: 2 * x)
+
+
+def multipliers(graph, function=BOWL):
+    return {i: ASYMM(i, graph.neighbors(i), graph.diameter(), [1.0], function) for i in graph.ids}
+
+
+def test_who_waits_for_a_neighbour_that_is_lost_ends_all():
+    graph = path(4)
+    agents = multipliers(graph)
+    del agents[3]
+    found, seconds = endings(agents, graph, loss=0.3, lost=(3,))
+    assert isinstance(found.pop(2), PeerLost)
+    assert {(type(error), error.agent) for error in found.values()} == {(AgentFailed, 3)}
+    assert seconds < 8.0
+
+
+def test_a_cost_without_a_minimum_is_named_after_so_many_steps(monkeypatch):
+    """f_i(x) = -20 x: no coupling holds the team back."""
+    monkeypatch.setattr(asymm, "MOST_STEPS", 200)
+    graph = path(3)
+    fall = Smooth(lambda x: -20.0 * x[0], lambda x: np.array([-20.0]))
+    found, _ = endings(multipliers(graph, fall), graph)
+    assert any(isinstance(error, SolverError) for error in found.values())
+    assert all("epoch 0: |grad L| = " in str(error) and "steps, at x = [" in str(error) for error in found.values())
