@@ -30,7 +30,7 @@ def solve(
     processes: Annotated[
         int | None, typer.Option(help="Real time, over Zenoh: the robots in so many processes; else virtual time.")
     ] = None,
-    prove: Annotated[bool, typer.Option("--prove", help="Prove the plan optimal, whatever it costs.")] = False,
+    prove: Annotated[bool, typer.Option("--prove", help="Prove the plan optimal, or a bound for large teams, whatever it costs.")] = False,
     picture: Annotated[Path | None, typer.Option(help="Where to draw the routes (PNG).")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object, nothing else.")] = False,
 ) -> None:
@@ -44,6 +44,7 @@ def solve(
     (total, makespan, or both in order); the README says how each is written. Files of Li and Lim are read too.
 
     lower_bound: m; no plan costs less. bound_exact: that is proven. A plan that costs its lower_bound is optimal.
+    bound_relaxation: the kind of routes that a bound which is not exact was priced by.
     """
     set_up_logging()
     from crazychoir.launch.team import solve_in_processes  # kernels and solvers: 1 s that --help does not need
@@ -98,9 +99,9 @@ def _progress_table(progress: "TeamProgress") -> Table:
 
 def _tables(result: dict[str, Any]) -> Group:
     figures = Table("figure", "value", title="plan" if result["feasible"] else "[red]not feasible[/]")
-    for key in ("cost", "lower_bound", "bound_exact", "method", "disclosed", "rounds", "messages", "bytes", "wall_s",
-                "startup_s", "cpu_s", "critical_path_s", "plan_digest"):  # fmt: skip
-        if key not in result:
+    for key in ("cost", "lower_bound", "bound_exact", "bound_relaxation", "method", "disclosed", "rounds", "messages",
+                "bytes", "wall_s", "startup_s", "cpu_s", "critical_path_s", "plan_digest"):  # fmt: skip
+        if key not in result or (key == "bound_relaxation" and result[key] is None):
             continue
         value = result[key]
         figures.add_row(key, f"{value:.6g}" if isinstance(value, float) else str(value))
