@@ -28,7 +28,7 @@ class LargeBound:
     """The Lagrangian bound of bound.py, by prices that are sought pass by pass; only the robots' pricing is heavy.
 
         pi_k = DRAWN * (the prices of the best bound) + (1 - DRAWN) * (the prices of the columns known)
-        value_k = sum_j pi_j + sum_i K_i least_i(pi_k)
+        value_k = sum_j pi_kj + sum_i K_i least_i(pi_k),     pi_kj at most what refusing task j costs
 
     Each robot floods least_i and columns of negative reduced cost, exact ones by halves.py, else least_i of a
     relaxation; two robots solve the relaxation over all columns heard of, and the prices of the better one are taken
@@ -77,11 +77,11 @@ class LargeBound:
         self.value = best
 
     def _start(self) -> Vec:
-        """The cost of each route of the plan, in equal parts on its tasks; what is refused at its penalty."""
+        """The cost of each route of the plan, in equal parts on its tasks; at most what refusing a task costs."""
         pi = np.array(self._member.unserved)
         for _, column in self._plan:
             pi[list(column.tasks)] = column.length / max(1, len(column.tasks))
-        return pi
+        return np.minimum(pi, self._member.unserved)
 
     def _priced(self, pi: Vec) -> list[Any] | None:
         """least_i, whether it is exact, and columns; None of a robot that another one speaks for."""

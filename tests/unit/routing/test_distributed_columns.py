@@ -262,6 +262,14 @@ def test_a_large_team_proves_a_bound_by_halves_or_names_its_relaxation(graph, se
         assert best.bound_exact
 
 
+def test_the_bound_of_a_large_team_holds_where_tasks_are_refused(graph):
+    large = Settings(prove=True, most_listed=0)
+    for penalty in (1.0, 6.0, 12.0):
+        instance = random_instance(4, 7, 2, route_length_limit=27.0, fields={"penalty": [penalty] * 7})
+        found, best = (solve_in_loop(instance, graph("ring", 4), settings=s) for s in (large, Settings()))
+        assert 0.9 * best.cost <= found.lower_bound <= best.cost + 1e-9
+
+
 def test_where_pricing_is_cut_there_is_no_bound(graph):
     for limit in (27.0, None):
         instance = random_instance(4, 7, 1, route_length_limit=limit)
