@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -18,10 +19,11 @@ from crazychoir.types import Vec
 class Bound:
     """What is proven of every plan, by prices pi that all robots have in common.
 
-        cost of a plan >= value = sum_j pi_j + sum_i least_i,    least_i = min over the columns c of i of
-                                                                           length_c - sum_{j in c} pi_j
+        cost of a plan >= value = sum_j pi_j + sum_i K_i least_i,    least_i = min over the columns c of i of
+                                                                               length_c - sum_{j in c} pi_j
 
-    which holds for every pi >= 0, because every task is served at least once.
+    which holds for every pi >= 0, because every task is served at least once. i: the robots that speak for the K_i that
+    are the same.
     value: m;  prices: pi, (M,) m;  least: m, of each robot, the idle column included;  exact: all tables were complete.
     """
 
@@ -40,13 +42,20 @@ def improve(bound: Bound, member: Member, pool: Pool, pi: Vec, batch: int) -> Ex
 
     The sum is rounded once (fsum over values that all have heard), so that all robots find the same bound.
     """
-    robot, table = member.place.robot, member.table
-    columns = [c for c in table.cheapest(pi, batch, below=0.0) if c.tasks and not pool.has(robot, c)]
-    mine = [table.least(pi), table.complete, packed(columns)]
-    known = yield from flood(robot, mine, member.place.diameter)
-    value = math.fsum([*pi, *(least for least, _, _ in known.values())])
-    bound.exact = all(complete for _, complete, _ in known.values())
+    known = yield from flood(member.place.robot, _priced(member, pool, pi, batch), member.place.diameter)
+    told = {i: known[i] for i in member.alike}
+    value = math.fsum([*pi, *(len(member.alike[i]) * least for i, (least, _, _) in told.items())])
+    bound.exact = all(complete for _, complete, _ in told.values())
     if value > bound.value:
         bound.value, bound.prices = value, pi
-        bound.least = {i: least for i, (least, _, _) in known.items()}
-    return sum(pool.add(i, unpacked(news)) for i, (_, _, news) in known.items()) > 0
+        bound.least = {i: least for i, (least, _, _) in told.items()}
+    return sum(pool.add(i, unpacked(news)) for i, (_, _, news) in told.items()) > 0
+
+
+def _priced(member: Member, pool: Pool, pi: Vec, batch: int) -> list[Any] | None:
+    """least_i, whether the table is complete, and columns of i; None of a robot that another one speaks for."""
+    if not member.speaks:
+        return None
+    robot, table = member.place.robot, member.table
+    columns = [c for c in table.cheapest(pi, batch, below=0.0) if c.tasks and not pool.has(robot, c)]
+    return [table.least(pi), table.complete, packed(columns)]

@@ -91,7 +91,8 @@ class Neighbors:
             return np.where(np.isfinite(start), start, to_route.max())
         ways = to_route[:, stops[a]]
         start = np.where(np.isfinite(start), start, ways.min(axis=1))
-        return np.asarray((ways.sum(axis=1) + start) / (len(stops[a]) + 1))
+        # Running sums are added from left to right on every machine, other sums are not; all must draw alike.
+        return np.asarray(np.column_stack([start, ways]).cumsum(axis=1)[:, -1] / (len(stops[a]) + 1))
 
 
 def _gathered(far: Mat, size: list[int], room: tuple[int, int], order: list[int]) -> list[list[int]]:
@@ -115,7 +116,8 @@ def _start(local: LocalProblem) -> Vec:
 
 def _ways(a: Mat, b: Mat) -> Mat:
     """(A, B) m between points."""
-    return np.asarray(np.sqrt(((a[:, None] - b[None, :]) ** 2).sum(axis=2)))
+    squares = ((a[:, None, axis] - b[None, :, axis]) ** 2 for axis in range(a.shape[1]))
+    return np.asarray(np.sqrt(sum(squares, np.zeros((len(a), len(b))))))
 
 
 def _least(to_stops: Mat, to_start: Vec) -> Vec:

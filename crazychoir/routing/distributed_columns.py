@@ -13,9 +13,10 @@ from crazychoir.routing.clusters import Cluster, Neighbors, tasks_of, unserved
 from crazychoir.routing.gossip import Gossip
 from crazychoir.routing.instance import LocalProblem
 from crazychoir.routing.introduction import TOLD, introduce, restricted
+from crazychoir.routing.large_bound import LargeBound
 from crazychoir.routing.member import Member
 from crazychoir.routing.neighborhood import flown, renamed, reoptimize
-from crazychoir.routing.pricing import shortest_route
+from crazychoir.routing.pricing import Column, shortest_route
 from crazychoir.routing.proof import Assignment, Offer, Proof
 from crazychoir.routing.vehicle import MAKESPAN, TOTAL
 from crazychoir.types import Vec
@@ -39,7 +40,8 @@ class DistributedColumns:
     2. Where every robot can list its routes, gossip.py solves the relaxation and proves a bound.
     3. Each robot searches for a plan of its own from nothing; the best one, agreed on, is the first that all know.
     4. Where few enough columns remain that a better plan could contain, or always if `prove`: proof.py.
-    5. Unless the plan is proven optimal, passes: all draw the same disjoint clusters; the leaders of each re-solve its
+    5. Where step 2 was not possible, if `prove`, after step 6: a bound by large_bound.py.
+    6. Unless the plan is proven optimal, passes: all draw the same disjoint clusters; the leaders of each re-solve its
        joint problem; the best of what
        they found is flooded and taken over by all. Clusters are disjoint, so that any number of them fits together: the
        draw is the lock. The plan in force is feasible after each pass.
@@ -55,13 +57,13 @@ class DistributedColumns:
         self.routes: dict[int, list[int]] = {}
 
     def run(self) -> Exchange[Assignment]:
-        """Steps 1 to 5."""
+        """Steps 1 to 6."""
         self._robots = yield from introduce(self._member)
         gossip = yield from self._relax()
         yield from self._begin()
         if gossip is None:
             yield from self._improve(-np.inf)
-            return self._assignment(None)
+            return (yield from self._bounded())
         proof = Proof(self._member, gossip.pool, gossip.bound, self._offer())
         settings = self._member.settings
         yield from proof.search(np.inf if settings.prove else settings.most_proven)
@@ -69,6 +71,16 @@ class DistributedColumns:
         if not proof.closed:
             yield from self._improve(proof.proven)
         return self._assignment(proof.proven)
+
+    def _bounded(self) -> Exchange[Assignment]:
+        """The plan in force; with a bound if `prove`, where the total is what is minimised, and no priority."""
+        member = self._member
+        if not member.settings.prove or member.local.objective != (TOTAL,) or (member.local.tasks.priority > 0).any():
+            return self._assignment(None)
+        plan = [(i, Column(self._flown(i, tuple(self.routes[i]))[0], tasks)) for i, tasks in self._sets().items()]
+        large = LargeBound(member, plan)
+        yield from large.run()
+        return self._assignment(large.value, large.relaxation)
 
     @property
     def _penalty(self) -> Vec:
@@ -84,9 +96,9 @@ class DistributedColumns:
         servable = yield from flood(self._i, len(member.local.servable), self._diameter)
         if max(servable.values()) > member.settings.most_listed:
             return None
-        complete = yield from flood(self._i, member.table.complete, self._diameter)
+        complete = yield from flood(self._i, not member.speaks or member.table.complete, self._diameter)
         if not all(complete.values()):
-            del member.table  # no bound follows from tables that are cut, and they are large
+            vars(member).pop("table", None)  # no bound follows from tables that are cut, and they are large
             return None
         gossip = Gossip(self._member)
         yield from gossip.run()
@@ -169,12 +181,12 @@ class DistributedColumns:
         stops, _ = shortest_route(vehicle, range(len(tasks)), self._member.local.objective)
         return renamed(stops, chosen, self._m)
 
-    def _assignment(self, bound: float | None) -> Assignment:
+    def _assignment(self, bound: float | None, relaxation: str | None = None) -> Assignment:
         left = self._missing()
         if left:
             why = f"incomplete: no plan found that serves task(s) {', '.join(map(str, left))}"
             raise SolverError(f"robot {self._i}: clusters", why)
-        return Assignment(self._sets(), bound, self.routes)
+        return Assignment(self._sets(), bound, self.routes, relaxation)
 
     def _missing(self) -> list[int]:
         """Tasks that must be served and are not."""

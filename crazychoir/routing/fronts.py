@@ -56,7 +56,8 @@ def _put(table: Ints, keys: Words, last: Ints, state: Mat, after_it: Ints, dead:
 
 
 @kernel()
-def _rehashed(size: int, keys: Words, last: Ints, head: Flags, count: int) -> Ints:
+def rehashed(size: int, keys: Words, last: Ints, head: Flags, count: int) -> Ints:
+    """A table of `size` places that holds the heads of chains among the first `count` labels."""
     table = np.full(size, -1, dtype=np.int64)
     for i in range(count):
         if head[i]:
@@ -142,6 +143,6 @@ def grow_fronts(
                 keys, last, parent, state = doubled(keys), doubled(last), doubled(parent), doubled(state)
                 held, chain, again, dead = doubled(held), doubled(chain), doubled(again), doubled(dead)
                 head = doubled(head)
-                table = _rehashed(2 * len(table), keys, last, head, count)
+                table = rehashed(2 * len(table), keys, last, head, count)
         i += 1
     return keys[:count], last[:count], state[:count], parent[:count], again[:count], dead[:count], complete

@@ -33,7 +33,7 @@ class Gossip:
 
     def __init__(self, member: Member) -> None:
         self._member, self._i = member, member.place.robot
-        self.master = Master(member.unserved, SPREAD)
+        self.master = Master(member.unserved, SPREAD, {i: len(same) for i, same in member.alike.items()})
         self.pool = Pool(len(member.local.tasks))
         self.bound = Bound()
         self._told: set[Any] = set()
@@ -86,11 +86,12 @@ class Gossip:
 
     def _priced(self) -> Relaxation:
         """The relaxation after own pricing, until no own column has a negative reduced cost."""
-        table = self._member.table
+        member = self._member
         while True:
             best = self.master.relax()
             below = self.master.sigma(self._i) - TOLERANCE
-            if not self.master.add(self._i, table.cheapest(best.prices, self._member.settings.batch, below)):
+            own = member.table.cheapest(best.prices, member.settings.batch, below) if member.speaks else []
+            if not self.master.add(self._i, own):
                 return best
 
     def _agree(self, best: Relaxation) -> Exchange[tuple[float, Vec]]:

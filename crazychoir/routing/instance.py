@@ -1,8 +1,8 @@
 """A pickup-and-delivery instance, and the part of it that one robot sees."""
 
 import math
-from collections.abc import Iterable
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -19,6 +19,8 @@ from crazychoir.types import Mat, Vec
 
 MOST_WEIGHT = 1e6
 """Of a refusal, in costs of plans: above it a solver's tolerances are as large as a route."""
+PUBLIC = ("robot", "robots", "tasks", "objective")
+"""Fields of a LocalProblem that all robots have in common, or that names it."""
 OBJECTIVES = ((TOTAL,), (MAKESPAN,), (TOTAL, MAKESPAN), (MAKESPAN, TOTAL))
 
 
@@ -158,6 +160,16 @@ class LocalProblem:
         return np.asarray(np.sqrt(((points[:, None] - points[None, :]) ** 2).sum(axis=2)))
 
 
+def kinds(robots: Mapping[int, LocalProblem]) -> list[tuple[int, ...]]:
+    """The robots, those together that differ by their ids alone, in the order of their ids."""
+    groups: dict[tuple[bytes | None, ...], list[int]] = {}
+    for i in sorted(robots):
+        own = [getattr(robots[i], f.name) for f in fields(LocalProblem) if f.name not in PUBLIC]
+        told = tuple(None if value is None else np.asarray(value, float).tobytes() for value in own)
+        groups.setdefault(told, []).append(i)
+    return [tuple(group) for group in groups.values()]
+
+
 @dataclass(frozen=True, eq=False)
 class Instance:
     """N robots, M goods; robot i flies a closed tour from home_i and back, or to end_i, or where it likes, or stays.
@@ -272,14 +284,7 @@ class Instance:
 
     def kinds(self) -> list[tuple[int, ...]]:
         """The robots, identical ones together, in the order of their ids."""
-        groups: dict[bytes, list[int]] = {}
-        for i in range(self.robots):
-            own = [self.home[i], self.capacity[i], self.capability[i], self.speed[i], self.window[i],
-                   self.initial_load[i]]  # fmt: skip
-            own += [] if self.end is None else [self.end[i]]
-            own += [] if self.distance is None else [self._distance_of(i)]
-            groups.setdefault(b"".join(np.asarray(value).tobytes() for value in own), []).append(i)
-        return [tuple(group) for group in groups.values()]
+        return kinds({i: self.local(i) for i in range(self.robots)})
 
     def to_json(self) -> dict[str, Any]:
         """The JSON object that `parse` reads back."""

@@ -112,13 +112,13 @@ def _in_reach(rest: Mat, home: Vec, stop: int, on: Ints, count: int, so_far: flo
 
 @kernel(nogil=True)
 def grow_labels(
-    distance: Mat, rest: Mat, home: Vec, load: Vec, aboard: Flags, capacity: float, limit: float, most: int
+    distance: Mat, rest: Mat, home: Vec, load: Vec, aboard: Flags, capacity: float, limit: float, far: float, most: int
 ) -> tuple[Words, Ints, Vec, Ints, bool]:
     """All undominated labels, in breadth-first order: keys (n, 4), last (n,), length (n,), parent (n,), complete.
 
     distance (2m + 2, 2m + 2) m of pickups, deliveries, start, end;  rest (2m, m) m, at least the way from a stop by
     delivery k to the end;  home (2m,) m, at least the way to the end;  load (m,), m <= MOST_TASKS;  limit: m;
-    most: labels.
+    far: m, of the longest label, the limit or less;  most: labels.
     Label 0 is the start with what is aboard; its `last` is 2m. Every step adds a stop, so a label is final when its
     turn comes. Beyond `most` labels no new one is made and `complete` is False.
     """
@@ -135,7 +135,7 @@ def grow_labels(
             if stop < m and (inside(keys, i, 0, stop) or load[stop] > capacity - held[i]):
                 continue
             so_far = length[i] + distance[last[i], stop]
-            if not _in_reach(rest, home, stop, on, goods, so_far, limit):
+            if so_far > far or not _in_reach(rest, home, stop, on, goods, so_far, limit):
                 continue
             p0, p1, o0, o1 = after(keys, i, stop, m)
             k = slot_of(table, keys, last, p0, p1, o0, o1, stop)

@@ -1,7 +1,7 @@
 """The restricted master problem: set partitioning over the columns that are known of all robots."""
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import highspy
@@ -78,16 +78,17 @@ class Master:
 
         min  sum length_c x_c + sum_j penalty_j v_j
         s.t. sum_{c serves j} x_c + v_j >= 1                     : pi_j >= 0
-             sum_{c of i} x_c <= 1                               : sigma_i <= 0,    x >= 0, v >= 0
+             sum_{c of i} x_c <= K_i                             : sigma_i <= 0,    x >= 0, v >= 0
 
     penalty: (M,) m, more than any price, or what it costs to refuse the task;  spread: the right-hand sides are raised
     by up to this, each by another amount, the same at all robots: then no optimal basis is degenerate, so prices are
-    unique;  basis: columns of the last optimal basis, at most M + N.
+    unique;  number: K_i, how many robots are as i is, who stands for them: 1 of those not named;
+    basis: columns of the last optimal basis, at most as many as there are rows.
     Raises SolverError if HiGHS does not reach the optimum.
     """
 
-    def __init__(self, penalty: Vec, spread: float = 0.0) -> None:
-        self._spread, self._penalty = spread, penalty
+    def __init__(self, penalty: Vec, spread: float = 0.0, number: Mapping[int, int] | None = None) -> None:
+        self._spread, self._penalty, self._number = spread, penalty, number or {}
         self._highs, self._tasks = quiet_highs(), len(penalty)
         self._columns: list[tuple[int, Column]] = []
         self._index: dict[Key, int] = {}
@@ -122,13 +123,13 @@ class Master:
     def _row_of(self, robot: int) -> int:
         if robot not in self._row:
             self._row[robot] = self._tasks + len(self._row)
-            most = self._raised(self._tasks + robot)
+            most = self._raised(self._tasks + robot, self._number.get(robot, 1))
             self._highs.addRow(-highspy.kHighsInf, most, 0, np.array([], np.int32), np.array([]))
         return self._row[robot]
 
-    def _raised(self, row: int) -> float:
-        """The right-hand side of a row: 1, and a share of `spread` (multiples of the golden ratio fill an interval)."""
-        return 1.0 + self._spread * ((row + 1) * GOLDEN % 1.0)
+    def _raised(self, row: int, number: int = 1) -> float:
+        """The right-hand side of a row, with a share of `spread` (multiples of the golden ratio fill an interval)."""
+        return number + self._spread * ((row + 1) * GOLDEN % 1.0)
 
     def _append(self, row: int, columns: list[Column]) -> None:
         rows = [[*column.tasks, row] for column in columns]
@@ -139,7 +140,7 @@ class Master:
         self._highs.addCols(n, cost, np.zeros(n), free, len(index), starts, index, np.ones(len(index)))
 
     def relax(self) -> Relaxation:
-        """Its value (that of its prices where the right-hand sides are 1) and prices, with the columns added since."""
+        """Its value (that of its prices at right-hand sides not raised) and prices, with the columns added since."""
         self._highs.run()
         status = self._highs.getModelStatus()
         if status != highspy.HighsModelStatus.kOptimal:
@@ -147,7 +148,8 @@ class Master:
         dual = np.array(self._highs.getSolution().row_dual)
         self._sigma = {robot: min(0.0, float(dual[row])) for robot, row in self._row.items()}
         prices = np.clip(dual[: self._tasks], 0.0, self._penalty)
-        return Relaxation(math.fsum([*prices, *self._sigma.values()]), prices)
+        saved = [self._number.get(robot, 1) * sigma for robot, sigma in self._sigma.items()]
+        return Relaxation(math.fsum([*prices, *saved]), prices)
 
     def sigma(self, robot: int) -> float:
         """sigma_i in m of the last relaxation, <= 0: what one more route of this robot would save."""
@@ -166,21 +168,24 @@ class Master:
 
 
 def partition(
-    columns: list[tuple[int, Column]], tasks: int, seed: int, nodes: int, known: Routes | None = None
-) -> Partition:
+    columns: list[tuple[int, Column]], tasks: int, seed: int, nodes: int, known: Routes | None = None,
+    alike: Mapping[int, Sequence[int]] | None = None,
+) -> Partition:  # fmt: skip
     """The cheapest choice of columns that serves each task exactly once.
 
-        min  sum length_c x_c   s.t.  sum_{c serves j} x_c = 1,  sum_{c of i} x_c <= 1,  x binary
+        min  sum length_c x_c   s.t.  sum_{c serves j} x_c = 1,  sum_{c of i} x_c <= K_i,  x binary
 
-    Stops after `nodes` branch-and-bound nodes, never by time. known: a choice to start from.
+    Stops after `nodes` branch-and-bound nodes, never by time. known: a choice to start from;  alike: the K_i robots
+    that a column of i is one of, i among them: i alone where it is not named.
     """
-    highs = _model(columns, tasks, seed)
+    same = {robot: (alike or {}).get(robot, (robot,)) for robot, _ in columns}
+    highs = _model(columns, tasks, seed, {robot: len(robots) for robot, robots in same.items()})
     index = np.arange(len(columns), dtype=np.int32)
     highs.changeColsIntegrality(len(index), index, np.full(len(index), int(highspy.HighsVarType.kInteger), np.uint8))
     highs.setOptionValue("mip_rel_gap", 0.0)
     highs.setOptionValue("mip_max_nodes", nodes)
     if known is not None:
-        start = [float(known.get(robot) == column.tasks) for robot, column in columns]
+        start = [float(any(known.get(i) == column.tasks for i in same[robot])) for robot, column in columns]
         highs.setSolution(len(index), index, np.array(start))
     highs.run()
     info = highs.getInfo()
@@ -189,18 +194,24 @@ def partition(
         return Partition(np.inf, {}, np.inf if none else -np.inf)
     chosen = [c for c, x in zip(columns, highs.getSolution().col_value, strict=True) if x > 0.5]
     cost = sum(column.length for _, column in chosen)
-    return Partition(cost, {robot: column.tasks for robot, column in chosen}, min(cost, info.mip_dual_bound))
+    return Partition(cost, _shared_out(chosen, same), min(cost, info.mip_dual_bound))
 
 
-def _model(columns: list[tuple[int, Column]], tasks: int, seed: int) -> highspy.Highs:
-    """Rows: tasks = 1, then the robots in use <= 1; columns in the given order, 0 <= x <= 1."""
-    highs, robots = quiet_highs(seed), sorted({robot for robot, _ in columns})
+def _shared_out(chosen: list[tuple[int, Column]], same: Mapping[int, Sequence[int]]) -> Routes:
+    """Each column to a robot of its own."""
+    free = {robot: iter(robots) for robot, robots in same.items()}
+    return {next(free[robot]): column.tasks for robot, column in chosen}
+
+
+def _model(columns: list[tuple[int, Column]], tasks: int, seed: int, number: Mapping[int, int]) -> highspy.Highs:
+    """Rows: tasks = 1, then the robots in use <= number; columns in the given order, 0 <= x <= 1."""
+    highs, robots = quiet_highs(seed), sorted(number)
     row_of = {robot: tasks + r for r, robot in enumerate(robots)}
     empty = np.array([], np.int32), np.array([])
     for _ in range(tasks):
         highs.addRow(1.0, 1.0, 0, *empty)
-    for _ in robots:
-        highs.addRow(-highspy.kHighsInf, 1.0, 0, *empty)
+    for robot in robots:
+        highs.addRow(-highspy.kHighsInf, float(number[robot]), 0, *empty)
     rows = [[*column.tasks, row_of[robot]] for robot, column in columns]
     starts = np.cumsum([0, *(len(r) for r in rows)])[:-1].astype(np.int32)
     index = np.array([r for column in rows for r in column], dtype=np.int32)

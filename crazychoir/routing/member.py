@@ -103,6 +103,16 @@ class Member:
     bytes_by_kind: dict[str, int] = field(default_factory=dict)
     fixed: float = 0.0
     """m, the highest fixed cost of a robot, as far as the robots have told it."""
+    alike: dict[int, tuple[int, ...]] = field(default_factory=dict)
+    """Robots that are the same in all, by the lowest id, as far as they have told it: it speaks for the others."""
+
+    def __post_init__(self) -> None:
+        self.alike = self.alike or {i: (i,) for i in range(self.place.robots)}
+
+    @property
+    def speaks(self) -> bool:
+        """Whether this robot prices routes: the first of those that are the same."""
+        return self.place.robot in self.alike
 
     @cached_property
     def table(self) -> RouteTable:

@@ -24,7 +24,9 @@ from crazychoir.routing.vehicle import MAKESPAN, TOTAL
 
 CONFIRMED = ("route lengths or times", "task sets and hashes of routes")
 """What the confirmation of a plan tells of each robot, whatever the method."""
-METHODS = ("columns", "resource-columns", "resource", "resource-argmax", *insertion_bids.METHODS)
+BY_PRICES = ("resource-columns", "resource", "resource-argmax")
+"""Methods that add up what tasks cost at prices: where that is no cost of a plan, they cannot."""
+METHODS = ("columns", *BY_PRICES, *insertion_bids.METHODS)
 
 
 class PickupDelivery(Program[Solution]):
@@ -39,7 +41,8 @@ class PickupDelivery(Program[Solution]):
     cbba, auction: bids of cheapest insertions, see insertion_bids.py; baselines, without a bound.
     diameter: of the connected, undirected graph;  degree_of: degree of each neighbour.
     All robots are done in the same round, with the same plan digest, cost and bound.
-    Raises ConfigError for an unknown method, SolverError if the team cannot agree on a plan.
+    Raises ConfigError for an unknown method, and for one of BY_PRICES where prices say nothing; SolverError if the team
+    cannot agree on a plan.
     """
 
     heavy = True
@@ -57,6 +60,8 @@ class PickupDelivery(Program[Solution]):
     ) -> None:
         if method not in METHODS:
             raise ConfigError("method", method, ", ".join(METHODS), "Choose one of them.")
+        if method in BY_PRICES:
+            _require_prices(local, method)
         place = Place(local.robot, n, tuple(sorted(neighbors)), diameter, dict(degree_of))
         self._member = Member(local, place, settings or Settings())
         self._method = method
@@ -147,7 +152,8 @@ class PickupDelivery(Program[Solution]):
             cost=cost,
             feasible=True,
             lower_bound=bound,
-            bound_exact=bound is not None,
+            bound_exact=bound is not None and assignment.relaxation is None,
+            bound_relaxation=None if bound is None else assignment.relaxation,
             method=self._method,
             disclosed=(*disclosed, *CONFIRMED),
             rounds=self.k,
@@ -172,3 +178,14 @@ class PickupDelivery(Program[Solution]):
             return shortest_route(local.vehicle, assignment.routes.get(local.robot, ()), local.objective)
         stops = list(assignment.stops.get(local.robot, ()))
         return stops, local.vehicle.length(stops) if stops else 0.0
+
+
+def _require_prices(local: LocalProblem, method: str) -> None:
+    """ConfigError where prices add up what counts otherwise: a sum of finishing times is no makespan, and refusals
+    weighed by priority leave no room for what routes cost.
+    """
+    found = "makespan first" if local.objective[0] == MAKESPAN else "tasks with priorities"
+    if local.objective[0] == MAKESPAN or (local.tasks.priority > 0).any():
+        able = [name for name in METHODS if name not in BY_PRICES]
+        allowed = f"the total first and no priorities, as prices of tasks add up; or the methods {', '.join(able)}"
+        raise ConfigError(f"method {method}", found, allowed, "Take columns, or change the instance.")

@@ -130,9 +130,10 @@ class Solution:
 
     cost: m;  lower_bound: m, no plan at all costs less (None: unknown, bound_exact is False then);  bound_exact: it is
     proven, by exact pricing of all routes, which does not say that it is tight: a plan is proven optimal where its cost
-    is the bound, and `resource` and `resource-argmax` prove weaker ones than `columns`;  disclosed: what the
-    robots told each other;  rounds: of communication;  routes: those that this robot knows;  bytes_by_kind: payloads
-    that it sent, by what they were about, without headers and without what was sent again.
+    is the bound, and `resource` and `resource-argmax` prove weaker ones than `columns`;  bound_relaxation: what
+    routes a bound that is not exact allows beside those that there are: "ng-route", whose tasks may come again;
+    disclosed: what the robots told each other;  rounds: of communication;  routes: those that this robot knows;
+    bytes_by_kind: payloads that it sent, by what they were about, without headers and without what was sent again.
     """
 
     cost: float
@@ -145,6 +146,7 @@ class Solution:
     plan_digest: str
     routes: tuple[Route, ...]
     bytes_by_kind: dict[str, int] = field(default_factory=dict)
+    bound_relaxation: str | None = None
 
     @property
     def plan(self) -> Plan:

@@ -9,7 +9,7 @@ bound of what may follow, is no less than the best route's so far.
 import numpy as np
 
 from crazychoir.math3d import kernel
-from crazychoir.routing.fronts import COST, LEFT, TIME, TRIP, as_good, in_time, row_of
+from crazychoir.routing.fronts import COST, LEFT, TIME, TRIP, as_good, in_time, rehashed, row_of
 from crazychoir.routing.labels import ONE, Flags, Ints, Words, after, begin, doubled, listed, slot_of
 from crazychoir.types import Mat, Vec
 
@@ -39,15 +39,6 @@ def _enter(table: Ints, gone: Words, state: Mat, level: Ints, chain: Ints, dead:
     else:  # the head stays: it is what the table finds the key by
         chain[new], chain[table[k]] = chain[table[k]], new
     return True
-
-
-@kernel()
-def _rehashed(size: int, keys: Words, last: Ints, head: Flags, count: int) -> Ints:
-    table = np.full(size, -1, dtype=np.int64)
-    for i in range(count):
-        if head[i]:
-            table[slot_of(table, keys, last, keys[i, 0], keys[i, 1], keys[i, 2], keys[i, 3], last[i])] = i
-    return table
 
 
 @kernel()
@@ -210,7 +201,7 @@ def grow_priced(
                 held, chain, dead, head = doubled(held), doubled(chain), doubled(dead), doubled(head)
                 gone, level, guide, again = doubled(gone), doubled(level), doubled(guide), doubled(again)
                 ends, worths = doubled(ends), doubled(worths)
-                table = _rehashed(2 * len(table), keys, last, head, count)
+                table = rehashed(2 * len(table), keys, last, head, count)
         i += 1
     return best, ends[:found], worths[:found], last[:count], parent[:count], again[:count], exact
 

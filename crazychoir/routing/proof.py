@@ -22,12 +22,14 @@ from crazychoir.routing.pricing import Column
 class Assignment:
     """Who serves what: tasks of each robot that is known;  lower_bound in m, None if none is exact.
 
-    stops: nodes of each robot's route, where they are known; else it is the shortest one for its tasks.
+    stops: nodes of each robot's route, where they are known; else it is the shortest one for its tasks;
+    relaxation: of the routes by which the bound was priced, None if they were priced exactly.
     """
 
     routes: Routes
     lower_bound: float | None
     stops: Mapping[int, Sequence[int]] | None = None
+    relaxation: str | None = None
 
 
 @dataclass(frozen=True)
@@ -111,6 +113,8 @@ class Proof:
 
     def _near(self, gap: float) -> Ints:
         """Own columns within the gap, by their numbers in the table."""
+        if not self._member.speaks:
+            return np.zeros(0, np.int64)
         cost = self._member.table.reduced_costs(self._bound.prices)
         return np.flatnonzero(cost < self._bound.least[self._i] + gap)
 
@@ -123,17 +127,18 @@ class Proof:
 
     def _widen(self, near: Ints) -> Exchange[bool]:
         """Flood the columns `near`, a part at a time; returns whether no robot has any beyond."""
-        table, settings = self._member.table, self._member.settings
-        most = max(1, min(settings.most_shared, settings.most_relayed // self._member.place.robots))
-        columns = [table.column(int(c)) for c in near]
+        member, settings = self._member, self._member.settings
+        most = max(1, min(settings.most_shared, settings.most_relayed // member.place.robots))
+        columns = [member.table.column(int(c)) for c in near]
+        exhausted = not member.speaks or len(near) == len(member.table)
         fresh = [c for c in columns if c.tasks and not self._pool.has(self._i, c)]
         while True:
-            own = [packed(fresh[:most]), len(fresh) <= most, len(near) == len(table)]
+            own = [packed(fresh[:most]), len(fresh) <= most, exhausted]
             known = yield from flood(self._i, own, self._diameter)
             for robot, (news, _, _) in known.items():
                 self._pool.add(robot, unpacked(news))
             if all(last for _, last, _ in known.values()):
-                return all(exhausted for _, _, exhausted in known.values())
+                return all(everything for _, _, everything in known.values())
             fresh = fresh[most:]
 
     def _agree(self, gap: float) -> Exchange[Offer | None]:
@@ -157,7 +162,7 @@ class Proof:
         useful += refusals
         known = None if self.best is None else self._with_refusals(self.best.routes, refusals)
         nodes = settings.proof_nodes if settings.prove else settings.nodes
-        found = partition(useful, len(self._member.local.tasks), self._i, nodes, known)
+        found = partition(useful, len(self._member.local.tasks), self._i, nodes, known, self._member.alike)
         self._none = found.bound == np.inf
         if found.cost == np.inf:
             return None

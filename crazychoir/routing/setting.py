@@ -58,7 +58,7 @@ def _lengths(vehicle: Vehicle, most: int) -> FinalLabels:
     rest = way[: 2 * m, m : 2 * m] + way[m : 2 * m, 2 * m + 1]
     keys, last, length, parent, complete = grow_labels(
         vehicle.distance, rest, np.ascontiguousarray(way[: 2 * m, 2 * m + 1]), vehicle.load, vehicle.aboard,
-        vehicle.capacity + SLACK, vehicle.limit + SLACK, most,
+        vehicle.capacity + SLACK, vehicle.limit + SLACK, np.inf, most,
     )  # fmt: skip
     empty = (keys[:, 2] == 0) & (keys[:, 3] == 0)
     total = length[empty] + vehicle.distance[last[empty], 2 * m + 1]

@@ -13,7 +13,7 @@ from crazychoir.solving import solve_here
 pytestmark = pytest.mark.system
 KEYS = {
     "cost", "feasible", "lower_bound", "bound_exact", "method", "disclosed", "rounds", "messages", "bytes", "wall_s",
-    "critical_path_s", "plan_digest", "routes",
+    "critical_path_s", "plan_digest", "routes", "bound_relaxation",
 }  # fmt: skip
 SHARED = ["N3_M3_s1", "N5_M5_s1", "N5_M8_s1_R25", "lab6_M10_s1", "N10_M15_s1_R25"]
 OWN = ["flat", "limited", "room"]

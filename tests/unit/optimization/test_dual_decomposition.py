@@ -79,8 +79,14 @@ def test_what_is_not_a_number_is_told_to_all():
 
     parts = problems(costs(3, 2, 0))
     team = agents(parts) | {1: Broken(parts[1], 0.4)}
-    with pytest.raises((SolverError, AgentFailed), match=r"agent [02]: local problem: .* is nan"):
+    with pytest.raises(AgentFailed, match=r"agent 1 has failed.* round 0: nan in message"):
         simulate(team, path(3))
+    alone = agents(problems(costs(2, 2, 0)))[0]
+    alone.message()
+    with pytest.raises(SolverError, match=r"agent 0: local problem: .* is nan"):
+        alone.step({1: np.full(2, np.nan)})
+        alone.message()
+        alone.step({1: np.full(2, np.nan)})
 
 
 def test_a_directed_graph_is_refused():

@@ -239,3 +239,55 @@ def test_disclosed_names_all_that_introductions_tell(graph):
     assert {"home", "speed", "fixed", "window", "initial_load"} <= set(told)
     assert {f"own {name.replace('_', ' ')}" for name in told} <= set(solution.disclosed)
     assert "route lengths or times" in solution.disclosed
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_large_team_proves_a_bound_by_halves_or_names_its_relaxation(graph, seed):
+    """With most_listed = 0 every team is large. The bound by halves is that of the gossip: both are the relaxation."""
+    instance, links = random_instance(4, 7, seed, capable=0.8, route_length_limit=27.0), graph("ring", 4)
+    gossips = [Gossip(member) for member in members(instance, links)]
+    relaxed = run_all([gossip.run() for gossip in gossips], links)[0]
+    large = Settings(prove=True, most_listed=0)
+    found, best = solve_in_loop(instance, links, settings=large), solve_in_loop(instance, links)
+    assert found.bound_exact
+    assert found.bound_relaxation is None
+    assert found.lower_bound == pytest.approx(relaxed, rel=1e-4)
+    assert found.lower_bound <= best.cost + 1e-9
+    for more in ({"route_length_limit": None}, {"time_windows": {"pickup": [[0, 30]] * 7}}):
+        other = Instance.parse(instance.to_json() | more)
+        found, best = solve_in_loop(other, links, settings=large), solve_in_loop(other, links)
+        assert not found.bound_exact
+        assert found.bound_relaxation == "ng-route"
+        assert 0.5 * best.cost < found.lower_bound <= best.cost + 1e-9
+        assert best.bound_exact
+
+
+def test_the_bound_of_a_large_team_holds_where_tasks_are_refused(graph):
+    large = Settings(prove=True, most_listed=0)
+    for penalty in (1.0, 6.0, 12.0):
+        instance = random_instance(4, 7, 2, route_length_limit=27.0, fields={"penalty": [penalty] * 7})
+        found, best = (solve_in_loop(instance, graph("ring", 4), settings=s) for s in (large, Settings()))
+        assert 0.9 * best.cost <= found.lower_bound <= best.cost + 1e-9
+
+
+def test_where_pricing_is_cut_there_is_no_bound(graph):
+    for limit in (27.0, None):
+        instance = random_instance(4, 7, 1, route_length_limit=limit)
+        cut = Settings(prove=True, most_listed=0, most_labels=60)
+        found = solve_in_loop(instance, graph("ring", 4), settings=cut)
+        assert (found.lower_bound, found.bound_exact, found.bound_relaxation) == (None, False, None)
+
+
+def test_a_team_of_two_kinds_prices_once_a_kind_and_proves_what_single_robots_prove(graph):
+    raw = random_instance(6, 9, 2, route_length_limit=30.0).to_json()
+    raw |= {"home": [raw["home"][0]] * 4 + [raw["home"][1]] * 2, "capacity": [4.0] * 4 + [3.0] * 2}
+    raw |= {"load": [2.0] * 5 + [1.0] * 4, "fixed_cost": 1.5}
+    instance = Instance.parse(raw)
+    team = members(instance, graph("ring", 6))
+    run_all([introduce(member) for member in team], graph("ring", 6))
+    assert [member.alike for member in team] == [{0: (0, 1, 2, 3), 4: (4, 5)}] * 6
+    assert [member.speaks for member in team] == [True, False, False, False, True, False]
+    found, apart = (solve_in_loop(instance, graph("ring", 6), m) for m in ("columns", "resource-columns"))
+    assert found.cost == pytest.approx(apart.cost)
+    assert found.bound_exact
+    assert found.lower_bound == pytest.approx(found.cost, abs=1e-4)

@@ -85,4 +85,5 @@ def test_a_team_proves_the_best_known_solution_optimal(reference_data, name, veh
     assert len(found["routes"]) == vehicles
     assert sum(route["length"] for route in found["routes"]) == pytest.approx(length, abs=0.01)
     assert found["bound_exact"]
+    assert found["bound_relaxation"] is None
     assert found["lower_bound"] == pytest.approx(found["cost"], rel=1e-9)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from crazychoir.routing.generate import random_instance
-from crazychoir.routing.master import Partition, Pool, partition
+from crazychoir.routing.master import Master, Partition, Pool, partition
 from crazychoir.routing.pricing import Column, RouteTable
 
 
@@ -39,6 +39,25 @@ def test_the_relaxation_is_below_and_its_prices_are_dual_feasible(columns):
         min(0.0, *(c.length - relaxed.prices[list(c.tasks)].sum() for i, c in columns if i == r)) for r in range(3)
     ]
     assert relaxed.prices.sum() + sum(least) == pytest.approx(relaxed.value)
+
+
+def test_robots_that_are_the_same_share_a_row(columns):
+    """As if each had the columns of the first, and the relaxation too."""
+    own, penalty = [c for i, c in columns if i == 1], np.full(4, 100.0)
+    apart = [(i, c) for i in (1, 5, 6) for c in own]
+    together = [(1, c) for c in own]
+    each, all_ = partition(apart, 4, 0, 1000), partition(together, 4, 0, 1000, alike={1: (1, 5, 6)})
+    assert all_.cost == pytest.approx(each.cost)
+    assert all_.bound == pytest.approx(each.cost)
+    assert set(all_.routes) <= {1, 5, 6}
+    assert sorted(j for tasks in all_.routes.values() for j in tasks) == [0, 1, 2, 3]
+    assert partition(together, 4, 0, 1000, known=each.routes, alike={1: (1, 5, 6)}).cost == pytest.approx(each.cost)
+    one, many = Master(penalty, number={1: 3}), Master(penalty)
+    one.add(1, own)
+    for i in (1, 5, 6):
+        many.add(i, own)
+    assert one.relax().value == pytest.approx(many.relax().value)
+    assert partition(together, 4, 0, 1000, alike={1: (1,)}).cost > each.cost
 
 
 def test_no_cover_is_proven_and_relaxes_at_the_penalty():

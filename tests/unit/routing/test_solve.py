@@ -16,7 +16,7 @@ from crazychoir.routing.instance import Instance
 from crazychoir.routing.master import partition
 from crazychoir.routing.member import Settings
 from crazychoir.routing.packing import packed
-from crazychoir.routing.pickup_delivery import METHODS, PickupDelivery
+from crazychoir.routing.pickup_delivery import BY_PRICES, METHODS, PickupDelivery
 from crazychoir.routing.pricing import Column, RouteTable
 from crazychoir.routing.proof import Assignment
 from crazychoir.routing.solve import diameter, joined, solve_in_loop, team
@@ -189,15 +189,25 @@ def infeasible():
     return Instance.parse(raw | homes | {"capability": [[True, True], [False, False]]})
 
 
-BOUNDED = ("columns", "resource-columns", "resource", "resource-argmax")
+WEIGHED = [{"objective": "makespan"}, {"objective": ["makespan", "total"]},
+           {"penalty": [5.0] * 4, "priority": [1, 2, 0, 0]}]  # fmt: skip
+"""What prices of tasks do not add up to."""
 
 
-@pytest.mark.parametrize("method", BOUNDED)
+@pytest.mark.parametrize("method", BY_PRICES)
+@pytest.mark.parametrize("more", WEIGHED)
+def test_what_prices_do_not_add_up_to_is_refused_by_methods_of_prices(method, more):
+    raw = three_robots_and_four_tasks(np.random.default_rng(1)) | {"capacity": [2.0] * 3}
+    with pytest.raises(ConfigError, match=rf"method {method}: found .* the methods columns, cbba, auction\."):
+        team(Instance.parse(raw | more), {0: [1], 1: [0, 2], 2: [1]}, method)
+    for able in set(METHODS) - set(BY_PRICES):
+        assert solve_in_loop(Instance.parse(raw | more), {0: [1], 1: [0, 2], 2: [1]}, able).feasible
+
+
 @pytest.mark.parametrize(
-    "more",
-    [{"penalty": [0.5] * 4}, {"objective": "makespan"}, {"objective": ["makespan", "total"]},
-     {"penalty": [5.0] * 4, "priority": [1, 2, 0, 0]}],
-)  # fmt: skip
+    ("method", "more"),
+    [*((method, {"penalty": [0.5] * 4}) for method in ("columns", *BY_PRICES)), *(("columns", w) for w in WEIGHED)],
+)
 def test_no_bound_is_above_the_optimum_where_tasks_are_refused_or_time_is_minimised(graph, method, more):
     raw = three_robots_and_four_tasks(np.random.default_rng(1)) | {"capacity": [2.0] * 3, "route_length_limit": 25.0}
     instance = Instance.parse(raw | more)

@@ -1,0 +1,107 @@
+"""What is proven of every plan where the routes of a robot are too many to be listed."""
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from crazychoir.optimization.agreement import best_offer, flood
+from crazychoir.optimization.program import Exchange
+from crazychoir.routing.halves import Halves
+from crazychoir.routing.least import least_reduced_cost, relaxed_reduced_cost
+from crazychoir.routing.master import Master
+from crazychoir.routing.member import Member
+from crazychoir.routing.packing import packed, unpacked
+from crazychoir.routing.pricing import Column
+from crazychoir.types import Vec
+
+NG_ROUTE = "ng-route"
+"""The relaxation by which a robot prices whose routes cannot be halved: they may serve a task again, see least.py."""
+DRAWN = 0.6
+"""Share of the best prices so far in the next ones."""
+ENOUGH = 1e-5
+"""Relative gap between the value of the columns known and the bound."""
+
+
+class LargeBound:
+    """The Lagrangian bound of bound.py, by prices that are sought pass by pass; only the robots' pricing is heavy.
+
+        pi_k = DRAWN * (the prices of the best bound) + (1 - DRAWN) * (the prices of the columns known)
+        value_k = sum_j pi_kj + sum_i K_i least_i(pi_k),     pi_kj at most what refusing task j costs
+
+    Each robot floods least_i and columns of negative reduced cost, exact ones by halves.py, else least_i of a
+    relaxation; two robots solve the relaxation over all columns heard of, and the prices of the better one are taken
+    over by all. It ends when the bound is the value of the columns known, when no prices bring new columns, or after
+    `passes`. If the pricing of one robot is cut there is no bound.
+    value: m, None if there is no bound;  relaxation: of the routes, None if they were priced exactly.
+    Source: Wentges 1997, International Transactions in Operational Research 4(2), for the prices.
+    """
+
+    def __init__(self, member: Member, plan: Sequence[tuple[int, Column]]) -> None:
+        self._member, self._i = member, member.place.robot
+        speaker = {i: same[0] for same in member.alike.values() for i in same}
+        self._plan = [(speaker[i], column) for i, column in plan]
+        self._halves: Halves | None = None
+        self.value: float | None = None
+        self.relaxation: str | None = None
+
+    def run(self) -> Exchange[None]:
+        """Passes; all robots end in the same round with the same value."""
+        member, settings = self._member, self._member.settings
+        member.report(phase="bound")
+        member.kind = "columns"
+        if member.speaks and Halves.fits(member.local.vehicle):
+            self._halves = Halves(member.local.vehicle, settings.most_labels)
+        master = Master(member.unserved, 0.0, {i: len(same) for i, same in member.alike.items()})
+        for robot, column in self._plan:
+            master.add(robot, [column])
+        best, centre, pi, drawn = -np.inf, self._start(), self._start(), True
+        for _ in range(settings.passes * 2):
+            known = yield from flood(self._i, self._priced(pi), member.place.diameter)
+            told = {i: known[i] for i in member.alike}
+            if any(least == -np.inf for least, _, _ in told.values()):
+                return
+            value = math.fsum([*pi, *(len(member.alike[i]) * least for i, (least, _, _) in told.items())])
+            self.relaxation = None if all(exact for _, exact, _ in told.values()) else NG_ROUTE
+            if value > best:
+                best, centre = value, pi
+            new = sum(master.add(i, unpacked(columns)) for i, (_, _, columns) in told.items())
+            if not new and not drawn:
+                break
+            relaxed, prices = yield from self._agree(master)
+            if relaxed - best <= ENOUGH * max(1.0, abs(relaxed)):
+                break
+            drawn = new > 0  # where drawn prices bring nothing, those of the columns themselves are next
+            pi = DRAWN * centre + (1.0 - DRAWN) * prices if drawn else prices
+        self.value = best
+
+    def _start(self) -> Vec:
+        """The cost of each route of the plan, in equal parts on its tasks; at most what refusing a task costs."""
+        pi = np.array(self._member.unserved)
+        for _, column in self._plan:
+            pi[list(column.tasks)] = column.length / max(1, len(column.tasks))
+        return np.minimum(pi, self._member.unserved)
+
+    def _priced(self, pi: Vec) -> list[Any] | None:
+        """least_i, whether it is exact, and columns; None of a robot that another one speaks for."""
+        member = self._member
+        if not member.speaks:
+            return None
+        vehicle, batch, most = member.local.vehicle, member.settings.batch, member.settings.most_labels // 3
+        if self._halves is not None:
+            columns = self._halves.cheapest(pi, batch, 0.0)
+            least = self._halves.least(pi) if self._halves.complete else -np.inf
+            return [least, True, packed(columns)]
+        found = least_reduced_cost(vehicle, pi, most=0)
+        least = min(0.0, relaxed_reduced_cost(vehicle, pi, found.value, most=most))
+        return [least, False, packed(found.columns[:batch])]
+
+    def _agree(self, master: Master) -> Exchange[tuple[float, Vec]]:
+        """Value and prices of the columns known."""
+        own: list[Any] | None = None
+        if self._i < self._member.settings.searchers:
+            relaxed = master.relax()
+            own = [relaxed.value, self._i, relaxed.prices]
+        value, _, prices = (yield from best_offer(own, self._member.place.diameter)) or [np.inf, 0, self._start()]
+        return float(value), np.asarray(prices)
