@@ -85,8 +85,6 @@ def test_what_is_not_a_number_is_told_to_all():
     alone.message()
     with pytest.raises(SolverError, match=r"agent 0: local problem: .* is nan"):
         alone.step({1: np.full(2, np.nan)})
-        alone.message()
-        alone.step({1: np.full(2, np.nan)})
 
 
 def test_a_directed_graph_is_refused():
