@@ -97,7 +97,7 @@ CASES = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("case", CASES)
 def test_the_arc_flow_model_and_route_tables_have_the_same_optimum(case, seed):
     fields, options = CASES[case]

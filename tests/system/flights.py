@@ -6,9 +6,11 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+from system.agents import BRISK
 
 from crazychoir.agent import Agent
 from crazychoir.guidance.base import CFGuidance
+from crazychoir.guidance.mission import load
 from crazychoir.math3d import wrap, yaw_of
 from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import run_virtual
@@ -112,6 +114,12 @@ def swarm_of(rows: list[tuple[str, str]], yaw: float, **tables: Any) -> SwarmCon
     roles = [{"name": sender, "sender": sender} for sender in dict.fromkeys(sender for _, sender in rows)]
     fence = {"min": [-3.0, -3.0, 0.0], "max": [9.0, 9.0, 3.0]}
     return SwarmConfig.of({"name": "whole", "drones": drones, "roles": roles, "fence": fence, **tables})
+
+
+def scattered(seed: int) -> SwarmConfig:
+    """The formation with a quick take-off and landing; the law has 18 s."""
+    mission = load("bearing_formation")
+    return mission.scatter(mission.swarm(None).replace(seed=seed, flight=BRISK, mission_options={"duration": 18.0}))
 
 
 def mission_of(does: Any) -> SimpleNamespace:

@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 
 import pytest
-from system.agents import BRISK
-from system.commands import call, fly, run
+from system.commands import fly, run
+from system.flights import scattered
 
 from crazychoir.guidance.mission import has, load
 from crazychoir.launch.flight import fly_fast
@@ -38,20 +38,25 @@ def settled(result):
     assert result["min_separation_m"] > 0.3
 
 
-def test_the_result_of_a_run_has_its_keys():
-    result = run("bearing_formation", "--fast", "--seed", 1)
+def test_the_result_of_a_run_has_its_keys(here):
+    result = here("crazychoir", "run", "bearing_formation", "--fast", "--seed", 1, "--json").json
     assert set(result) >= KEYS | {"formation_error_m", "settling_s"}
     assert set(result["messages"]) >= {"sent", "lost", "resent"}
     settled(result)
 
 
-@pytest.mark.parametrize("seed", range(20))
+def few(seeds, most):
+    """The first `most` of these seeds; the rest is a campaign."""
+    return [seed if k < most else pytest.param(seed, marks=pytest.mark.slow) for k, seed in enumerate(seeds)]
+
+
+@pytest.mark.parametrize("seed", few(range(20), 6))
 def test_four_take_their_places_within_16_s(seed):
     settled(formed(seed))
 
 
 @pytest.mark.parametrize("loss", [0.2, 0.3])
-@pytest.mark.parametrize("seed", range(1, 7))
+@pytest.mark.parametrize("seed", few(range(1, 7), 3))
 def test_four_take_their_places_though_messages_are_lost(seed, loss):
     result = formed(seed, loss)
     assert result["success"], result["reasons"]
@@ -72,15 +77,9 @@ def test_the_settling_time_is_the_last_time_that_anybody_is_far():
     assert score.formation()["settling_s"] is None
 
 
-def scattered(seed):
-    """The formation with a quick take-off and landing; the law has 18 s."""
-    mission = load("bearing_formation")
-    return mission.scatter(mission.swarm(None).replace(seed=seed, flight=BRISK, mission_options={"duration": 18.0}))
-
-
 @pytest.mark.real_time
-def test_the_formation_in_real_time(tmp_path, compiled):
-    settled(fly(scattered(1), tmp_path))
+def test_the_formation_in_real_time(formation):
+    settled(formation[0])
 
 
 @pytest.mark.slow
@@ -90,17 +89,17 @@ def test_the_formation_in_real_time_over_all_seeds(seed, tmp_path, compiled):
     settled(fly(scattered(seed), tmp_path))
 
 
-def test_a_grid_without_diagonals_is_refused_with_the_reason(repository):
-    said = call("crazychoir", "run", repository / "tests/data/grid30_without_diagonals.toml", "--fast", "--json")
+def test_a_grid_without_diagonals_is_refused_with_the_reason(here, repository):
+    said = here("crazychoir", "run", repository / "tests/data/grid30_without_diagonals.toml", "--fast", "--json")
     said.refuses("not bearing-rigid", "drones [2, 8, 14, 20, 26]", "Add a diagonal")
     assert said.json["success"] is False
 
 
 @pytest.mark.timeout(180)
-def test_a_grid_whose_leaders_are_neighbours_starts_only_when_forced(repository):
+def test_a_grid_whose_leaders_are_neighbours_starts_only_when_forced(here, repository):
     path = repository / "tests/data/grid30_adjacent_leaders.toml"
-    call("crazychoir", "run", path, "--fast", "--json").refuses("0.0018", "952 s", "force")
-    forced = call("crazychoir", "run", path, "--fast", "--json", "--force", seconds=150.0)
+    here("crazychoir", "run", path, "--fast", "--json").refuses("0.0018", "952 s", "force")
+    forced = here("crazychoir", "run", path, "--fast", "--json", "--force")
     assert (forced.code, forced.json["success"]) == (1, False), forced.err
     assert len(forced.json["reasons"]) == 28, "all but the leaders are out of their places"
     assert "0.0018" in forced.err

@@ -22,7 +22,7 @@ def whole(seed, kills=2, loss=0.2, **options):
     return fly_online(config, killed_at(config, kills))
 
 
-@pytest.mark.parametrize("seed", [1000, 1001])
+@pytest.mark.parametrize("seed", [1000, pytest.param(1001, marks=pytest.mark.slow)])
 def test_all_that_the_living_can_serve_is_served_though_two_are_killed(seed):
     outcome = whole(seed)
     assert outcome.reasons == []

@@ -2,21 +2,18 @@
 
 import importlib
 import inspect
-import json
 import re
 import shlex
-import subprocess
-import sys
 
 import numpy as np
 import pytest
-from system.commands import call
 
 from crazychoir.guidance.base import CFDistributedFeedback, CFGuidance
 from crazychoir.guidance.hooks import HOOKS
 
 pytestmark = pytest.mark.system
 MARK = r"<!-- my_law\.py -->\n```python\n(.*?)```"
+FLY = "crazychoir run my_law.py --fast"
 
 
 @pytest.fixture
@@ -28,19 +25,26 @@ def mission_file(repository, tmp_path):
     return path
 
 
-def flown(path, *options, code=0):
-    command = [sys.executable, "-m", "crazychoir.cli.crazychoir", "run", path.name, "--fast", "--json", *options]
-    run = subprocess.run(command, cwd=path.parent, capture_output=True, text=True, check=False, timeout=100)
-    assert run.returncode == code, run.stderr
-    return json.loads(run.stdout)
+@pytest.fixture
+def said(here, monkeypatch):
+    """What a command says now, called in a folder."""
+
+    def say(folder, command, code=0):
+        monkeypatch.chdir(folder)
+        done = here(*shlex.split(command), "--json")
+        assert done.code == code, done.err
+        return done.json
+
+    return say
 
 
 def test_it_fits_into_25_lines(mission_file):
     assert len(mission_file.read_text().splitlines()) <= 25
 
 
-def test_it_flies_by_the_command_of_the_readme(mission_file):
-    result = flown(mission_file)
+def test_it_flies_by_the_command_of_the_readme(repository, said, mission_file):
+    assert f"\n{FLY}\n" in (repository / "README.md").read_text()
+    result = said(mission_file.parent, FLY)
     assert result["success"]
     assert result["drones"] == 4
     assert [own["place"][2] for own in result["results"].values()] == pytest.approx([0.9] * 4, abs=0.01)
@@ -48,10 +52,10 @@ def test_it_flies_by_the_command_of_the_readme(mission_file):
     assert result["spread_m"] < 0.01
 
 
-def test_its_success_says_that_they_met(mission_file):
+def test_its_success_says_that_they_met(said, mission_file):
     """Too short a law is no success: half way they are not yet at one height."""
     mission_file.write_text(mission_file.read_text().replace("duration = 10.0", "duration = 1.0"))
-    result = flown(mission_file, code=1)
+    result = said(mission_file.parent, FLY, code=1)
     assert not result["success"]
     assert result["spread_m"] > 0.1
     assert all(own["success"] for own in result["results"].values())
@@ -75,8 +79,8 @@ def test_its_tables_name_what_there_is(repository):
         assert hasattr(CFDistributedFeedback, re.sub(r"^(async )?def ", "", text).split("(")[0].split(" ")[0]), text
 
 
-def test_more_drones_by_one_option(mission_file):
-    assert flown(mission_file, "--drones", "6")["drones"] == 6
+def test_more_drones_by_one_option(said, mission_file):
+    assert said(mission_file.parent, f"{FLY} --drones 6")["drones"] == 6
 
 
 def shown(repository, command):
@@ -85,15 +89,6 @@ def shown(repository, command):
     block = re.search(rf"\n\$ {re.escape(command)}\n(.*?)\n```", text, re.DOTALL)
     assert block is not None, f"README.md shows no {command}"
     return dict(line.split(None, 1) for line in block[1].splitlines() if not line.endswith(": success"))
-
-
-def said(repository, monkeypatch, command):
-    """What the command says now."""
-    monkeypatch.chdir(repository)
-    program, *words = shlex.split(command)
-    done = call(program, *words, "--json", seconds=90.0)
-    assert done.code == 0, done.err
-    return done.json
 
 
 def number(text):
@@ -106,10 +101,10 @@ def counted(text):
     return {name: number(value) for name, value in (part.split(":") for part in text.split(", "))}
 
 
-def test_the_tour_shows_the_formation_that_flies(repository, monkeypatch):
+def test_the_tour_shows_the_formation_that_flies(repository, said):
     """Roughly, and not its digest: another processor rounds otherwise."""
     command = "crazychoir run bearing_formation --fast --seed 1"
-    rows, result = shown(repository, command), said(repository, monkeypatch, command)
+    rows, result = shown(repository, command), said(repository, command)
     assert number(rows["drones"]) == result["drones"]
     assert number(rows["simulated_s"]) == pytest.approx(result["simulated_s"], abs=0.5)
     assert number(rows["settling_s"]) == pytest.approx(result["settling_s"], abs=0.5)
@@ -119,9 +114,9 @@ def test_the_tour_shows_the_formation_that_flies(repository, monkeypatch):
     assert re.fullmatch("[0-9a-f]{32}", rows["digest"])
 
 
-def test_the_tour_shows_the_plan_that_is_solved(repository, monkeypatch):
+def test_the_tour_shows_the_plan_that_is_solved(repository, said):
     command = "crazychoir solve agents/data/lab6.json --loss 0.5"
-    rows, result = shown(repository, command), said(repository, monkeypatch, command)
+    rows, result = shown(repository, command), said(repository, command)
     assert number(rows["cost"]) == pytest.approx(result["cost"], abs=1e-4)
     assert number(rows["lower_bound"]) == pytest.approx(result["lower_bound"], abs=1e-4)
     assert rows["bound_exact"] == str(result["bound_exact"])
@@ -138,13 +133,11 @@ def algorithm_file(repository, tmp_path):
     return path
 
 
-def test_a_new_algorithm_fits_into_20_lines_and_runs_by_the_command_of_the_readme(
-    repository, algorithm_file, monkeypatch
-):
+def test_a_new_algorithm_fits_into_20_lines_and_runs_by_the_command_of_the_readme(repository, algorithm_file, said):
     assert len(algorithm_file.read_text().splitlines()) <= 20
     command = "crazychoir simulate extra.py --agents 10 --loss 0.3 --picture out/extra.png"
     rows = shown(repository, command)
-    result = said(algorithm_file.parent, monkeypatch, command)
+    result = said(algorithm_file.parent, command)
     assert number(rows["rounds"]) == result["rounds"] == 300
     assert float(rows["disagreement"].removeprefix("x: ")) == pytest.approx(result["disagreement"]["x"], rel=0.05)
     assert number(rows["messages"]) == pytest.approx(result["messages"], rel=0.05)
@@ -156,20 +149,20 @@ def test_a_new_algorithm_fits_into_20_lines_and_runs_by_the_command_of_the_readm
     assert (algorithm_file.parent / "out/extra.png").read_bytes()[:4] == b"\x89PNG"
 
 
-def test_a_new_algorithm_gives_the_same_without_loss(algorithm_file, monkeypatch):
+def test_a_new_algorithm_gives_the_same_without_loss(algorithm_file, said):
     calm, lossy = (
-        said(algorithm_file.parent, monkeypatch, f"crazychoir simulate extra.py --loss {loss}") for loss in (0, 0.3)
+        said(algorithm_file.parent, f"crazychoir simulate extra.py --loss {loss}") for loss in (0, 0.3)
     )
     assert calm["agents"] == lossy["agents"]
     assert calm["lost"] == 0 < lossy["lost"]
 
 
-def test_a_problem_in_cvxpy_ends_where_the_readme_says(repository, tmp_path, monkeypatch):
+def test_a_problem_in_cvxpy_ends_where_the_readme_says(repository, tmp_path, said):
     text = (repository / "README.md").read_text()
     shown_file = re.search(r"<!-- meet\.py -->\n```python\n(.*?)```", text, re.DOTALL)
     (tmp_path / "meet.py").write_text(shown_file[1])
     command, place = re.search(r"`(crazychoir simulate meet\.py .*?)` ends .*?`([-\d., ]+)`", text, re.DOTALL).groups()
-    result = said(tmp_path, monkeypatch, command)
+    result = said(tmp_path, command)
     expected = np.tile([float(number) for number in place.split(", ")], (10, 1))
     assert [own["x"] for own in result["agents"].values()] == pytest.approx(expected, abs=1e-6)
 
@@ -184,11 +177,10 @@ def test_what_is_there_already_is_where_the_readme_says(repository):
             assert hasattr(module, name), f"{name} in {path}"
 
 
-def test_the_demo_shows_the_plan_that_is_flown(repository):
+def test_the_demo_shows_the_plan_that_is_flown(repository, said):
     """The plan is that of virtual time; the rest of the block is of real time and only has to fit."""
     rows = shown(repository, "make demo")
-    words = ("run", "pickup_delivery", "--fast", "--loss", 0.2, "--seed", 1, "--json")
-    demo = call("crazychoir", *words, seconds=90.0).json
+    demo = said(repository, "crazychoir run pickup_delivery --fast --loss 0.2 --seed 1")
     assert number(rows["cost"]) == pytest.approx(demo["cost"], abs=1e-4)
     assert rows["plan_digest"] == demo["plan_digest"][:16]
     messages = counted(rows["messages"])

@@ -5,7 +5,6 @@ import subprocess
 import sys
 
 import pytest
-from system.commands import call
 
 from crazychoir.routing.instance import Instance
 from crazychoir.solving import solve_here
@@ -17,13 +16,6 @@ KEYS = {
 }  # fmt: skip
 SHARED = ["N3_M3_s1", "N5_M5_s1", "N5_M8_s1_R25", "lab6_M10_s1", "N10_M15_s1_R25"]
 OWN = ["flat", "limited", "room"]
-
-
-def solved(path, *words):
-    """The object that it prints, and the proven optimum."""
-    said = call("crazychoir", "solve", path, *words, "--json")
-    assert said.code == 0, said.err
-    return said.json, json.loads(path.read_text())["optimum"]
 
 
 def near(result, optimum):
@@ -49,10 +41,11 @@ def test_the_optimum_also_when_messages_are_lost(reference_data, name):
 
 
 @pytest.mark.parametrize("name", OWN)
-def test_own_instances(repository, name):
+def test_own_instances(here, repository, name):
     path = repository / "tests" / "data" / f"pickup_delivery_{name}.json"
-    result, optimum = solved(path, "--loss", 0.3, "--seed", 7)
-    near(result, optimum)
+    said = here("crazychoir", "solve", path, "--loss", 0.3, "--seed", 7, "--json")
+    assert said.code == 0, said.err
+    near(said.json, json.loads(path.read_text())["optimum"])
 
 
 WARM = """

@@ -68,21 +68,16 @@ def test_who_waits_is_told_that_it_compiles_once_though_standard_error_is_no_ter
     assert said == [f"{cache.COMPILES}\n".encode(), b""]
 
 
-def test_a_constant_of_another_file_that_has_changed_compiles_what_names_it_anew(folder):
+def test_comments_docstrings_and_times_compile_nothing_and_a_constant_of_another_file_what_names_it(folder):
     assert run(folder)[:2] == (7.0, 2)
+    law = LAW.replace("(x):\n", '(x):\n    """Thrice, and one."""\n')
+    (folder / "law.py").write_text("# Said anew.\n\n" + law)
+    os.utime(folder / "pieces.py", (0, 0))
     assert run(folder)[:2] == (7.0, 0)
     (folder / "pieces.py").write_text(PIECES.replace("3.0", "5.0"))
     assert run(folder)[:2] == (11.0, 2)
     kept = [path.name for path in (folder / "__pycache__").glob("*.nb[ic]")]
     assert len(kept) == 4, "what nobody reads any more is removed"
-
-
-def test_comments_docstrings_and_times_compile_nothing(folder):
-    run(folder)
-    law = LAW.replace("(x):\n", '(x):\n    """Thrice, and one."""\n')
-    (folder / "law.py").write_text("# Said anew.\n\n" + law)
-    os.utime(folder / "pieces.py", (0, 0))
-    assert run(folder)[:2] == (7.0, 0)
 
 
 def test_what_is_compiled_is_kept_where_numba_is_told_to(folder, tmp_path_factory):

@@ -47,7 +47,13 @@ def links(robots, seed):
     return graph, graph.diameter()
 
 
-@pytest.mark.parametrize("seeds", [range(k, k + 20) for k in range(0, 200, 20)], ids=lambda seeds: f"{seeds[0]}-")
+SEEDS = [range(k, k + 20) for k in range(0, 200, 20)]
+
+
+@pytest.mark.parametrize(
+    "seeds", [*SEEDS[:3], *(pytest.param(seeds, marks=pytest.mark.slow) for seeds in SEEDS[3:])],
+    ids=lambda seeds: f"{seeds[0]}-",
+)
 def test_the_assignment_is_the_central_one(seeds):
     infeasible = 0
     for seed in seeds:

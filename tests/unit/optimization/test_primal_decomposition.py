@@ -155,7 +155,7 @@ def test_on_the_reference_problem_the_gap_is_smaller_in_fewer_rounds_in_all(refe
     assert results[0].lower_bound <= data["opt_centralized"] + 1e-9
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(3))  # one a tightness
 def test_random_problems_are_feasible_and_near_the_central_optimum(seed):
     blocks = random_blocks(6, seed, tightness=(0.3, 0.6, 0.9)[seed % 3])
     graph = ring(6) if seed % 2 else erdos_renyi_connected(6, 0.5, seed)
