@@ -33,8 +33,11 @@ class Commitments:
         return found
 
     def next(self) -> Stop | None:
-        """The next stop; one whose goods are not there to be picked up is left out."""
-        while self.route:
+        """The next stop; one whose goods are not there to be picked up is left out.
+
+        Who has said that it flies no more serves nothing more: others may be under way to what it has aboard.
+        """
+        while self.route and not self.news.record.out:
             stop = self.route[0]
             if stop.kind == "delivery" or self.news.standings()[stop.task].fate is Fate.OPEN:
                 return stop

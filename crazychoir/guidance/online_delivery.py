@@ -418,7 +418,10 @@ class OnlinePDVRPGuidance(CFGuidance):
         return False
 
     async def _known(self, number: int, stop: Stop) -> bool:
-        """Wait until more than half of the team have heard of a stop; False for a pickup that is taken back."""
+        """Wait until more than half of the team have heard of a stop; False for one that does not count.
+
+        Cut off, it takes a pickup back; and where others may fetch what it carries, they decide about a delivery.
+        """
         since = self._now
         while True:
             if self.news.known(number):
@@ -426,7 +429,7 @@ class OnlinePDVRPGuidance(CFGuidance):
             if not self.news.quorate:
                 if stop.kind == "pickup":
                     self.commitments.take_back(stop.task)
-                return stop.kind == "delivery"
+                return stop.kind == "delivery" and not self.options.recover
             await self.sleep(POLL)
             self._waited(since)
 

@@ -30,8 +30,7 @@ class TeamNews:
     """The news of the robot of this communicator.
 
     tasks: that it knows from the start;  here: says where it is, (2,) m;  recover: see TaskBook.standings;
-    changed: set when the team is another one;  quorate: whether its part of the team may decide;
-    dropped: messages that were no books.
+    changed: set when the team is another one;  dropped: messages that were no books.
     """
 
     def __init__(
@@ -42,7 +41,6 @@ class TeamNews:
         self.record = Record(self.id, communicator.port.incarnation, 1, here())
         self.book = TaskBook(tasks, [self.record])
         self.changed = asyncio.Event()
-        self.quorate = True
         self.dropped = 0
         self._team: tuple[int, ...] = ()
 
@@ -59,7 +57,7 @@ class TeamNews:
         while True:
             try:
                 neighbors = self.links().neighbors(self.id)
-                self._merge(await self.communicator.asynchronous_receive(neighbors, channel=BOOK))
+                self.hear(await self.communicator.asynchronous_receive(neighbors, channel=BOOK))
                 await self._tell()
             except RosterChanged:
                 self.changed.set()
@@ -68,16 +66,19 @@ class TeamNews:
             await self._pause()
 
     async def _tell(self) -> None:
-        """The book to the neighbours; the tasks only if one of them has others."""
+        letter = self.letter()
+        await self.communicator.send(letter, self.links().neighbors(self.id), channel=BOOK)
+
+    def letter(self) -> bytes:
+        """The book for the neighbours; the tasks only if one of them has others."""
         others = [record for _, record in sorted(self.book.records.items()) if record.robot != self.id]
         seen, knows = tuple((r.robot, r.incarnation, r.number) for r in others), self.book.checksum
         self.say(place=self.here(), seen=seen, knows=knows)
-        neighbors = self.links().neighbors(self.id)
-        records = [self.book.newest(j) for j in neighbors]
-        lacking = any(record is None or record.knows != knows for record in records)
-        await self.communicator.send(self.book.wire(tasks=lacking), neighbors, channel=BOOK)
+        records = [self.book.newest(j) for j in self.links().neighbors(self.id)]
+        return self.book.wire(tasks=any(record is None or record.knows != knows for record in records))
 
-    def _merge(self, heard: dict[int, Any]) -> None:
+    def hear(self, heard: dict[int, Any]) -> None:
+        """Merge the letters of neighbours, by robot."""
         before = self.key()
         for i, wire in heard.items():
             try:
@@ -127,9 +128,12 @@ class TeamNews:
         return self.book.standings(self.members, self.recover)
 
     def known(self, number: int) -> bool:
-        """Whether more than half of the team, without those who are out, know that edition of the record."""
+        """Whether more than half of the team, without those who are out, know that edition of the record.
+
+        Never in a part that is cut off: each of its robots alone is more than half of that.
+        """
         witnesses = self.book.witnesses(self.id, self.record.incarnation, number, self.members)
-        return witnesses >= (len(self.members) - len(self.book.out(self.members))) // 2
+        return self.quorate and witnesses >= (len(self.members) - len(self.book.out(self.members))) // 2
 
     @property
     def ended(self) -> bool:
@@ -146,17 +150,22 @@ class TeamNews:
         """Who talks to whom, mended where those who are gone have left it in parts."""
         return mended(self.communicator.graph.at(0), without)
 
-    def count(self) -> bool:
-        """Count who of the last team that could decide is left: this part decides if it is more than half of that.
+    @property
+    def quorate(self) -> bool:
+        """Whether this part of the team may decide: if it is more than half of the last team that could.
 
         Of two halves it is the one with the lowest id.
         """
         team = self._team or self.members
         stayed = [i for i in team if i in self.members]
-        self.quorate = 2 * len(stayed) > len(team) or (2 * len(stayed) == len(team) and team[0] in stayed)
+        return 2 * len(stayed) > len(team) or (2 * len(stayed) == len(team) and team[0] in stayed)
+
+    def count(self) -> bool:
+        """Whether the present team may decide; if so, it is the one of which the next must be more than half."""
         if self.quorate:
             self._team = self.members
-        return self.quorate
+            return True
+        return False
 
 
 @lru_cache(maxsize=64)

@@ -17,6 +17,7 @@ from crazychoir.guidance.task_book import Deed, Record, Task, TaskBook
 from crazychoir.guidance.task_source import Event
 from crazychoir.routing.plan import Stop
 from crazychoir.swarm.communicator import Communicator
+from crazychoir.swarm.graph import named
 
 MISSION = load("online_delivery")
 CONFIG = MISSION.swarm(5)
@@ -33,6 +34,11 @@ def robot(clock, i=0):
         if j != i:
             guidance.news.book.hear(Record(j, 1, 1, (0.0, 0.0)))
     return guidance
+
+
+def cut_off(guidance):
+    guidance.news.count()
+    guidance.member.communicator.graph = named("complete", (guidance.id,))
 
 
 def stops(*pairs):
@@ -68,7 +74,8 @@ async def test_while_others_may_have_a_new_plan_it_is_bound_to_no_new_pickup(clo
     assert guidance._head()[0] == ROUTE[:1]
     guidance.commitments.route = stops((0, DROP), (1, PICK))
     assert guidance._head()[0] == stops((0, DROP)), "what is aboard is nobody else's"
-    commitments.planning, guidance.news.quorate, commitments.bound = False, False, {}
+    commitments.planning, commitments.bound = False, {}
+    cut_off(guidance)
     assert guidance._head()[0] == stops((0, DROP))
 
 
@@ -86,7 +93,7 @@ async def test_a_pickup_waits_while_it_may_be_given_to_somebody_else(clock):
     assert guidance.longest_wait == pytest.approx(1.0, abs=0.1)
     commitments.planning, commitments.bound = True, {1: None}
     assert await guidance._permitted(Stop(1, PICK))
-    guidance.news.quorate = False
+    cut_off(guidance)
     waits = asyncio.ensure_future(guidance._permitted(Stop(1, PICK)))
     await clock.sleep(1.0)
     guidance.commitments.route = stops((2, PICK), (2, DROP))
@@ -133,7 +140,7 @@ def test_who_is_cut_off_at_a_stop_leaves_the_goods_there(kind):
         guidance.commitments.route = stops((1, kind), *([(1, DROP)] if kind == PICK else []), (2, DROP))
         serves = asyncio.ensure_future(guidance._serve(Stop(1, kind)))
         await clock.sleep(2.0)
-        guidance.news.quorate = False
+        cut_off(guidance)
         await serves
         assert guidance.commitments.aboard() == {}
         assert guidance.commitments.route == stops((2, DROP)), "what stays there is not delivered either"
