@@ -79,7 +79,7 @@ def test_what_is_not_a_number_is_told_to_all():
 
     parts = problems(costs(3, 2, 0))
     team = agents(parts) | {1: Broken(parts[1], 0.4)}
-    with pytest.raises((SolverError, AgentFailed), match=r"agent [02]: local problem: .* is nan"):
+    with pytest.raises(AgentFailed, match=r"agent 1 has failed, .*: round 0: nan in message\(\)\[0\]"):
         simulate(team, path(3))
 
 
