@@ -1,12 +1,14 @@
 """What `bench optimization` makes of its rows; and that both programs run the same algorithm."""
 
+import io
 import queue
 import threading
 
 import numpy as np
 import pytest
+from rich.console import Console
 
-from crazychoir.cli import peers_mpi4py_rounds, peers_optimization
+from crazychoir.cli import bench_optimization, peers_mpi4py_rounds, peers_optimization
 from crazychoir.cli.bench_optimization import PATTERN, ratios
 from crazychoir.simulate import simulate
 from crazychoir.swarm.graph import ring
@@ -26,6 +28,19 @@ def test_ratios_take_the_better_of_ours():
         {"agents": 10, "algorithm": "consensus", "ratio": 10.0, "promised": 10.0},
         {"agents": 20, "algorithm": "dual decomposition", "ratio": None, "promised": 3.0},
     ]
+
+
+def test_the_table_fits_into_80_columns_a_line_a_row():
+    rows = [row(name, "dual decomposition", 20, 12345.6) | {"processes": 20, "cpu_us_per_message": 1234.5}
+            for name in ("crazychoir", PATTERN)]  # fmt: skip
+    console = Console(width=80, file=io.StringIO())
+    console.print(bench_optimization.table({"rows": rows, "ratios": ratios(rows)}))
+    lines = console.file.getvalue().splitlines()
+    assert [line.split() for line in lines[3:5]] == [
+        ["dual", "decomposition", "20", "crazychoir", "20", "12,345.6", "1,234.5"],
+        ["dual", "decomposition", "20", "DISROPT's", "pattern", "20", "12,345.6", "1,234.5"],
+    ]
+    assert lines[-1].rstrip() == "dual decomposition, 20 agents: 1 times DISROPT's pattern"
 
 
 @pytest.mark.parametrize("name", ["consensus", "dual decomposition"])
