@@ -9,6 +9,7 @@ import os
 from collections.abc import Callable
 from typing import Any
 
+from rich import box
 from rich.table import Table
 from rich.text import Text
 
@@ -63,7 +64,8 @@ def ratios(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 def table(result: dict[str, Any]) -> Table:
     """The rows, for people."""
-    made = Table(title="Distributed algorithms on a ring: medians of one run")
+    title = "Distributed algorithms on a ring: medians of one run"
+    made = Table(title=title, box=box.SIMPLE_HEAD, padding=0, show_edge=False)
     for name in ("algorithm", "agents", "program", "processes", "rounds/s", "CPU us/message"):
         made.add_column(name, justify="left" if name in ("algorithm", "program") else "right")
     for row in result["rows"]:
@@ -74,5 +76,5 @@ def table(result: dict[str, Any]) -> Table:
     for ratio in result["ratios"]:
         times = "-" if ratio["ratio"] is None else f"{ratio['ratio']:g}"
         notes[f"{ratio['algorithm']}, {ratio['agents']} agents: {times} times {PATTERN}"] = None
-    made.caption = Text("\n".join(notes))
+    made.caption, made.caption_justify = Text("\n".join(notes)), "left"
     return made

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from rich.table import Table
+from rich.text import Text
 
 from crazychoir.cli import bench_ablation, bench_pictures, bench_routing
 
@@ -58,10 +58,8 @@ def flat(row: dict[str, Any]) -> dict[str, Any]:
     return plain
 
 
-def table(result: dict[str, Any]) -> Table:
+def table(result: dict[str, Any]) -> Text:
     """What was written."""
-    made = Table("file", title=f"{result['runs']} runs in virtual time; files in {result['folder']}")
-    for name in result["files"]:
-        made.add_row(name)
-    made.caption = "Loss changed no plan." if result["same_plans"] else "LOSS CHANGED A PLAN: see same_plan."
-    return made
+    end = "Loss changed no plan." if result["same_plans"] else "LOSS CHANGED A PLAN: see same_plan."
+    lines = [f"{result['runs']} runs in virtual time; files in {result['folder']}:", *result["files"], end]
+    return Text("\n".join(lines))

@@ -11,6 +11,7 @@ import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -94,12 +95,18 @@ def run(
     for size in chosen:
         named(_graph(graph, SIZES[size][0]), SIZES[size][0], 1)
     rows: list[dict[str, Any]] = []
-    for size, seed in ((size, seed) for size, count in chosen.items() for seed in range(1, count + 1)):
-        of_one = list(_rows(size, seed, graph, method, quick, say))
-        of_one += [_proof(size, seed, graph, method, say)] if prove and size in PROVABLE else []
+    cases = [(size, seed) for size, count in chosen.items() for seed in range(1, count + 1)]
+    for number, (size, seed) in enumerate(cases, 1):
+        tell = partial(_tell, say, f"instance {number} of {len(cases)}")
+        of_one = list(_rows(size, seed, graph, method, quick, tell))
+        of_one += [_proof(size, seed, graph, method, tell)] if prove and size in PROVABLE else []
         rows += rated(of_one)
     return {"rows": rows, "summary": summary(rows), "graph": graph, "method": method, "loss": LOSS,
             "processes": PROCESSES}  # fmt: skip
+
+
+def _tell(say: Callable[[str], None], where: str, what: str) -> None:
+    say(f"{where}: {what}")
 
 
 def instances(sizes: str) -> dict[str, int]:

@@ -106,6 +106,13 @@ def _progress_table(team: "Mapping[int, Any]") -> Table:
     table = Table("agent", "x")
     for i, agent in list(team.items())[:SHOWN_AGENTS]:
         table.add_row(str(i), _short(getattr(agent, "x", "")))
+    return _with_the_rest(table, len(team))
+
+
+def _with_the_rest(table: Table, agents: int) -> Table:
+    """How many are not shown."""
+    if agents > SHOWN_AGENTS:
+        table.caption = f"and {agents - SHOWN_AGENTS} more agents"
     return table
 
 
@@ -121,7 +128,7 @@ def _tables(history: "History", name: str) -> Group:
     last = Table("agent", *names, title="at the end")
     for i in list(history.values)[:SHOWN_AGENTS]:
         last.add_row(str(i), *(_short(history.values[i][key][-1]) for key in names))
-    return Group(figures, last)
+    return Group(figures, _with_the_rest(last, len(history.values)))
 
 
 def _short(x: Any) -> str:

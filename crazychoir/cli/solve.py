@@ -9,12 +9,15 @@ from rich.table import Table
 from rich.text import Text
 
 from crazychoir.cli.show import STDERR, Progress, fail, interrupted, require_drawable, set_up_logging, write_json
-from crazychoir.errors import CrazyChoirError
+from crazychoir.errors import ConfigError, CrazyChoirError
 
 if TYPE_CHECKING:
     from crazychoir.launch.team import Progress as TeamProgress
     from crazychoir.routing.instance import Instance
     from crazychoir.solving import Team
+
+SHOWN_ROBOTS = 20
+"""While they solve; the plan shows all."""
 
 
 def solve(
@@ -57,6 +60,8 @@ def solve(
 
     try:
         require_drawable(picture)
+        if loss >= 1.0:
+            raise ConfigError("--loss", loss, "less than 1: robots that hear nothing of each other agree on nothing")
         problem = Instance.load(instance)
         options: dict[str, Any] = {"method": method, "loss": loss, "graph": graph, "seed": seed,
                                    "settings": Settings(prove=prove)}  # fmt: skip
@@ -93,10 +98,12 @@ def _team_table(team: "Team") -> Table:
 
 
 def _progress_table(progress: "TeamProgress") -> Table:
-    """One row a robot: phase, round, cost."""
+    """One row a robot, of the first ones: phase, round, cost."""
     table = Table("robot", "phase", "round", "cost")
-    for i, (phase, k, cost) in progress.items():
+    for i, (phase, k, cost) in list(progress.items())[:SHOWN_ROBOTS]:
         table.add_row(str(i), phase, str(k), "" if cost is None else f"{cost:.3f}")
+    if len(progress) > SHOWN_ROBOTS:
+        table.add_row("...", f"and {len(progress) - SHOWN_ROBOTS} more")
     return table
 
 

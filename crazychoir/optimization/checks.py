@@ -78,11 +78,7 @@ def _first_nan(items: Iterable[tuple[Any, Any]], values: Iterable[Any]) -> str |
 
 
 def _nan_of(array: Any) -> str | None:
-    if array.dtype.kind not in "fc":
-        return None
-    flat = array.ravel()
-    square = flat.dot(flat)  # nan where one is, and quicker than to ask each; of complex numbers where one is infinite
-    if square == square or not np.isnan(flat).any():
+    if array.dtype.kind not in "fc" or not np.isnan(array).any():
         return None
     at = np.argwhere(np.isnan(array))[0].tolist()
     return str(at) if at else ""

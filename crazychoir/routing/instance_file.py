@@ -26,6 +26,7 @@ ANNOTATIONS = (
     "lp_set_cover_bound", "max_tasks_in_any_feasible_route", "enumerated_up_to",
 )  # fmt: skip
 """Keys that describe an instance without being part of it: accepted and ignored."""
+LIKE_THIS = "Mend the file; agents/data/lab6.json is an instance (swarm files alone are TOML)."
 FARTHEST, MOST = 1e5, 1e6
 """m of a coordinate; units of load: beyond them the rounding of a sum exceeds the slack of limits."""
 SLOWEST, LATEST = 1e-3, 1e7
@@ -47,7 +48,8 @@ def read(path: str | Path) -> dict[str, Any]:
     except (ValueError, RecursionError) as error:
         if isinstance(error, InstanceError):
             raise
-        raise InstanceError(str(path), f"no JSON ({error})", "one JSON object", "Mend the file.") from None
+        allowed = "one JSON object, or a file of Li and Lim"
+        raise InstanceError(str(path), f"no JSON ({error})", allowed, LIKE_THIS) from None
     if not isinstance(raw, dict):
         raise InstanceError(str(path), type(raw).__name__, "one JSON object {...}", "Put the keys into braces.")
     return raw
@@ -229,7 +231,9 @@ class Fields:
         self._number(f"{key}[0]", row[0], most=LATEST)
         if row[1] is None:
             return float(row[0]), math.inf
-        self._number(f"{key}[1]", row[1], least=row[0], most=LATEST)
+        self._number(f"{key}[1]", row[1], most=LATEST)
+        if row[1] < row[0]:
+            raise self._error(key, row, "[from, to] with to not before from", "Mend one of the two.")
         return float(row[0]), float(row[1])
 
     def part_of(self, key: str, capacity: Vec) -> Vec:
@@ -313,7 +317,7 @@ class Fields:
 
     def _number(self, where: str, value: object, least: float = 0.0, most: float = sys.float_info.max) -> None:
         if isinstance(value, bool) or not isinstance(value, int | float):
-            raise self._error(where, value, "a number", "Write a number.")
+            raise self._error(where, json.dumps(value, default=str), "a number", "Write a number, without quotes.")
         if not least <= value <= most:
             found = value if isinstance(value, float) or abs(value) <= sys.float_info.max else math.inf
             allowed = f"a number from {least:g}" + (f" to {most:g}" if most < sys.float_info.max else " on, finite")

@@ -7,6 +7,7 @@ from typing import Any
 from crazychoir.errors import InstanceError
 
 COLUMNS = 9
+MOST_VEHICLES = 1000
 
 
 @dataclass(frozen=True)
@@ -41,14 +42,14 @@ def parse_li_lim(text: str, where: str) -> dict[str, Any]:
     Raises InstanceError with the line. Source: Li & Lim 2001, ICTAI, pp. 160-167; format of SINTEF's benchmark pages.
     """
     lines = [(n, line.split()) for n, line in enumerate(text.splitlines(), 1) if line.strip()]
-    vehicles, capacity, speed = (float(word) for word in lines[0][1])
+    count, capacity, speed = _fleet([float(word) for word in lines[0][1]], f"{where}: line 1")
     rows = [_row(words, f"{where}: line {n}") for n, words in lines[1:]]
     by_number = {row.customer: row for row in rows}
     if 0 not in by_number or len(by_number) != len(rows):
         raise InstanceError(where, "no customer 0, or one twice", "the depot 0 and each other customer once")
     pairs = [_pair(row, by_number, where) for row in rows if row.customer and row.delivery]
+    _require_all_in(pairs, rows, where)
     depot = by_number[0]
-    count = int(vehicles)
     alone = sum(_length(depot, p) + _length(p, d) + _length(d, depot) for p, d in pairs)
     return {
         "home": [[depot.x, depot.y]] * count,
@@ -65,6 +66,29 @@ def parse_li_lim(text: str, where: str) -> dict[str, Any]:
         },
         "fixed_cost": 10.0 ** math.ceil(math.log10(max(alone, 1.0))),
     }
+
+
+def _fleet(numbers: list[float], where: str) -> tuple[int, float, float]:
+    """Vehicles, capacity, speed."""
+    vehicles, capacity, speed = numbers
+    if not (vehicles.is_integer() and 1 <= vehicles <= MOST_VEHICLES):
+        raise InstanceError(where, f"{vehicles:g} vehicles", f"a whole number from 1 to {MOST_VEHICLES}", "Mend it.")
+    if capacity < 0.0 or speed <= 0.0:
+        found = f"capacity {capacity:g}, speed {speed:g}"
+        raise InstanceError(where, found, "a capacity of 0 or more, a speed above 0", "Mend the line.")
+    return int(vehicles), capacity, speed
+
+
+def _require_all_in(pairs: list[tuple[_Row, _Row]], rows: list[_Row], where: str) -> None:
+    """Each customer is the pickup or the delivery of one pair."""
+    paired = {row.customer for pair in pairs for row in pair}
+    alone = [row.customer for row in rows if row.customer and row.customer not in paired]
+    if alone:
+        found = "a customer that is neither a pickup with a delivery, nor the delivery of one"
+        do = "Its last two columns are: 0 and its delivery, or its pickup and 0."
+        raise InstanceError(f"{where}: customer {alone[0]}", found, "pairs of both", do)
+    if not pairs:
+        raise InstanceError(where, "the depot alone", "at least one pickup and its delivery", "Add two lines.")
 
 
 def _row(words: list[str], where: str) -> _Row:

@@ -16,6 +16,9 @@ from crazychoir.types import Mat, Vec
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+CROWD, LARGER = 40, 1.7
+"""Tasks above which the paper is so many times larger, as names would lie upon each other."""
+
 
 def draw_routes(instance: Instance, plan: Plan, path: str | Path) -> None:
     """Write a PNG (or what the suffix of `path` says): the room from above, in m.
@@ -27,7 +30,8 @@ def draw_routes(instance: Instance, plan: Plan, path: str | Path) -> None:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(8.6, 6.2), dpi=200, layout="constrained")
+    scale = LARGER if len(instance.tasks) > CROWD else 1.0
+    figure = Figure(figsize=(8.6 * scale, 6.2 * scale), dpi=200, layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.add_subplot()
     timed = times_matter(instance)

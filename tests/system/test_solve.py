@@ -104,6 +104,7 @@ def test_a_method_and_a_graph_that_do_not_exist_are_refused(here, repository):
     path = repository / "tests" / "data" / "pickup_delivery_flat.json"
     here("crazychoir", "solve", path, "--method", "magic").refuses("magic", "resource-columns")
     here("crazychoir", "solve", path, "--graph", "knot").refuses("knot")
+    here("crazychoir", "solve", path, "--loss", "1").refuses("--loss", "less than 1")
 
 
 @pytest.mark.parametrize(("name", "said"), [("a.txt", ".png, .pdf, .svg"), ("/proc/none/a.png", "can be made")])

@@ -20,7 +20,16 @@ from crazychoir.optimization.stopping import LogicAnd, Settled, Until
 from crazychoir.runtime.clock import run_virtual, run_wall
 from crazychoir.simulate import simulate
 from crazychoir.swarm.communicator import Communicator
-from crazychoir.swarm.graph import Graph, GraphSequence, complete, erdos_renyi_connected, path, ring, row_stochastic
+from crazychoir.swarm.graph import (
+    Graph,
+    GraphSequence,
+    complete,
+    erdos_renyi_connected,
+    metropolis,
+    path,
+    ring,
+    row_stochastic,
+)
 from crazychoir.swarm.running import Pace, run_algorithm
 from crazychoir.types import PerNeighbor
 
@@ -312,6 +321,11 @@ def test_an_infinity_may_be_meant():
     history = simulate(agents, ring(5), rounds=1, record=("most",))
     assert history.last("most") == {0: -np.inf, 1: -np.inf, 2: 3.0, 3: 3.0, 4: 3.0}
     assert history.disagreement("most") == np.inf
+
+
+def test_numbers_however_large_are_numbers():
+    huge = {i: Consensus(i, [1e300 * (i + 1), -1e308], row, 20) for i, row in metropolis(ring(5)).items()}
+    assert np.isfinite(simulate(huge, ring(5)).of()).all()
 
 
 def test_a_simulation_names_no_command_that_looks_at_flights():

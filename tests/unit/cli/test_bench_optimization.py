@@ -1,12 +1,14 @@
 """What `bench optimization` makes of its rows; and that both programs run the same algorithm."""
 
+import io
 import queue
 import threading
 
 import numpy as np
 import pytest
+from rich.console import Console
 
-from crazychoir.cli import peers_mpi4py_rounds, peers_optimization
+from crazychoir.cli import bench_optimization, peers_mpi4py_rounds, peers_optimization
 from crazychoir.cli.bench_optimization import PATTERN, ratios
 from crazychoir.simulate import simulate
 from crazychoir.swarm.graph import ring
@@ -28,6 +30,19 @@ def test_ratios_take_the_better_of_ours():
     ]
 
 
+def test_the_table_fits_into_80_columns_a_line_a_row():
+    rows = [row(name, "dual decomposition", 20, 12345.6) | {"processes": 20, "cpu_us_per_message": 1234.5}
+            for name in ("crazychoir", PATTERN)]  # fmt: skip
+    console = Console(width=80, file=io.StringIO())
+    console.print(bench_optimization.table({"rows": rows, "ratios": ratios(rows)}))
+    lines = console.file.getvalue().splitlines()
+    assert [line.split() for line in lines[3:5]] == [
+        ["dual", "decomposition", "20", "crazychoir", "20", "12,345.6", "1,234.5"],
+        ["dual", "decomposition", "20", "DISROPT's", "pattern", "20", "12,345.6", "1,234.5"],
+    ]
+    assert lines[-1].rstrip() == "dual decomposition, 20 agents: 1 times DISROPT's pattern"
+
+
 @pytest.mark.parametrize("name", ["consensus", "dual decomposition"])
 def test_both_programs_come_to_the_same_point(name):
     """The pattern's agents in threads, with mailboxes for MPI."""
@@ -37,9 +52,10 @@ def test_both_programs_come_to_the_same_point(name):
 
     def run(i):
         def exchange(data, each=False):
-            last[i] = data[NEIGHBORS[i][0]] if each else data
+            sent = data if each else dict.fromkeys(NEIGHBORS[i], data)
+            last[i] = sent[NEIGHBORS[i][0]]
             for j in NEIGHBORS[i]:
-                boxes[i, j].put(np.array(data[j] if each else data))
+                boxes[i, j].put(np.array(sent[j]))
             return {j: boxes[j, i].get(timeout=20.0) for j in NEIGHBORS[i]}
 
         step = make(i, NEIGHBORS, exchange)

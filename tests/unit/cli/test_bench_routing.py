@@ -150,9 +150,15 @@ def test_sizes_that_are_none_are_refused(sizes):
 
 @pytest.mark.parametrize("prove", [False, True])
 def test_a_run_is_of_all_instances_and_proves_all_that_it_can(monkeypatch, prove):
-    monkeypatch.setattr(bench_routing, "_rows", lambda size, seed, *more: [row(OURS, seed, 9.0, 9.0, size=size)])
+    def rows(size, seed, *more):
+        more[-1](f"{size} {seed}")
+        return [row(OURS, seed, 9.0, 9.0, size=size)]
+
+    said = []
+    monkeypatch.setattr(bench_routing, "_rows", rows)
     monkeypatch.setattr(bench_routing, "_proof", lambda size, seed, *more: row("proof", seed, 9.0, 9.0, size=size))
-    found = Counter((one["size"], one["name"]) for one in bench_routing.run(prove=prove)["rows"])
+    found = Counter((one["size"], one["name"]) for one in bench_routing.run(prove=prove, say=said.append)["rows"])
+    assert (said[0], said[-1]) == ("instance 1 of 30: small 1", "instance 30 of 30: large 5")
     ours = {("small", OURS): 20, ("middle", OURS): 5, ("large", OURS): 5}
     assert found == (ours | {("small", "proof"): 20, ("middle", "proof"): 5} if prove else ours)
 

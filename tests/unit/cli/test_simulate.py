@@ -51,6 +51,14 @@ def test_it_prints_one_json_object(simulated):
     assert result["lost"] == pytest.approx(0.3 * result["messages"], rel=0.3)
 
 
+def test_its_table_says_how_many_agents_it_does_not_show(simulated):
+    code, _, err = simulated(AVERAGING, "--agents", 23)
+    assert code == 0, err
+    assert "and 3 more agents" in err
+    assert "19 " in err
+    assert "more agents" not in simulated(AVERAGING, "--agents", 20)[2]
+
+
 @pytest.mark.parametrize(("text", "options"), [(AVERAGING, ()), (AWAKE, ("--rounds", 40, "--graph", "complete"))])
 def test_it_writes_histories_and_a_picture(simulated, tmp_path, text, options):
     code, _, err = simulated(text, *options, "--save", "out/h.npz", "--picture", "out/p.png", "--seed", 3)

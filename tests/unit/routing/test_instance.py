@@ -222,7 +222,9 @@ BAD = [
     ({"time_windows": {"stops": []}}, "time_windows.stops"),
     ({"time_windows": {"pickup": [[0, 1]]}}, "time_windows.pickup"),
     ({"time_windows": {"home": [[0, 1], 3]}}, "time_windows.home[1]"),
-    ({"time_windows": {"pickup": [None, [3, 2], None]}}, "time_windows.pickup[1][1]"),
+    ({"time_windows": {"pickup": [None, [3, 2], None]}}, "time_windows.pickup[1]"),
+    ({"time_windows": {"pickup": [None, [3, 2e7], None]}}, "time_windows.pickup[1][1]"),
+    ({"load": [1.0, "2.0", 3.0]}, "load[1]"),
     ({"time_windows": {"pickup": [None, [None, 2], None]}}, "time_windows.pickup[1][0]"),
     ({"time_windows": {"pickup": [None, None, [0, 1]]}}, "task 2"),
     ({"time_windows": {"delivery": [None, [0, 1.5], None]}}, "task 1"),
@@ -254,6 +256,20 @@ def test_what_is_wrong_is_named(change, key):
     assert caught.value.do
 
 
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"time_windows": {"pickup": [[9, 3], None, None]}}, "[9, 3]; allowed: [from, to] with to not before from"),
+        ({"load": ["1", 2.0, 3.0]}, 'load[0]: found "1"; allowed: a number. Write a number, without quotes.'),
+        ({"load": [None, 2.0, 3.0]}, "load[0]: found null; allowed: a number."),
+    ],
+)
+def test_what_was_found_is_shown_as_it_is_written(change, said):
+    with pytest.raises(InstanceError) as caught:
+        Instance.parse({**GOOD, **change}, "goods.json")
+    assert said in str(caught.value)
+
+
 @pytest.mark.parametrize("key", ["home", "pickup", "delivery", "load", "capacity"])
 def test_a_missing_key_is_named(key):
     raw = {k: v for k, v in GOOD.items() if k != key}
@@ -272,6 +288,13 @@ def test_a_file_that_is_no_instance(tmp_path, text):
     path = tmp_path / "bad.json"
     path.write_text(text)
     with pytest.raises(InstanceError, match=r"bad\.json"):
+        Instance.load(path)
+
+
+def test_a_swarm_file_is_no_instance(tmp_path):
+    path = tmp_path / "swarm.toml"
+    path.write_text("home = [[0, 0]]\n")
+    with pytest.raises(InstanceError, match=r"swarm\.toml: found no JSON .*lab6\.json is an instance .*TOML"):
         Instance.load(path)
 
 

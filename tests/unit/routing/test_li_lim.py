@@ -40,6 +40,12 @@ def test_it_is_read_back_from_json(path):
         ("3\t3\t1", "3\t3\tone", "line 5"),
         ("0\t5\t5", "0\t5", "line 2"),
         ("\n0\t5\t5", "\n7\t5\t5", "no customer 0"),
+        ("0\t4\n", "0\t0\n", "customer 1: found a customer that is neither a pickup with a delivery, nor"),
+        ("3\t10\t1", "2.5\t10\t1", "line 1: found 2.5 vehicles; allowed: a whole number from 1 to 1000"),
+        ("3\t10\t1", "-3\t10\t1", "line 1: found -3 vehicles"),
+        ("3\t10\t1", "99999999\t10\t1", r"line 1: found 1e\+08 vehicles"),
+        ("3\t10\t1", "3\t10\t0", "line 1: found capacity 10, speed 0"),
+        ("3\t10\t1", "3\t-1\t1", "line 1: found capacity -1, speed 1"),
     ],
 )
 def test_what_is_wrong_is_named(path, tmp_path, old, new, said):
@@ -47,6 +53,13 @@ def test_what_is_wrong_is_named(path, tmp_path, old, new, said):
     bad.write_text(path.read_text().replace(old, new))
     with pytest.raises(InstanceError, match=said):
         Instance.load(bad)
+
+
+def test_a_depot_alone_is_no_instance(path, tmp_path):
+    alone = tmp_path / "alone.txt"
+    alone.write_text("\n".join(path.read_text().splitlines()[:2]))
+    with pytest.raises(InstanceError, match=r"alone\.txt: found the depot alone; allowed: at least one pickup"):
+        Instance.load(alone)
 
 
 @pytest.mark.parametrize(("name", "vehicles", "length"), [("lc101", 10, 828.94), ("lr101", 19, 1650.80),
