@@ -47,6 +47,7 @@ class GuidanceActor(Actor):
         """The whole life; afterwards the drone stays for a while, for the others."""
         drone = self.drone
         life = self._life = asyncio.create_task(self._mission(), name=f"drone {drone.id} guidance")
+        telling: list[asyncio.Task[None]] = []
         try:
             ends: list[asyncio.Future[Any]] = [life, self._abort]
             await asyncio.wait(ends, return_when=asyncio.FIRST_COMPLETED)
@@ -54,7 +55,7 @@ class GuidanceActor(Actor):
                 await self._last_words(life)
             drone.result = self._outcome(life)
             if not drone.result["success"]:
-                await drone.communicator.fail(self._last_word(life))
+                telling.append(asyncio.create_task(drone.communicator.fail(self._last_word(life))))
         except asyncio.CancelledError:
             drone.result = failure("the mission was cancelled")
             drone.pilot.land("the mission was cancelled")
@@ -65,6 +66,7 @@ class GuidanceActor(Actor):
             await self._down()
             drone.result = self._judged(drone.result)
             drone.port.publish(RESULT, drone.result)
+        await asyncio.gather(*telling)  # it lands meanwhile
         await drone.port.bus.clock.sleep(FAREWELL, drone=drone.id)
         await self._until_cleared(STAYS)
 

@@ -329,7 +329,7 @@ def own(i):
     ("make", "name"),
     [
         (lambda i, a: SubgradientMethod(i, ONES, WEIGHTS[i], half, a), "step_size, round 0"),
-        (lambda i, a: BlockSubgradientMethod(i, ONES, WEIGHTS[i], [2], half, Diminishing(0.1, a)), "step_size, round 1"),
+        (lambda i, a: BlockSubgradientMethod(i, ONES, WEIGHTS[i], [2], half, Diminishing(0.1, a)), ".*, round 1"),
         (lambda i, a: DualSubgradient(resource(i), WEIGHTS[i], a), "step_size, round 0"),
         (lambda i, a: DualDecomposition(own(i), a), "step_size, round 0"),
         (lambda i, a: ADMM(own(i), GRAPH.neighbors(i), a), "penalty"),
