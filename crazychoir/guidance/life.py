@@ -7,13 +7,14 @@ from typing import Any
 
 from crazychoir.bus.codec import decode, encode
 from crazychoir.bus.topics import LOG, RESULT, STATUS
-from crazychoir.errors import CodecError, CrazyChoirError, Hung, Refused
+from crazychoir.errors import AgentFailed, CodecError, CrazyChoirError, Hung, Refused
 from crazychoir.guidance.base import Member, raisable, touch_down
 from crazychoir.guidance.drone import Drone
 from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.watchdog import Watchdog
 from crazychoir.safety.pilot import Mode
 from crazychoir.swarm.config import SwarmConfig
+from crazychoir.types import Failure
 
 log = logging.getLogger(__name__)
 LANDING_DEADLINE = 30.0
@@ -46,12 +47,15 @@ class GuidanceActor(Actor):
         """The whole life; afterwards the drone stays for a while, for the others."""
         drone = self.drone
         life = self._life = asyncio.create_task(self._mission(), name=f"drone {drone.id} guidance")
+        telling: list[asyncio.Task[None]] = []
         try:
             ends: list[asyncio.Future[Any]] = [life, self._abort]
             await asyncio.wait(ends, return_when=asyncio.FIRST_COMPLETED)
             if not life.done():
                 await self._last_words(life)
             drone.result = self._outcome(life)
+            if not drone.result["success"]:
+                telling.append(asyncio.create_task(drone.communicator.fail(self._last_word(life))))
         except asyncio.CancelledError:
             drone.result = failure("the mission was cancelled")
             drone.pilot.land("the mission was cancelled")
@@ -62,6 +66,7 @@ class GuidanceActor(Actor):
             await self._down()
             drone.result = self._judged(drone.result)
             drone.port.publish(RESULT, drone.result)
+        await asyncio.gather(*telling)  # it lands meanwhile
         await drone.port.bus.clock.sleep(FAREWELL, drone=drone.id)
         await self._until_cleared(STAYS)
 
@@ -150,6 +155,13 @@ class GuidanceActor(Actor):
             pilot.land(str(error))
             return failure(str(error))
         return failure(self._broken(error))
+
+    def _last_word(self, life: asyncio.Task[Result]) -> Failure:
+        """What the others hear who wait for this drone: who has failed first, and why."""
+        error = life.exception() if life.done() and not life.cancelled() else None
+        if isinstance(error, AgentFailed):
+            return Failure(error.agent, error.reason)
+        return Failure(self.drone.id, str(self.drone.result.get("reason", "no success")))
 
     def _broken(self, error: BaseException) -> str:
         """The mission's own code has failed: the pilot hovers, then lands; the observers hear why."""

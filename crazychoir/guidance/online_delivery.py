@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from crazychoir.errors import CrazyChoirError, PeerLost, RosterChanged
+from crazychoir.errors import AgentFailed, CrazyChoirError, PeerLost, RosterChanged
 from crazychoir.guidance.airspace import way_round
 from crazychoir.guidance.base import CFGuidance, Interrupted, Member
 from crazychoir.guidance.commitments import Commitments
@@ -220,7 +220,7 @@ class OnlinePDVRPGuidance(CFGuidance):
     ) -> dict[int, Any] | None:
         """One round with the neighbours; None if the team has changed meanwhile.
 
-        A neighbour that is lost is waited for until the team goes on without it.
+        A neighbour that is lost, or has failed, is waited for until the team goes on without it.
         """
         ends = self._now + DEADLINE
         while True:
@@ -234,7 +234,7 @@ class OnlinePDVRPGuidance(CFGuidance):
                 if self.news.key() != key:
                     return None
                 self.news.changed.clear()
-            except PeerLost:
+            except (PeerLost, AgentFailed):
                 if self._now > ends:
                     raise
                 await self.sleep(POLL)

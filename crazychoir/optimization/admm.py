@@ -22,13 +22,14 @@ class ADMM(Iteration):
     so that no multiplier travels. An iteration is two rounds.
     A static undirected graph. No step size: it converges for each penalty rho > 0 and convex f_i; a large rho moves the
     x_i together first, a small one each to its own minimum first.
-    neighbors: N_i;  x, z: (n,), of the last iteration, 0 before the first.
+    penalty: rho, the same at all agents;  neighbors: N_i;  x, z: (n,), of the last iteration, 0 before the first.
     Raises SolverError if the local problem is infeasible; ConfigError if others than N_i are heard.
     Source: Boyd, Parikh, Chu, Peleato & Eckstein 2011, Foundations and Trends in Machine Learning 3(1), section 7.2.
     """
 
     connected = True
     undirected = True
+    same = ("penalty",)
 
     def __init__(
         self, problem: CostCoupled, neighbors: Iterable[int], penalty: float, iterations: int | None = None

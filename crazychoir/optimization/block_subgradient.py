@@ -18,13 +18,14 @@ class BlockSubgradientMethod(BlockConsensus):
 
     Blocks, what travels and x_j|i as in BlockConsensus; the weights are doubly stochastic.
     gradient: g_i of the whole x, a sub-gradient of f_i or a stochastic one, see `Samples`;  project: P_X of a set that
-    is a product of sets of the blocks, such as a box;  step: a_k, Diminishing(a, p) with 1/2 < p <= 1 converges to an
-    optimum (in expectation), a constant one to a neighbourhood of it.
+    is a product of sets of the blocks, such as a box;  step: a_k, the same at all agents; Diminishing(a, p) with
+    1/2 < p <= 1 converges to an optimum (in expectation), a constant one to a neighbourhood of it.
     Source: Farina & Notarstefano 2020, "Randomized block proximal methods for distributed stochastic big-data
     optimization", IEEE Trans. Autom. Control.
     """
 
     doubly_stochastic = True
+    same = ("step_size",)
 
     def __init__(
         self, i: int, x: ArrayLike, weights: Rows, blocks: Sequence[int], gradient: Gradient, step: float | StepSize,

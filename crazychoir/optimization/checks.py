@@ -11,12 +11,16 @@ from crazychoir.swarm.graph import Graph, GraphSequence, span
 NUMBERLESS = frozenset({type(None), bool, int, str, bytes})
 """What holds no float."""
 
+ROUNDS = (0, 1, 10, 1000)
+"""In which functions of the round, such as step sizes, are compared."""
+
 
 def require_team(agents: Mapping[int, Any], graph: Graph | GraphSequence) -> None:
     """Raise ConfigError unless there is one agent a node and, of what the agents say of themselves, all fits.
 
     `weights`: rows for exactly those that the agent hears, `shares`: for exactly those that hear it;  `x`: of one
-    shape, where it is an array and not `common = False`; what require_graph asks.
+    shape, where it is an array and not `common = False`;  `same`: names of numbers, and of functions of the round, that
+    are the same at all agents; what require_graph asks.
     """
     if sorted(agents) != list(graph.ids):
         allowed = f"one for each node of the graph, {span(graph.ids)}"
@@ -29,6 +33,8 @@ def require_team(agents: Mapping[int, Any], graph: Graph | GraphSequence) -> Non
     common = {i: agents[i].x for i in graph.ids if getattr(agents[i], "connected", False)
               and getattr(agents[i], "common", hasattr(agents[i], "x"))}  # fmt: skip
     _require_one_shape({i: x for i, x in common.items() if isinstance(x, np.ndarray)})
+    for i in graph.ids:
+        _require_same(i, agents[i], graph.ids[0], agents[graph.ids[0]])
 
 
 def require_graph(agent: Any, graph: Graph | GraphSequence) -> None:
@@ -122,3 +128,18 @@ def _require_one_shape(arrays: Mapping[int, Any]) -> None:
         first = next(iter(arrays))
         if x.shape != arrays[first].shape:
             raise ConfigError(f"agent {i}: x", f"shape {x.shape}", f"shape {arrays[first].shape}, as agent {first}'s")
+
+
+def _require_same(i: int, agent: Any, first: int, other: Any) -> None:
+    """Raise ConfigError unless what must be common is that of the first agent."""
+    for name in getattr(agent, "same", ()):
+        found, wanted = _values(getattr(agent, name)), _values(getattr(other, name, None))
+        for at, value in found.items():
+            if value != wanted.get(at):
+                do = "With different ones the team would solve another problem."
+                raise ConfigError(f"agent {i}: {name}{at}", f"{value}", f"{wanted.get(at)}, as agent {first}'s", do)
+
+
+def _values(x: Any) -> dict[str, Any]:
+    """A number, or what a function of the round is in ROUNDS."""
+    return {f", round {k}": x(k) for k in ROUNDS} if callable(x) else {"": x}

@@ -19,8 +19,9 @@ class DualDecomposition(Iteration):
 
     v_i = sum_j (l_ij - l_ji), with l_ij(k+1) = l_ij(k) + a_k (x_i(k) - x_j(k)) the multipliers of x_i = x_j: as their
     sum is all that matters, x_i is all that travels, and sum_i v_i = 0 in each round.
-    Static or time-varying undirected graphs. step: a_k; a constant one converges if f_i is strongly convex (modulus s)
-    and a < s / (2 max degree); Diminishing(a, p), 1/2 < p <= 1, whenever f_i is strictly convex.
+    Static or time-varying undirected graphs. step: a_k, the same at all agents; a constant one converges if f_i is
+    strongly convex (modulus s) and a < s / (2 max degree); Diminishing(a, p), 1/2 < p <= 1, whenever f_i is strictly
+    convex.
     x: (n,), of the last round, 0 before the first;  v: (n,).
     Raises SolverError if the local problem is infeasible or unbounded: X_i must bound what f_i does not.
     Source: Terelius, Topcu & Murray 2011, IFAC World Congress, "Decentralized multi-agent optimization via dual
@@ -29,6 +30,7 @@ class DualDecomposition(Iteration):
 
     connected = True
     undirected = True
+    same = ("step_size",)
 
     def __init__(self, problem: CostCoupled, step: float | StepSize, rounds: int | None = None) -> None:
         super().__init__(problem.agent, rounds)

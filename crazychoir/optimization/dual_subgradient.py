@@ -19,7 +19,7 @@ class DualSubgradient(Mixing):
         l_i(k+1) = max(0, v_i + a_k (g_i(x_i(k+1)) - b_i)),   l_i(0) = 0
 
     weights: row i, doubly stochastic, or one for each graph of a sequence: static or time-varying undirected graphs,
-    jointly connected.  step: a_k, Diminishing(a, p) with 1/2 < p <= 1.
+    jointly connected.  step: a_k, Diminishing(a, p) with 1/2 < p <= 1, the same at all agents.
     x: (n,), of the last round;  average: its running average weighted by a_k, which converges to the optimum also where
     x jumps between corners;  prices: l_i (S,) >= 0, which converge to the optimal multipliers.
     Raises SolverError if the local problem is infeasible or unbounded: X_i must bound what f_i does not.
@@ -27,6 +27,7 @@ class DualSubgradient(Mixing):
     """
 
     common = False
+    same = ("step_size",)
 
     def __init__(
         self, problem: ConstraintCoupled, weights: Rows, step: float | StepSize, rounds: int | None = None

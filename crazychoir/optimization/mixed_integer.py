@@ -127,8 +127,9 @@ class _Elastic:
 
     def __init__(self, block: MixedIntegerBlock) -> None:
         n, S, (D, d) = block.n, block.S, block.rows
-        self._S, self._index = S, np.arange(n + S, dtype=np.int32)
-        self._c, self._zero, self._high = block.c, np.zeros(S), np.concatenate([block.bounds[1], np.zeros(S)])
+        self._n, self._S, self._index = n, S, np.arange(n + S, dtype=np.int32)
+        self._zero, self._high = np.zeros(S), np.concatenate([block.bounds[1], np.zeros(S)])
+        self._cost, self._short = np.concatenate([block.c, self._zero]), np.concatenate([np.zeros(n), np.ones(S)])
         self._low = np.concatenate([block.bounds[0], np.zeros(S)])
         self._highs = quiet_highs()
         self._highs.addVars(n + S, self._low, self._high)
@@ -146,26 +147,25 @@ class _Elastic:
         """x (n,) of the least sum of v and then of the least c'x; or a word of why there is none."""
         for s in range(self._S):
             self._highs.changeRowBounds(s, -np.inf, float(y[s]))
-        within = self._minimise(self._c, self._zero)
+        within = self._minimise(self._cost, self._zero)
         if not isinstance(within, str):
-            return within
-        missing = self._minimise(np.zeros_like(self._c), np.full(self._S, np.inf))
+            return within[: self._n]
+        missing = self._minimise(self._short, np.full(self._S, np.inf))
         if isinstance(missing, str):
             return missing
-        return self._minimise(self._c, missing + SLACK * (1.0 + np.abs(y)))
+        found = self._minimise(self._cost, missing[self._n :] + SLACK * (1.0 + np.abs(y)))
+        return found if isinstance(found, str) else found[: self._n]
 
-    def _minimise(self, c: Vec, most: Vec) -> Vec | str:
-        """x, or v where c = 0; `most`: of v."""
-        n, free = len(c), not c.any()
-        self._high[n:] = most
-        self._highs.changeColsBounds(n + self._S, self._index, self._low, self._high)
-        self._highs.changeColsCost(n + self._S, self._index, np.concatenate([c, np.full(self._S, float(free))]))
+    def _minimise(self, cost: Vec, most: Vec) -> Vec | str:
+        """(x, v) of the least cost; `most`: of v."""
+        self._high[self._n :] = most
+        self._highs.changeColsBounds(len(self._index), self._index, self._low, self._high)
+        self._highs.changeColsCost(len(self._index), self._index, cost)
         self._highs.run()
         status = self._highs.getModelStatus()
         if status != highspy.HighsModelStatus.kOptimal:
             return WORDS.get(status, str(status.name))
-        found = np.array(self._highs.getSolution().col_value)
-        return found[n:] if free else found[:n]
+        return np.array(self._highs.getSolution().col_value)
 
     def _add(self, row: Vec, most: float) -> None:
         at = np.flatnonzero(row).astype(np.int32)

@@ -40,9 +40,9 @@ class PrimalDecomposition(Mixing):
         y_i(0) = b_i,    y_i(k+1) = y_i(k) + a_k (mu_i - sum_j w_ij mu_j)
 
     mu_i: (S,) the prices at y_i(k), which is all that travels;  w: doubly stochastic (Metropolis), so that sum_i y_i
-    stays sum_i b_i, and that a dense graph needs no smaller step than a sparse one;  a_k: step; with sum a_k infinite
-    and sum a_k^2 finite the least of sum_i p_i(y_i) is reached, which is that of the problem if M exceeds the sum of
-    its prices. x_i(k) are feasible together, from the first round on, but for rho.
+    stays sum_i b_i, and that a dense graph needs no smaller step than a sparse one;  a_k: step, the same at all agents;
+    with sum a_k infinite and sum a_k^2 finite the least of sum_i p_i(y_i) is reached, which is that of the problem if M
+    exceeds the sum of its prices. x_i(k) are feasible together, from the first round on, but for rho.
     local: as Convexified;  share: b_i (S,);  rounds: until done.
     x: (n,) at y_i(k);  y: (S,);  mu: (S,);  cost: p_i(y_i);  violation: rho;  y_mean: (S,) average weighted by a_k.
     Source: Silverman 1972; with neighbours' prices only Notarnicola & Notarstefano 2020, IEEE TCNS 7(1), 483-492.
@@ -50,12 +50,13 @@ class PrimalDecomposition(Mixing):
 
     heavy = True
     common = False
+    same = ("step_size",)
 
     def __init__(
         self, i: int, weights: Rows, local: Local, share: Vec, step: float | StepSize, rounds: int | None = None
     ) -> None:
         super().__init__(i, weights, rounds)
-        self._local, self._step = local, step_size(step)
+        self._local, self.step_size = local, step_size(step)
         self._mean = RunningAverage()
         self._set(vector(share, f"agent {i}", "share"))
 
@@ -70,5 +71,5 @@ class PrimalDecomposition(Mixing):
 
     def mix_in(self, row: Row, heard: Mapping[int, Any]) -> None:
         """Trade, then solve for the new allocation."""
-        a = self._step(self.k)
+        a = self.step_size(self.k)
         self._set(self.y + a * (self.mu - mix(self.i, row, self.mu, heard)), a)

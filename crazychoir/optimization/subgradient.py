@@ -20,11 +20,13 @@ class SubgradientMethod(Mixing):
 
     x: any shape, the same at all agents;  weights: row i, doubly stochastic, or one for each graph of a sequence;
     gradient: g_i, also a stochastic one, see `Samples`;  project: P_X, the same set at all agents, see projection.py;
-    step: a_k, with sum a_k infinite and sum a_k^2 finite it converges to an optimum: Diminishing(a, p), 1/2 < p <= 1; a
-    constant one to a neighbourhood that grows with it.  average: the a_k-weighted running average of x_i, whose cost
-    converges also where that of x_i jumps.
+    step: a_k, the same at all agents; with sum a_k infinite and sum a_k^2 finite it converges to an optimum:
+    Diminishing(a, p), 1/2 < p <= 1; a constant one to a neighbourhood that grows with it.  average: the a_k-weighted
+    running average of x_i, whose cost converges also where that of x_i jumps.
     Source: Nedic, Ozdaglar & Parrilo 2010, IEEE Trans. Autom. Control 55(4), 922-938.
     """
+
+    same = ("step_size",)
 
     def __init__(
         self, i: int, x: ArrayLike, weights: Rows, gradient: Gradient, step: float | StepSize,

@@ -9,10 +9,12 @@ from crazychoir.bus.topics import ROUND
 from crazychoir.errors import CodecError, PeerLost, RoundTimeout
 from crazychoir.runtime.clock import SECOND, wake
 from crazychoir.swarm.channel import HISTORY, MAX_RTO, MIN_RTO, Channel
-from crazychoir.swarm.rounds import AHEAD, CREDIT, CREDIT_EVERY, DATA, FIN, FIN_TOO, PUSH, REPEAT, Rounds
-from crazychoir.types import PerNeighbor
+from crazychoir.swarm.rounds import AHEAD, CREDIT, CREDIT_EVERY, DATA, FAILED, FIN, FIN_TOO, PUSH, REPEAT, Rounds
+from crazychoir.types import Failure, PerNeighbor
 
 LINGER: Final = 2.0
+LAST_WORDS: Final = 32
+"""Times that what must not get lost is said to those who need not ask: at 50 % loss all are lost once in 4e9 times."""
 FAREWELLS: Final = 3
 """Times that a channel's end is told to those who need not answer."""
 
@@ -42,7 +44,8 @@ class Communicator(Rounds):
         A `PerNeighbor` gives each neighbour its own payload. Returns {j: value} in increasing j.
         policy: at the deadline raise RoundTimeout, return the `partial` set, or `hold` the last value of the silent.
         After a RoundTimeout the next exchange goes on with the same round, whose message has already been sent.
-        Raises RoundTimeout, PeerLost, RosterChanged, CodecError, and ChannelEnded when a neighbour has closed the
+        Raises RoundTimeout, PeerLost, RosterChanged, CodecError, AgentFailed when a neighbour has said that it goes on
+        no more, and is not waited for as long as it may be silent, and ChannelEnded when a neighbour has closed the
         channel before this round, unless we have closed it there too: such a round would never come.
         """
         ch = self._channels.get(channel) or self.open(channel)
@@ -127,6 +130,17 @@ class Communicator(Rounds):
             self._control(ch, FIN, neighbors, n, again)
         ch.sent.clear()
         ch.oldest = ch.sending
+
+    async def fail(self, word: Failure) -> None:
+        """Say to all neighbours that we go on no more: who waits for us now or later, on any channel, need not.
+
+        They get AgentFailed, of `word`, instead of RoundTimeout at their deadline.
+        """
+        payload, flags = encode(word), self._flags | AHEAD
+        for k in range(LAST_WORDS):
+            readers = self._epochs.at(False, k).out_neighbors(self.id)
+            self.port.send(ROUND, readers, payload, k, FAILED, flags)
+            await self._clock.sleep(MIN_RTO, drone=self.id)
 
     # Sending --------------------------------------------------------------------------------------------------
 

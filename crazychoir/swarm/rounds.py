@@ -7,18 +7,22 @@ further ahead than its history. So the answer of a round algorithm does not depe
 """
 
 import asyncio
+import contextlib
 from collections import deque
+from collections.abc import Iterable
 from math import inf
 from typing import Final, Protocol
 
+from crazychoir.bus.codec import decode
 from crazychoir.bus.local import Port
 from crazychoir.bus.topics import ROUND
-from crazychoir.errors import ChannelEnded, ConfigError, PeerLost, RosterChanged, RoundTimeout
+from crazychoir.errors import AgentFailed, ChannelEnded, CodecError, ConfigError, PeerLost, RosterChanged, RoundTimeout
 from crazychoir.runtime.clock import SECOND, Alarm, wake
 from crazychoir.swarm.channel import HISTORY, Channel
 from crazychoir.swarm.epochs import AnyGraph, Epochs
 from crazychoir.swarm.graph import Graph
 from crazychoir.swarm.roster import Barrier, Roster
+from crazychoir.types import Failure
 
 DATA, REPEAT, AHEAD, WANT, CREDIT, FIN, FIN_TOO = range(7)
 """Kinds: a round's message, from one who has finished all rounds before it; the same again, and I lack yours; a round's
@@ -34,6 +38,8 @@ MAX_EARLY_BYTES: Final = 8192
 MAX_ROUND: Final = 1 << 48
 PUSH: Final = 1 << 20
 """Attempts from here on are those that nobody asked for."""
+FAILED: Final = "failed"
+"""The channel on which an agent says that it goes on no more, on any channel."""
 SWEEP: Final = 5_000_000
 """ns between two looks at those who wait; all drones of a process look at the same instants."""
 
@@ -75,6 +81,7 @@ class Rounds:
         self._alarm: Alarm | None = None
         self._due_ns = 0
         port.handlers[ROUND.number] = self._arrived
+        self.open(FAILED)
 
     @property
     def graph(self) -> AnyGraph:
@@ -182,11 +189,12 @@ class Rounds:
         return ch
 
     def _make_room(self, channel: str) -> None:
-        if len(self._channels) >= MAX_CHANNELS:
+        used = len(self._channels) - (FAILED in self._channels)
+        if used >= MAX_CHANNELS:
             closed = next((name for name, ch in self._channels.items() if ch.closed_at >= 0 and not ch.used), None)
             if closed is None:
                 where = f"drone {self.id}: channel {channel!r}"
-                raise ConfigError(where, len(self._channels), f"{MAX_CHANNELS} channels at once", "Close some.")
+                raise ConfigError(where, used, f"{MAX_CHANNELS} channels at once", "Close some.")
             del self._channels[closed]
 
     def _absent(self, j: int) -> bool:
@@ -346,6 +354,8 @@ class Rounds:
             lost = () if ch.joinable else tuple(j for j in ch.missing if self.membership.lost(j))
             if lost:
                 fail(ch, PeerLost(self.id, lost, (now_ns - ch.since_ns) / SECOND))
+            elif ch.strict and (word := self._failure(ch.missing)):
+                fail(ch, AgentFailed(word.agent, word.reason))
             elif now_ns >= ch.deadline_ns:
                 seconds = (ch.deadline_ns - ch.since_ns) / SECOND
                 fail(ch, RoundTimeout(self.id, ch.name, ch.receiving, ch.missing, seconds))
@@ -358,6 +368,16 @@ class Rounds:
                     self._resend(ch, now_ns)
         if self._waiting():
             self._schedule(now_ns)
+
+    def _failure(self, missing: Iterable[int]) -> Failure | None:
+        """What the first of these has said on FAILED, if any has."""
+        said = self._channels[FAILED].latest
+        for j in missing:
+            if j in said:
+                with contextlib.suppress(CodecError):
+                    word = decode(said[j][1])
+                    return word if isinstance(word, Failure) else None
+        return None
 
     def _waiting(self) -> list[Channel]:
         """The channels on which somebody waits."""

@@ -6,16 +6,13 @@ import traceback
 from collections.abc import AsyncIterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 from crazychoir.errors import AgentFailed, ChannelEnded, CodecError, ConfigError, CrazyChoirError, PeerLost
-from crazychoir.swarm.communicator import Communicator, Policy
+from crazychoir.swarm.communicator import LAST_WORDS, Communicator, Policy
 from crazychoir.swarm.graph import GraphSequence
 from crazychoir.swarm.round import Round
 from crazychoir.types import Failure
-
-LAST_WORDS: Final = 32
-"""Times that an asynchronous agent repeats its last message: at 50 % loss all are lost once in 4e9 ends."""
 
 Interval = tuple[float, float]
 
@@ -91,6 +88,8 @@ async def _in_rounds(
             raise _Ended.at(i, _unsent(communicator, channel, error)) from error
         except (PeerLost, ChannelEnded) as error:
             raise _Ended.by(error) from error
+        except AgentFailed as error:
+            raise _Ended(error, error) from error
         _require_alive(heard)
         try:
             if heavy:

@@ -87,3 +87,32 @@ def test_an_algorithm_that_fails_at_one_drone_lands_all_with_its_reason(here, mi
     assert all("agent 2: gradient_own, round 40[0]: found " in reason for reason in reasons.values()), reasons
     assert sum("agent 2 has failed, and with it the team" in reason for reason in reasons.values()) == 3
     assert result["simulated_s"] < 30.0
+
+
+ALONE = '''
+from crazychoir import CFGuidance
+
+
+class Alone(CFGuidance):
+    async def mission(self):
+        await self.take_off()
+        for k in range(200):
+            if self.id == 0 and k == 50:
+                raise ValueError("my own trouble")
+            await self.neighbors_exchange([k])
+        await self.land()
+
+
+def guidance(i, config):
+    return Alone()
+'''
+
+
+def test_a_mission_that_fails_alone_in_its_own_exchange_lands_all_with_its_reason(tmp_path):
+    (tmp_path / "alone.py").write_text(ALONE)
+    said = call("crazychoir", "run", tmp_path / "alone.py", "--drones", 5, "--fast", "--loss", 0.3, "--json")
+    assert said.code == 1
+    assert sorted(said.json["reasons"]) == ["0", "1", "2", "3", "4"]
+    assert all("ValueError: my own trouble" in reason for reason in said.json["reasons"].values())
+    assert sum("agent 0 has failed" in reason for reason in said.json["reasons"].values()) == 4
+    assert said.json["simulated_s"] < 25.0

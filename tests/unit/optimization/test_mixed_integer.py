@@ -28,6 +28,18 @@ def test_within_an_allocation_the_least_excess_comes_first_and_then_the_cost(y, 
     assert excess == pytest.approx([missing], abs=1e-5)
 
 
+@pytest.mark.parametrize("n", [1, 2, 3])
+def test_who_has_nothing_to_gain_stays_within_its_allocation_too(n):
+    """c = 0, with as many resources as variables, and fewer, and more."""
+    block = MixedIntegerBlock(0, np.zeros(n), [np.ones(n), -np.ones(n)], [0.0, 0.0], bounds=(0, 2), integer=[0])
+    x, missing = block.within(np.array([2.5, -1.0]))
+    assert x.shape == (n,)
+    assert 1.0 <= x.sum() <= 2.5
+    assert missing == pytest.approx([0.0, 0.0])
+    x, missing = block.within(np.array([-1.0, -1.0]))
+    assert missing.sum() == pytest.approx(2.0)
+
+
 def test_within_is_the_best_of_all_points():
     chance = np.random.default_rng(2)
     block = MixedIntegerBlock(0, -chance.random(3), chance.random((2, 3)), [1.0, 1.0], bounds=(0, 2), integer=range(3))

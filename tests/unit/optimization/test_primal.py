@@ -7,17 +7,23 @@ import numpy as np
 import pytest
 
 from crazychoir.errors import AgentFailed, ConfigError, SolverError
+from crazychoir.optimization.admm import ADMM
 from crazychoir.optimization.aggregative_tracking import AggregativeTracking
+from crazychoir.optimization.allocation import Allocation
 from crazychoir.optimization.asynchronous_consensus import AsynchronousConsensus
 from crazychoir.optimization.block_consensus import BlockConsensus
 from crazychoir.optimization.block_subgradient import BlockSubgradientMethod
 from crazychoir.optimization.consensus import Consensus
 from crazychoir.optimization.directed_gradient_tracking import DirectedGradientTracking
+from crazychoir.optimization.dual_decomposition import DualDecomposition
+from crazychoir.optimization.dual_subgradient import DualSubgradient
 from crazychoir.optimization.generate import random_quadratics
 from crazychoir.optimization.gradient import Samples
 from crazychoir.optimization.gradient_tracking import GradientTracking
 from crazychoir.optimization.max_consensus import MaxConsensus
 from crazychoir.optimization.mixing import columns, rows, team
+from crazychoir.optimization.primal_decomposition import PrimalDecomposition
+from crazychoir.optimization.problems import ConstraintCoupled, CostCoupled
 from crazychoir.optimization.projection import Box, Convex, Disc, Strip
 from crazychoir.optimization.push_sum import PushSum
 from crazychoir.optimization.set_membership import AsynchronousSetMembership, SetMembership
@@ -307,6 +313,33 @@ def test_weights_that_are_not_doubly_stochastic_are_named_by_the_agent_of_the_co
     for i, agent in mended.items():
         agent.weights = (*agent.weights[:2], rows(path(4), row_stochastic)[i][0])
     assert "column 0, round 2" in refused(mended, changing)
+
+
+def resource(i):
+    x = cvxpy.Variable(2)
+    return ConstraintCoupled(i, x, cvxpy.sum_squares(x - i), x, share=ONES)
+
+
+def own(i):
+    x = cvxpy.Variable(2)
+    return CostCoupled(i, x, cvxpy.sum_squares(x - i))
+
+
+@pytest.mark.parametrize(
+    ("make", "name"),
+    [
+        (lambda i, a: SubgradientMethod(i, ONES, WEIGHTS[i], half, a), "step_size, round 0"),
+        (lambda i, a: BlockSubgradientMethod(i, ONES, WEIGHTS[i], [2], half, Diminishing(0.1, a)), ".*, round 1"),
+        (lambda i, a: DualSubgradient(resource(i), WEIGHTS[i], a), "step_size, round 0"),
+        (lambda i, a: DualDecomposition(own(i), a), "step_size, round 0"),
+        (lambda i, a: ADMM(own(i), GRAPH.neighbors(i), a), "penalty"),
+        (lambda i, a: PrimalDecomposition(i, WEIGHTS[i], Allocation(resource(i), 9.0), ONES, a), "step_size, round 0"),
+    ],
+)
+def test_steps_and_penalties_that_must_be_common_are_compared(make, name):
+    with pytest.raises(ConfigError, match=f"agent 3: {name}: found 0.*; allowed: 0.*, as agent 0's"):
+        simulate({i: make(i, 0.5 if i == 3 else 0.6) for i in GRAPH.ids}, GRAPH, rounds=2)
+    assert simulate({i: make(i, 0.6) for i in GRAPH.ids}, GRAPH, rounds=2).rounds == 2
 
 
 def test_all_agents_hear_of_it_in_bounded_time():

@@ -166,6 +166,28 @@ def test_random_problems_are_feasible_and_near_the_central_optimum(seed):
     assert central(blocks, relaxed=True) - 1e-6 <= results[0].lower_bound <= optimum + 1e-6
 
 
+def test_the_solution_is_the_same_whatever_is_lost():
+    blocks, graph, found = random_blocks(4, seed=5), ring(4), []
+    for loss in (0.0, 0.4):
+        agents = {
+            i: PrimalDecompositionMILP(block, metropolis(graph)[i], 4, 2, STEP, rounds=15, penalty=PENALTY)
+            for i, block in enumerate(blocks)
+        }
+        history = simulate(agents, graph, loss=loss, record=())
+        found.append([(r.x.tolist(), r.cost, r.left.tolist(), r.lower_bound, r.rounds)
+                      for r in (agent.result for agent in agents.values())])  # fmt: skip
+    assert history.lost > 20
+    assert found[0] == found[1]
+
+
+def test_on_a_dense_random_graph_of_20_the_solution_is_feasible_and_near_the_bound():
+    graph, blocks = erdos_renyi_connected(20, 0.5, seed=1), random_blocks(20, seed=1)
+    results = solve(blocks, graph, rounds=6, options=3)
+    check(blocks, results)
+    assert results[0].lower_bound == pytest.approx(central(blocks, relaxed=True), rel=0.01)
+    assert results[0].cost <= 0.99 * results[0].lower_bound
+
+
 def too_high(blocks, by):
     """Agent 1 says that no point of its own set costs less than by `by` more than is true."""
     least = blocks[1].least

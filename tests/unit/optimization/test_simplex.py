@@ -164,18 +164,22 @@ def test_another_right_hand_side_at_a_neighbour_is_refused():
         run_team(agents, ring(2))
 
 
-def test_the_bases_are_the_same_whatever_is_lost():
+@pytest.mark.parametrize("dual", [False, True])
+def test_the_bases_are_the_same_whatever_is_lost(dual):
     c, A, b, parts = draw(6)
-    graph = ring(len(parts), directed=True)
-    histories = []
+    graph, histories = ring(len(parts), directed=True), []
+    d = graph.diameter()
     for loss in (0.0, 0.4):
-        agents = {i: DistributedSimplex(i, c[p], A[:, p], b, graph.diameter()) for i, p in enumerate(parts)}
-        histories.append(simulate(agents, graph, loss=loss, record=("x", "cost")))
+        agents = {
+            i: DualDistributedSimplex(i, b, A[:, p].T, c[p], d) if dual else DistributedSimplex(i, c[p], A[:, p], b, d)
+            for i, p in enumerate(parts)
+        }
+        histories.append(simulate(agents, graph, loss=loss, record=("x",) if dual else ("x", "cost")))
         assert agents[0].result.rounds == histories[-1].rounds
     assert histories[1].lost > 10
     for i in graph.ids:
-        for name in ("x", "cost"):
-            assert np.array_equal(histories[0].values[i][name], histories[1].values[i][name])
+        for name, values in histories[0].values[i].items():
+            assert np.array_equal(values, histories[1].values[i][name])
 
 
 def test_what_fails_at_one_agent_ends_all_of_them():

@@ -16,6 +16,7 @@ from crazychoir.runtime.clock import run_virtual
 from crazychoir.swarm.communicator import Communicator
 from crazychoir.swarm.graph import complete, path, ring
 from crazychoir.swarm.running import Pace, run_algorithm
+from crazychoir.types import Failure
 
 
 class Counting:
@@ -92,6 +93,44 @@ def test_an_asynchronous_agent_that_fails_while_others_say_their_last_words_ends
     found, _ = endings(agents, complete(4), loss, pace=Pace((0.01, 0.02)))
     assert isinstance(found.pop(2), SolverError)
     assert {(type(error), error.agent) for error in found.values()} == {(AgentFailed, 2)}
+
+
+# Coroutines that exchange by themselves ---------------------------------------------------------------------------
+
+
+def exchanging(graph, loss, policy="raise"):
+    """Each exchanges in a loop of its own; agent 2 raises, and says so, and who hears it hands it on."""
+
+    async def part(communicator):
+        try:
+            for k in range(40):
+                if communicator.id == 2 and k == 5:
+                    raise ValueError("my own trouble")
+                await communicator.neighbors_exchange(k, deadline=3.0, policy=policy)
+        except Exception as error:  # noqa: BLE001 - what it is is what the tests look at
+            word = (error.agent, error.reason) if isinstance(error, AgentFailed) else (communicator.id, str(error))
+            await communicator.fail(Failure(*word))
+            return error
+
+    async def main(clock):
+        bus = Bus(clock, Impairment(1, [Rule({"loss": loss, "delay": 0.001})]))
+        return await asyncio.gather(*(part(Communicator(bus.port(i), graph)) for i in graph.ids)), clock.now()
+
+    return run_virtual(main)
+
+
+@pytest.mark.parametrize("loss", [0.0, 0.4])
+@pytest.mark.parametrize("graph", [path(6), ring(6, directed=True), complete(6)])
+def test_who_says_that_it_goes_on_no_more_is_not_waited_for(graph, loss):
+    found, seconds = exchanging(graph, loss)
+    assert isinstance(found.pop(2), ValueError)
+    assert {(type(error), error.agent, error.reason) for error in found} == {(AgentFailed, 2, "my own trouble")}
+    assert seconds < 2.5
+
+
+def test_who_asks_for_those_alone_that_come_goes_on_without_it():
+    found, _ = exchanging(path(4), 0.0, policy="partial")
+    assert [type(error) for error in found] == [type(None), type(None), ValueError, type(None)]
 
 
 # The asynchronous method of multipliers: its agents wait for each other -------------------------------------------
