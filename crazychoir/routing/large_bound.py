@@ -90,9 +90,9 @@ class LargeBound:
             return None
         vehicle, batch, most = member.local.vehicle, member.settings.batch, member.settings.most_labels // 3
         if self._halves is not None:
-            columns = self._halves.cheapest(pi, batch, 0.0)
-            least = self._halves.least(pi) if self._halves.complete else -np.inf
-            return [least, True, packed(columns)]
+            columns = self._halves.cheapest(pi, batch, 0.0) if self._halves.complete else []
+            values = [c.length - math.fsum(pi[list(c.tasks)]) for c in columns[:1]]
+            return [min([0.0, *values]) if self._halves.complete else -np.inf, True, packed(columns)]
         found = least_reduced_cost(vehicle, pi, most=0)
         least = min(0.0, relaxed_reduced_cost(vehicle, pi, found.value, most=most))
         return [least, False, packed(found.columns[:batch])]
