@@ -20,6 +20,8 @@ NG_ROUTE = "ng-route"
 """The relaxation by which a robot prices whose routes cannot be halved: they may serve a task again, see least.py."""
 DRAWN = 0.6
 """Share of the best prices so far in the next ones."""
+HALF = 3
+"""Times as many labels may a half have as a table, which keeps more of each."""
 ENOUGH = 1e-5
 """Relative gap between the value of the columns known and the bound."""
 
@@ -52,7 +54,7 @@ class LargeBound:
         member.report(phase="bound")
         member.kind = "columns"
         if member.speaks and Halves.fits(member.local.vehicle):
-            self._halves = Halves(member.local.vehicle, settings.most_labels)
+            self._halves = Halves(member.local.vehicle, HALF * settings.most_labels)
         master = Master(member.unserved, 0.0, {i: len(same) for i, same in member.alike.items()})
         for robot, column in self._plan:
             master.add(robot, [column])
