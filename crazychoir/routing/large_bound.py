@@ -20,6 +20,8 @@ NG_ROUTE = "ng-route"
 """The relaxation by which a robot prices whose routes cannot be halved: they may serve a task again, see least.py."""
 DRAWN = 0.6
 """Share of the best prices so far in the next ones."""
+HALF = 3
+"""Times as many labels may a half have as a table, which keeps more of each."""
 ENOUGH = 1e-5
 """Relative gap between the value of the columns known and the bound."""
 
@@ -52,7 +54,7 @@ class LargeBound:
         member.report(phase="bound")
         member.kind = "columns"
         if member.speaks and Halves.fits(member.local.vehicle):
-            self._halves = Halves(member.local.vehicle, settings.most_labels)
+            self._halves = Halves(member.local.vehicle, HALF * settings.most_labels)
         master = Master(member.unserved, 0.0, {i: len(same) for i, same in member.alike.items()})
         for robot, column in self._plan:
             master.add(robot, [column])
@@ -90,9 +92,9 @@ class LargeBound:
             return None
         vehicle, batch, most = member.local.vehicle, member.settings.batch, member.settings.most_labels // 3
         if self._halves is not None:
-            columns = self._halves.cheapest(pi, batch, 0.0)
-            least = self._halves.least(pi) if self._halves.complete else -np.inf
-            return [least, True, packed(columns)]
+            columns = self._halves.cheapest(pi, batch, 0.0) if self._halves.complete else []
+            values = [c.length - math.fsum(pi[list(c.tasks)]) for c in columns[:1]]
+            return [min([0.0, *values]) if self._halves.complete else -np.inf, True, packed(columns)]
         found = least_reduced_cost(vehicle, pi, most=0)
         least = min(0.0, relaxed_reduced_cost(vehicle, pi, found.value, most=most))
         return [least, False, packed(found.columns[:batch])]

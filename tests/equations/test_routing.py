@@ -5,6 +5,7 @@ import pytest
 
 from crazychoir.routing.columns import ColumnProgram
 from crazychoir.routing.generate import random_instance
+from crazychoir.routing.halves import Halves
 from crazychoir.routing.master import Pool
 from crazychoir.routing.member import Member, Place, Settings
 from crazychoir.routing.pricing import RouteTable
@@ -118,3 +119,16 @@ def test_any_common_price_bounds_the_optimum_and_excesses_add_up(instance, table
         for route in solution.routes:
             excess += route.length - pi[list(route.tasks)].sum()
         assert bound + excess == pytest.approx(solution.cost)
+
+
+def test_prices_sum_up_to_a_bound_with_the_least_of_all_routes_put_together_of_halves(instance, tables, relaxation):
+    """sum_j pi_j + sum_i least_i <= the relaxation for every pi >= 0, and equal at its own prices."""
+    halves, pool = [Halves(instance.local(i).vehicle) for i in range(N)], Pool(M)
+    for i, table in enumerate(tables):
+        pool.add(i, (table.column(c) for c in range(1, len(table))))
+    at_its_own = pool.relax(np.full(M, 100.0)).prices
+    assert at_its_own.sum() + sum(half.least(at_its_own) for half in halves) == pytest.approx(relaxation)
+    for pi in DRAW.uniform(0.0, 20.0, size=(20, M)):
+        assert pi.sum() + sum(half.least(pi) for half in halves) <= relaxation + 1e-6
+        drawn = 0.6 * at_its_own + 0.4 * pi
+        assert drawn.sum() + sum(half.least(drawn) for half in halves) <= relaxation + 1e-6

@@ -13,6 +13,7 @@ from crazychoir.routing.generate import random_instance
 from crazychoir.routing.gossip import Gossip
 from crazychoir.routing.instance import Instance
 from crazychoir.routing.introduction import introduce, restricted
+from crazychoir.routing.large_bound import LargeBound
 from crazychoir.routing.master import Pool, partition
 from crazychoir.routing.member import Member, Place, Settings
 from crazychoir.routing.neighborhood import flown, reoptimize
@@ -262,24 +263,27 @@ def test_a_large_team_proves_a_bound_by_halves_or_names_its_relaxation(graph, se
         assert best.bound_exact
 
 
-def test_the_bound_of_a_large_team_holds_where_tasks_are_refused(graph):
-    large = Settings(prove=True, most_listed=0)
-    for penalty in (1.0, 6.0, 12.0):
-        instance = random_instance(4, 7, 2, route_length_limit=27.0, fields={"penalty": [penalty] * 7})
-        found, best = (solve_in_loop(instance, graph("ring", 4), settings=s) for s in (large, Settings()))
-        assert 0.9 * best.cost <= found.lower_bound <= best.cost + 1e-9
+@pytest.mark.parametrize("penalty", [1.0, 6.0, 12.0])
+def test_the_bound_of_a_large_team_holds_where_tasks_are_refused_whatever_its_plan(graph, penalty):
+    instance = random_instance(4, 7, 2, route_length_limit=27.0, fields={"penalty": [penalty] * 7})
+    links = graph("ring", 4)
+    best = solve_in_loop(instance, links)
+    bounds = [LargeBound(member, [(0, Column(90.0, (0, 1)))]) for member in members(instance, links)]
+    run_all([bound.run() for bound in bounds], links)
+    assert {bound.value for bound in bounds} == {bounds[0].value}
+    assert 0.9 * best.cost <= bounds[0].value <= best.cost + 1e-9
 
 
 def test_where_pricing_is_cut_there_is_no_bound(graph):
     for limit in (27.0, None):
         instance = random_instance(4, 7, 1, route_length_limit=limit)
-        cut = Settings(prove=True, most_listed=0, most_labels=60)
+        cut = Settings(prove=True, most_listed=0, most_labels=9)
         found = solve_in_loop(instance, graph("ring", 4), settings=cut)
         assert (found.lower_bound, found.bound_exact, found.bound_relaxation) == (None, False, None)
 
 
 def test_a_team_of_two_kinds_prices_once_a_kind_and_proves_what_single_robots_prove(graph):
-    raw = random_instance(6, 9, 2, route_length_limit=30.0).to_json()
+    raw = random_instance(6, 9, 8, capacities=(4, 4), route_length_limit=27.0).to_json()
     raw |= {"home": [raw["home"][0]] * 4 + [raw["home"][1]] * 2, "capacity": [4.0] * 4 + [3.0] * 2}
     raw |= {"load": [2.0] * 5 + [1.0] * 4, "fixed_cost": 1.5}
     instance = Instance.parse(raw)
@@ -287,6 +291,14 @@ def test_a_team_of_two_kinds_prices_once_a_kind_and_proves_what_single_robots_pr
     run_all([introduce(member) for member in team], graph("ring", 6))
     assert [member.alike for member in team] == [{0: (0, 1, 2, 3), 4: (4, 5)}] * 6
     assert [member.speaks for member in team] == [True, False, False, False, True, False]
+    gossips, everything = [Gossip(member) for member in team], Pool(9)
+    run_all([gossip.run() for gossip in gossips], graph("ring", 6))
+    for i in range(6):
+        table = RouteTable(instance.local(i).vehicle)
+        everything.add(i, [table.column(c) for c in range(1, len(table))])
+    assert {gossip.bound.value for gossip in gossips} == {gossips[0].bound.value}
+    assert gossips[0].bound.value == pytest.approx(everything.relax(team[0].penalty).value)
+    assert min(gossips[0].bound.least.values()) < -1.0, "one more of a kind would help, so its number counts"
     found, apart = (solve_in_loop(instance, graph("ring", 6), m) for m in ("columns", "resource-columns"))
     assert found.cost == pytest.approx(apart.cost)
     assert found.bound_exact
