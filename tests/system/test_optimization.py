@@ -108,9 +108,9 @@ def guidance(i, config):
 '''
 
 
-def test_a_mission_that_fails_alone_in_its_own_exchange_lands_all_with_its_reason(tmp_path):
+def test_a_mission_that_fails_alone_in_its_own_exchange_lands_all_with_its_reason(here, tmp_path):
     (tmp_path / "alone.py").write_text(ALONE)
-    said = call("crazychoir", "run", tmp_path / "alone.py", "--drones", 5, "--fast", "--loss", 0.3, "--json")
+    said = here("crazychoir", "run", tmp_path / "alone.py", "--drones", 5, "--fast", "--loss", 0.3, "--json")
     assert said.code == 1
     assert sorted(said.json["reasons"]) == ["0", "1", "2", "3", "4"]
     assert all("ValueError: my own trouble" in reason for reason in said.json["reasons"].values())
