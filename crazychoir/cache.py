@@ -89,7 +89,7 @@ class Kept(NullCache):
         """The machine code for these types, None if there is none: then it is our turn to compile it."""
         found = self._files.load_overload(sig, target_context)
         if found is None:
-            _say_once()
+            say_once()
             self._turn = _Turn(getattr(self._files, "place", ""))
             found = self._files.load_overload(sig, target_context)
             if found is not None:
@@ -114,8 +114,8 @@ def say(text: str) -> None:
 
 
 @cache
-def _say_once() -> None:
-    """People who wait are told what for."""
+def say_once() -> None:
+    """People who wait, for this process or one that it has started, are told what for."""
     say(COMPILES)
 
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from crazychoir.bus.rules import Rule
-from crazychoir.cache import say
+from crazychoir.cache import say_once
 from crazychoir.errors import ConfigError, ProcessFailed
 from crazychoir.launch.group import Ended, Group
 from crazychoir.launch.network import free_ports
@@ -93,7 +93,6 @@ class _Run:
     def __init__(self, group: Group, parts: list[list[int]], watch: Callable[[Progress], None]) -> None:
         self._group, self._parts, self._watch = group, parts, watch
         self._progress: Progress = {}
-        self._told = False
 
     def wait(self, key: str, patience: float, complaint: str) -> list[Any]:
         """This answer of every process."""
@@ -117,9 +116,8 @@ class _Run:
 
     def _look(self, heard: Answer) -> Answer:
         number, answer = heard
-        if "told" in answer and not self._told:
-            self._told = True
-            say(answer["told"])
+        if "compiles" in answer:
+            say_once()
         if "error" in answer:
             raise ProcessFailed(f"robots {span(self._parts[number])}", f"{answer['kind']}: {answer['error']}")
         if "progress" in answer:

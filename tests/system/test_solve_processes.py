@@ -10,6 +10,7 @@ import time
 import pytest
 from system.commands import call
 
+from crazychoir import cache
 from crazychoir.errors import ConfigError, ProcessFailed
 from crazychoir.launch import team
 from crazychoir.routing.instance import Instance
@@ -69,11 +70,12 @@ def test_a_process_that_ends_is_told_with_its_last_words(demo, monkeypatch):
 
 
 def test_that_processes_compile_is_told_once(demo, monkeypatch, capsys):
-    words = "import json; print(json.dumps({'told': 'compiling'})); raise SystemExit('done')"
+    cache.say_once.cache_clear()
+    words = "import json; print(json.dumps({'compiles': True})); raise SystemExit('done')"
     monkeypatch.setattr(team, "_commands", lambda parts, common: [[sys.executable, "-c", words]] * 2)
     with pytest.raises(ProcessFailed, match="done"):
         team.solve_in_processes(Instance.load(demo), 2)
-    assert capsys.readouterr().err == "compiling\n"
+    assert capsys.readouterr().err == f"{cache.COMPILES}\n"
 
 
 def test_no_robot_outlives_who_started_it(demo):
