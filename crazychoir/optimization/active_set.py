@@ -16,6 +16,8 @@ ROUNDING, DOUBT = 1e-13, 1e-9
 """Of a slack, relative to the terms that it is the sum of: below, it is none; below, no proof of infeasibility."""
 DEPENDENT = 1e-11
 """Of the curvature that is left to a row when the active ones are held, relative to the row's own."""
+CANCELLED = 1e-9
+"""Of what an active row takes of a row that is dependent on them, relative to both: below, it is zero, rounded."""
 
 
 @kernel()
@@ -125,11 +127,12 @@ def _multipliers(gram: Mat, free: Vec, u: Vec, most: int) -> int:
         curvature, blocked, place = gram[p, p], np.inf, -1
         for i in range(count):
             curvature -= gram[rows[i], p] * s[i]
-            if s[i] > 0.0 and u[rows[i]] < blocked * s[i]:
-                blocked, place = u[rows[i]] / s[i], i
-        full, slack = np.inf, _slack(gram, free, u, rows, count, p) + gram[p, p] * u[p]
+        full, slack, least = np.inf, _slack(gram, free, u, rows, count, p) + gram[p, p] * u[p], CANCELLED
         if curvature > DEPENDENT * gram[p, p] and count < width:
-            full = max(0.0, -slack / curvature)
+            full, least = max(0.0, -slack / curvature), 0.0
+        for i in range(count):
+            if s[i] > least * np.sqrt(gram[p, p] / gram[rows[i], rows[i]]) and u[rows[i]] < blocked * s[i]:
+                blocked, place = u[rows[i]] / s[i], i
         t = min(full, blocked)
         if t == np.inf:
             return steps if -slack < DOUBT * _terms(gram, free, u, rows, count, p) else INFEASIBLE

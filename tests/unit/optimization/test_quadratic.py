@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from scipy.optimize import linprog
 
 from crazychoir.optimization.quadratic import Polyhedron, QuadraticProgram
 
@@ -79,6 +80,27 @@ def test_an_empty_polyhedron_is_infeasible_and_the_next_question_is_answered_ali
     program = QuadraticProgram(np.eye(2), np.zeros(2), box(2, 1.0, -1.0))
     assert program.solve(np.zeros(2)) == "infeasible"
     assert program.solve(np.ones(2)) == "infeasible"
+
+
+def test_rows_of_small_integers_are_met_or_exclude_each_other():
+    """Many are parallel, or sums of others: what is left of them when others are held is zero, but for its rounding."""
+    said = {True: 0, False: 0}
+    for seed in range(1000):
+        draw = np.random.default_rng(seed)
+        n, m = int(draw.integers(1, 4)), int(draw.integers(2, 7))
+        A, b = draw.integers(-1, 2, (m, n)).astype(float), draw.integers(-1, 2, m).astype(float)
+        L = draw.normal(size=(n, n))
+        P = 2.0 * np.eye(n) if seed % 2 else L @ L.T + 0.1 * np.eye(n)
+        over = Polyhedron.of(A, b, np.zeros((0, n)), np.zeros(0))
+        x = QuadraticProgram(P, draw.normal(size=n), over).solve(np.zeros(n))
+        solved = not isinstance(x, str)
+        said[solved] += 1
+        if solved:
+            assert (over.A @ x <= over.b + 1e-9).all(), seed
+        else:
+            assert x == "infeasible"
+            assert seed % 5 or linprog(np.zeros(n), A_ub=A, b_ub=b, bounds=(None, None)).status == 2, seed
+    assert min(said.values()) > 200
 
 
 def test_a_row_of_zeros_is_left_out_if_it_always_holds():
