@@ -16,12 +16,29 @@ REPOSITORY = Path(__file__).resolve().parents[1]
 REFERENCE_DATA = REPOSITORY.parent / "shared" / "data"
 
 
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """`-m "real_time ..."` imports the files alone that have such tests: importing all takes many seconds."""
+    if not config.option.markexpr.startswith("real_time") or collection_path.suffix != ".py":
+        return None
+    text = collection_path.read_text()
+    named = collection_path.name.startswith("test_") and ("real_time" in text or "compiled" in text)
+    return None if named else True
+
+
 @pytest.hookimpl(tryfirst=True)  # before `-m` selects by marks
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Who starts agents as processes runs in real time: `make test` runs such tests beside those that only compute."""
+    """Who starts agents as processes runs in real time: `make test` runs such tests beside those that only compute.
+
+    They come last: by then those that only compute have compiled what there is to compile.
+    """
     for item in items:
-        if "compiled" in getattr(item, "fixturenames", ()):
+        if _starts_agents(item):
             item.add_marker("real_time")
+    items.sort(key=_starts_agents)
+
+
+def _starts_agents(item: pytest.Item) -> bool:
+    return "compiled" in getattr(item, "fixturenames", ())
 
 
 @pytest.hookimpl(wrapper=True, tryfirst=True)  # the time of waiting is not the test's: outside of its timeout

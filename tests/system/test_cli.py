@@ -7,12 +7,13 @@ import os
 import signal
 import socket
 import time
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 
 import pytest
 from system.agents import AGENT, BRISK, CRAZYCHOIR, Program, Team, until
-from system.commands import call, run
+from system.commands import call
 
 from crazychoir.cli import window
 from crazychoir.guidance.mission import load
@@ -120,10 +121,10 @@ def test_a_swarm_file_that_is_wrong_is_refused(here, tmp_path, text, said):
     here("crazychoir", "run", path, "--fast").refuses("swarm.toml", *said)
 
 
-def test_a_mission_that_fails_lands_its_drone_and_the_others_go_on(tmp_path):
+def test_a_mission_that_fails_lands_its_drone_and_the_others_go_on(here, tmp_path):
     path = tmp_path / "raising.py"
     path.write_text(RAISING)
-    result = run(path, "--fast")
+    result = here("crazychoir", "run", path, "--fast", "--json").json
     assert not result["success"]
     assert "ValueError: no idea" in result["reasons"]["1"]
     assert list(result["reasons"]) == ["1"]
@@ -222,13 +223,19 @@ def test_looking_into_a_swarm_that_does_not_run(here, four, monkeypatch, words):
 def test_topics_that_do_not_exist_and_edges_that_are_none(here):
     here("crazychoir", "echo", "nothing").refuses("nothing", "state")
     here("crazychoir", "impair", "--edge", "a,b").refuses("--edge", "a,b")
-    topics = call("crazychoir", "topics", "--json").json
+    topics = here("crazychoir", "topics", "--json").json
     assert {"pose", "state", "round"} <= {topic["topic"] for topic in topics}
 
 
 async def look(*words):
-    """A command beside a running swarm."""
+    """A command beside a running swarm, in a process of its own."""
     return await asyncio.to_thread(call, "crazychoir", *words)
+
+
+@pytest.fixture
+def look_here(here):
+    """A command beside a running swarm, in a thread of this process: one at once."""
+    return partial(asyncio.to_thread, here, "crazychoir")
 
 
 @contextlib.asynccontextmanager
@@ -253,31 +260,31 @@ async def flown_by(program, path, config, folder):
 
 
 @pytest.mark.timeout(240)
-async def test_looking_into_a_swarm_that_runs_then_landing_it(four, tmp_path, compiled):
+async def test_looking_into_a_swarm_that_runs_then_landing_it(look_here, four, tmp_path, compiled):
     path, config = four
     async with flown_by("agent", path, config, tmp_path) as (agent, team):
         await until(lambda: all(team.statuses(i)[-1]["phase"] == "mission" for i in (2, 3)), 20.0)
-        said = await look("status", "--swarm", path, "--json")
+        said = await look_here("status", "--swarm", path, "--json")
         phases = {i: row["phase"] for i, row in said.json.items()}
         assert phases == {"0": "hovering", "1": "hovering", "2": "mission", "3": "mission"}
         said = await look("echo", "state", "--seconds", "1", "--swarm", path)
         rows = [json.loads(line) for line in said.out.splitlines()]
         assert {row["drone"] for row in rows} == {0, 1, 2, 3}
-        rates = (await look("hz", "state", "--seconds", "2", "--json", "--swarm", path)).json
+        rates = (await look_here("hz", "state", "--seconds", "1", "--json", "--swarm", path)).json
         assert all(rate > 20.0 for rate in rates.values()), rates
-        said = await look("impair", "--loss", "0.3", "--json", "--swarm", path)
+        said = await look_here("impair", "--loss", "0.3", "--json", "--swarm", path)
         assert said.code == 0
         assert set(said.json) == {"0", "1", "2", "3"}
         assert "0.3" in str(said.json["0"])
-        said = await look("param", "set", "control.kr", "7,7,4", "--drone", "2", "--json", "--swarm", path)
+        said = await look_here("param", "set", "control.kr", "7,7,4", "--drone", "2", "--json", "--swarm", path)
         assert (said.code, said.json) == (0, {"2": [7.0, 7.0, 4.0]})
-        said = await look("param", "set", "control.kr", "30,30,4", "--json", "--swarm", path)
+        said = await look_here("param", "set", "control.kr", "30,30,4", "--json", "--swarm", path)
         assert said.code == 1
         assert all("gains that bear 40 ms more delay" in text for text in said.json.values())
-        said = await look("param", "get", "control.kr", "--json", "--swarm", path)
+        said = await look_here("param", "get", "control.kr", "--json", "--swarm", path)
         kept = {"control.kr": [8.0, 8.0, 4.0]}
         assert said.json == {"0": kept, "1": kept, "2": {"control.kr": [7.0, 7.0, 4.0]}, "3": kept}
-        said = await look("stop", "--land", "--json", "--swarm", path)
+        said = await look_here("stop", "--land", "--json", "--swarm", path)
         assert (said.code, said.json) == (0, dict.fromkeys("0123", "acknowledged"))
         ended = await agent.end(40.0)
         assert ended["code"] == 1
@@ -285,12 +292,19 @@ async def test_looking_into_a_swarm_that_runs_then_landing_it(four, tmp_path, co
 
 
 @pytest.mark.timeout(120)
-async def test_a_stop_says_who_has_not_acknowledged(four, compiled):
-    path, _ = four
+async def test_beside_an_agent_that_waits(look_here, four, compiled):
+    """The second agent of one drone is refused; and a stop says who has not acknowledged."""
+    path, config = four
     agent = await Program.start(*AGENT, "--swarm", path, "--json", "--id", "0", "--id", "1")
     try:
-        await listening(four[1].base_port)
-        said = await look("stop", "--json", "--swarm", path)
+        await listening(config.base_port)
+        second = await Program.start(*AGENT, "--swarm", path, "--id", "0", "--json", "--listen", "tcp/127.0.0.1:0",
+                                     "--connect", config.endpoint(0))  # fmt: skip
+        ended = await second.end(60.0)
+        assert ended["code"] == 1
+        assert "Traceback" not in second.text
+        assert "flies drone(s) 0 too" in second.text
+        said = await look_here("stop", "--json", "--swarm", path)
         expected = {"0": "acknowledged", "1": "acknowledged", "2": "absent", "3": "absent"}
         assert (said.code, said.json) == (1, expected), said
     finally:
@@ -327,14 +341,32 @@ async def test_two_runs_of_one_swarm_file_meet_when_each_starts_its_drones(four,
 
 
 @pytest.mark.timeout(120)
-async def test_a_run_of_some_drones_fails_when_one_of_them_is_missing(four, compiled):
-    path, config = written(four[0], four[1].replace(start_deadline=1.0))
+async def test_a_run_fails_whose_processes_cannot_all_start(four, tmp_path, compiled):
+    """Of some drones, and of all: then who is killed at the start ends the wait of the others."""
+    async with asyncio.TaskGroup() as group:
+        group.create_task(some_are_missing(written(tmp_path / "some.json", apart(four[1], 2))))
+        group.create_task(others_wait(four))
+
+
+async def some_are_missing(swarm):
+    path, config = written(swarm[0], swarm[1].replace(start_deadline=1.0))
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", config.base_port + 2))
-        taken.listen()
         said = await look("run", path, "--only", "2,3", "--json")
-    assert said.code == 1
+    assert said.code == 1, said.err
     assert (said.json["here"], said.json["absent"]) == ([2, 3], [2, 3])
+
+
+async def others_wait(swarm):
+    path, config = written(swarm[0], swarm[1].replace(start_deadline=60.0))
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", config.base_port + 2))
+        began = time.monotonic()
+        said = await look("run", path, "--only", "0,1,2,3", "--json")
+    assert time.monotonic() - began < 30.0, "not the whole deadline"
+    assert said.code == 1, said.err
+    assert {2, 3} <= set(said.json["absent"]), "of the others, those too that had not begun to obey signals"
+    assert "the others wait no more" in said.err
 
 
 def children_of(pid):
@@ -360,12 +392,12 @@ def landed(team):
     return all("landing" in seen and seen[-1] == "on ground" and "stopped" not in seen for seen in every)
 
 
-@pytest.mark.timeout(120)
-async def test_an_interrupted_run_in_virtual_time_says_that_it_ends(four, compiled):
+async def test_an_interrupted_run_in_virtual_time_says_that_it_ends(four, tmp_path):
     path, _ = written(four[0], four[1].replace(mission_options={"duration": 1e5}))
-    flying = await Program.start(*CRAZYCHOIR, "run", path, "--fast", "--json")
+    recorded = tmp_path / "a.mcap"
+    flying = await Program.start(*CRAZYCHOIR, "run", path, "--fast", "--json", "--record", recorded)
     try:
-        await asyncio.sleep(6.0)
+        await until(lambda: recorded.exists() and recorded.stat().st_size > 1e5, 60.0, lambda: flying.text)
         flying.signal(signal.SIGINT)
         ended = await flying.end(30.0)
         assert (ended["code"], ended["success"], ended["kind"]) == (130, False, "KeyboardInterrupt")
@@ -373,20 +405,6 @@ async def test_an_interrupted_run_in_virtual_time_says_that_it_ends(four, compil
         assert "Traceback" not in flying.text
     finally:
         await flying.kill()
-
-
-@pytest.mark.timeout(120)
-async def test_who_is_killed_at_the_start_ends_the_wait_of_the_others(four, compiled):
-    path, config = written(four[0], four[1].replace(start_deadline=60.0))
-    with socket.socket() as taken:
-        taken.bind(("127.0.0.1", config.base_port + 2))
-        taken.listen()
-        began = time.monotonic()
-        said = await look("run", path, "--only", "0,1,2,3", "--json")
-    assert time.monotonic() - began < 30.0, "not the whole deadline"
-    assert said.code == 1
-    assert {2, 3} <= set(said.json["absent"]), "of the others, those too that had not begun to obey signals"
-    assert "the others wait no more" in said.err
 
 
 @pytest.mark.timeout(240)
@@ -430,18 +448,3 @@ async def test_children_land_and_end_when_their_parent_is_killed(four, tmp_path,
                 with contextlib.suppress(ProcessLookupError):
                     os.kill(child, signal.SIGKILL)
 
-
-@pytest.mark.timeout(120)
-async def test_the_second_agent_of_one_drone_is_refused(four, compiled):
-    path, config = four
-    first = await Program.start(*AGENT, "--swarm", path, "--id", "0", "--json")
-    try:
-        await listening(config.base_port)
-        second = await Program.start(*AGENT, "--swarm", path, "--id", "0", "--json", "--listen", "tcp/127.0.0.1:0",
-                                     "--connect", config.endpoint(0))  # fmt: skip
-        ended = await second.end(60.0)
-        assert ended["code"] == 1
-        assert "Traceback" not in second.text
-        assert "flies drone(s) 0 too" in second.text
-    finally:
-        await first.kill()

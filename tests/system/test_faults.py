@@ -24,7 +24,7 @@ from crazychoir.swarm.config import SwarmConfig
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(300), pytest.mark.usefixtures("compiled")]
 DATA = Path(__file__).parents[1] / "data"
-LOST_AFTER = 5.0
+LOST_AFTER = 3.0
 LEASE = 1.0
 SAFE_PUT = 0.002
 STANDING = '''
@@ -32,6 +32,9 @@ STANDING = '''
 
 import time
 from crazychoir import CFDistributedFeedback
+from crazychoir.runtime import watchdog
+
+watchdog.GIVE_UP = 4.0  # s, instead of 10
 
 
 class Standing(CFDistributedFeedback):
@@ -129,13 +132,13 @@ async def test_a_killed_process_in_planning_ends_the_mission_of_the_others_and_i
 
 
 async def test_a_stopped_process_delays_nobody(tmp_path):
-    config, first = apart(standing(tmp_path, 6.0), None), ahead_of_others()
+    config, first = apart(standing(tmp_path, 4.0), None), ahead_of_others()
     async with flying(config, tmp_path, lambda i: first) as team:
         await team.law()
         stopped = time.monotonic()
         team.agents[3].signal(signal.SIGSTOP)
         ended = await team.end(30.0, 3)
-        assert min(team.agents[i].ended for i in ended) - stopped > 4.0
+        assert min(team.agents[i].ended for i in ended) - stopped > 2.5
     for i in (0, 2):  # its neighbours; 1 does not talk to it
         assert seen(ended, i, 3, "suspect", stopped) <= 2 * LEASE
     for i in ended:
@@ -147,8 +150,10 @@ async def test_a_stopped_process_delays_nobody(tmp_path):
 
 
 async def run(folder: Path, hang: str, duration: float) -> tuple[dict[str, Any], str]:
-    """`crazychoir run` of four standing drones of which drone 2 hangs; its JSON and its standard error."""
-    config = apart(standing(folder, duration, hang), None)
+    """`crazychoir run` of four standing drones of which drone 2, in a process of its own, hangs; its JSON and its
+    standard error.
+    """
+    config = apart(standing(folder, duration, hang).replace(processes=[[0, 1, 3], [2]]), None)
     path = folder / "standing.json"
     path.write_text(config.dumps())
     program = await Program.start(*CRAZYCHOIR, "run", path, "--json")
@@ -169,7 +174,7 @@ def check_hang(ended: dict[str, Any], text: str, line: int) -> None:
 
 async def hang_in_python(folder: Path) -> None:
     """It is interrupted; drone 2 hovers, lands and says where its code hung."""
-    ended, text = await run(folder, "while True: pass", 7.0)
+    ended, text = await run(folder, "while True: pass", 5.0)
     check_hang(ended, text, HANGING)
     reason = ended["reasons"]["2"]
     assert "guidance failed: Hung" in reason
@@ -182,7 +187,7 @@ async def hang_in_python(folder: Path) -> None:
 
 async def hang_in_c(folder: Path) -> None:
     """Nothing can interrupt it: the process ends itself, and says where its code hung."""
-    ended, text = await run(folder, "time.sleep(60)", 7.0)
+    ended, text = await run(folder, "time.sleep(60)", 5.0)
     check_hang(ended, text, HANGING)
     assert ended["absent"] == [2]
     assert "this process ends itself" in text

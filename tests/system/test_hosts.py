@@ -51,9 +51,9 @@ def clock_of(hosts: Hosts, host: int) -> float:
     return float(subprocess.run([*hosts.command(host), *program], check=True, capture_output=True).stdout)
 
 
-async def cut_in_planning(hosts: Hosts, folder: Path) -> None:
-    """Three processes a host; the hosts do not hear each other for a while as the six plan."""
-    config = demo({"loss": 0.3, "delay": 0.02}, [[i] for i in range(6)])
+async def cut_in_planning(hosts: Hosts, folder: Path, groups: list[list[int]]) -> None:
+    """The hosts do not hear each other for a while as the six plan."""
+    config = demo({"loss": 0.3, "delay": 0.02}, groups)
     async with flying(config, folder, lambda i: hosts.command(i // 3)) as team:
         await team.in_planning(10)
         hosts.cut()
@@ -74,11 +74,20 @@ async def fly_undisturbed(hosts: Hosts, folder: Path) -> None:
 
 
 @pytest.mark.timeout(300)  # the first test of a fresh clone waits for the compiler
-async def test_demo_on_two_hosts_whose_clocks_differ_also_through_a_partition(tmp_path, compiled):
-    with two_hosts(SKEW) as hosts, two_hosts(SKEW) as others:
+async def test_demo_on_two_hosts_whose_clocks_differ_through_a_partition(tmp_path, compiled):
+    """Two processes on one host, one on the other."""
+    with two_hosts(SKEW) as hosts:
         assert clock_of(hosts, 1) - clock_of(hosts, 0) == pytest.approx(SKEW, abs=5.0)
+        await cut_in_planning(hosts, tmp_path, [[0], [1, 2], [3, 4, 5]])
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(300)
+async def test_demo_on_two_pairs_of_hosts_at_once(tmp_path, compiled):
+    """Three processes a host, through a partition, and beside them one process a host, undisturbed."""
+    with two_hosts(SKEW) as hosts, two_hosts(SKEW) as others:
         async with asyncio.TaskGroup() as group:
-            group.create_task(cut_in_planning(hosts, tmp_path / "cut"))
+            group.create_task(cut_in_planning(hosts, tmp_path / "cut", [[i] for i in range(6)]))
             group.create_task(fly_undisturbed(others, tmp_path / "undisturbed"))
 
 

@@ -25,7 +25,9 @@ pytestmark = [
     pytest.mark.usefixtures("compiled"),
 ]
 STANDING = '''
-"""Every drone takes off, stands for a while, and lands."""
+"""Every drone takes off, stands for a while, but no longer than until it was looked at, and lands."""
+
+from pathlib import Path
 
 from crazychoir import CFGuidance
 
@@ -35,7 +37,11 @@ class Standing(CFGuidance):
         await self.take_off()
         await self.rendezvous()
         self.member.report = lambda: {"task": "standing"}
-        await self.sleep(self.member.config.mission_options["duration"])
+        options = self.member.config.mission_options
+        for _ in range(round(10 * options["duration"])):
+            if Path(options["looked"]).exists():
+                break
+            await self.sleep(0.1)
         await self.land()
 
 
@@ -53,7 +59,7 @@ def standing(folder: Path, duration: float, drones: int = 4, motors: int = 0, **
         {
             "name": "standing",
             "mission": str(path),
-            "mission_options": {"duration": duration},
+            "mission_options": {"duration": duration, "looked": str(folder / "looked")},
             "drones": [
                 {"id": i, "home": [float(i), 0.0, 0.0], **({"uri": MOTORS, "platform": "cf21"} if i < motors else {})}
                 for i in range(drones)
@@ -115,9 +121,10 @@ def gone(pids: list[int]) -> bool:
 
 
 async def test_four_processes_fly_in_worlds_of_one_owner_that_others_can_look_into(tmp_path):
-    async with running(standing(tmp_path, 5.0, motors=2), tmp_path) as run:
+    async with running(standing(tmp_path, 60.0, motors=2), tmp_path) as run:
         await run.stands()
         said = await asyncio.to_thread(call, "crazychoir", "echo", "truth", "--swarm", run.path, "--seconds", 1)
+        (tmp_path / "looked").touch()
         ended = await run.program.end(60.0)
     truths = [json.loads(line) for line in said.out.splitlines()]
     assert {truth["drone"] for truth in truths} == {0, 1, 2, 3}, said.err
