@@ -21,7 +21,7 @@ Number = Annotated[float, Meta(ge=-LARGEST, le=LARGEST)]
 Place = tuple[Number, Number]
 """m, in the plane: robots fly at levels of their own."""
 Count = Annotated[int, Meta(ge=0, le=(1 << 63) - 1)]
-"""Incarnations are as large as that: ns since 1970."""
+"""Incarnations are as large as that: random, so they say who lives, not who lived first."""
 
 
 class Task(Struct, frozen=True, order=True, array_like=True):
@@ -53,7 +53,8 @@ class Record(Struct, frozen=True, order=True, array_like=True):
     place: (2,) m, where it is;  deeds: what it has done with goods, oldest first;  seen: (robot, incarnation, number)
     of the others' records that it has;  knows: checksum of the tasks that it knows;  run: (epoch, how many are out,
     run), the newest planning that it takes part in;  landed, idle: on the ground, and waiting for nothing more;
-    out: it flies no more, its goods lie where it is;  ended: the team has agreed to end.
+    out: it flies no more, its goods lie where it is;  ended: the team has agreed to end;
+    life: how many incarnations of the robot there have been, as far as it has heard: the last one counts.
     """
 
     robot: Count
@@ -68,6 +69,7 @@ class Record(Struct, frozen=True, order=True, array_like=True):
     idle: bool = False
     out: bool = False
     ended: bool = False
+    life: Count = 1
 
 
 class Fate(Enum):
@@ -127,10 +129,9 @@ class TaskBook:
         if known is not None and (record.number, record) <= (known.number, known):
             return False
         self.records[key] = record
-        newest = self._newest.get(record.robot)
-        if newest is None or newest.incarnation <= record.incarnation:
-            self._newest[record.robot] = record
-        if known is None or known.deeds != record.deeds or known.out or record.out:
+        lives = [other for other in self.records.values() if other.robot == record.robot]
+        self._newest[record.robot] = max(lives, key=lambda other: (other.life, other.incarnation))
+        if known is None or (known.deeds, known.life) != (record.deeds, record.life) or known.out or record.out:
             self.changes += 1
         return True
 

@@ -78,13 +78,16 @@ class TeamNews:
         return self.book.wire(tasks=any(record is None or record.knows != knows for record in records))
 
     def hear(self, heard: dict[int, Any]) -> None:
-        """Merge the letters of neighbours, by robot."""
+        """Merge the letters of neighbours, by robot. Who hears of another life of its own says that this is later."""
         before = self.key()
         for i, wire in heard.items():
             try:
                 self.book.merge(TaskBook.of(wire))
             except CodecError as error:
                 self.drop(i, error)
+        newest = self.book.newest(self.id)
+        if newest is not None and newest.incarnation != self.record.incarnation:
+            self.say(life=newest.life + 1)
         if self.key() != before:
             self.changed.set()
 

@@ -53,8 +53,7 @@ class Team:
         self.asked, self.promised = [], {task.id for task in self.tasks}
         self.goods, self.delivered = dict.fromkeys(range(tasks), HERE), Counter()
         self.members = tuple(range(robots))
-        self.robots = {i: self.started(i, 1) for i in self.members}
-        self.lives = Counter(self.members)
+        self.robots = {i: self.started(i, int(self.draw.integers(1 << 40))) for i in self.members}
         self.rounds = {}  # messages of plannings that have arrived: (to, from, key, run, round)
         self.cut = None
         self.stray = {}  # who it was that took goods along, by task
@@ -97,8 +96,7 @@ class Team:
         self.goods[j], self.stray[j] = PUT, robot.id
 
     def restart(self, i):
-        self.lives[i] += 1
-        self.robots[i] = self.started(i, self.lives[i])
+        self.robots[i] = self.started(i, int(self.draw.integers(1 << 40)))
 
     def change(self, members, who=None):
         """A new epoch of these members, for those of them that hear of it."""

@@ -2,6 +2,7 @@
 
 from itertools import permutations
 
+import msgspec
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -18,7 +19,7 @@ tasks = st.builds(
 deeds = st.lists(st.builds(Deed, st.integers(0, 3), st.sampled_from([PICK, DROP]), st.integers(1, 2)), max_size=3)
 records = st.builds(
     Record, robot=st.integers(0, 2), incarnation=st.integers(1, 2), number=st.integers(1, 3), place=places,
-    deeds=deeds.map(tuple), out=st.booleans(),
+    deeds=deeds.map(tuple), out=st.booleans(), life=st.integers(1, 2),
 )  # fmt: skip
 books = st.builds(TaskBook, st.lists(tasks, max_size=4), st.lists(records, max_size=5))
 
@@ -113,6 +114,23 @@ def test_a_robot_that_was_started_again_has_lost_what_it_carried():
     assert book.standings((0, 1), recover=False)[7].fate is Fate.LOST
     assert book.standings((0, 1), recover=True)[7] == Standing(Fate.OPEN, (0, -1), 0, 1)
     assert book.newest(0).incarnation == 2
+
+
+def test_the_later_life_of_a_robot_counts_whatever_its_random_incarnation():
+    """Of the lower of two incarnations nobody took note: its team never ended, and what it had carried was nobody's."""
+    before, after = record(0, (PICK, 1)), Record(0, 0, 1, (9.0, 9.0))
+    second = replace(after, life=2)
+    for order in ((before, second), (second, before), (before, after, replace(after, 2))):
+        book = TaskBook([TASK], order)
+        book.standings((0, 1), recover=True)
+        book.hear(replace(after, number=3, life=2))
+        assert book.newest(0).incarnation == 0
+        assert book.standings((0, 1), recover=True)[7].fate is Fate.OPEN
+        assert list(book.alive((0, 1))) == [0]
+
+
+def replace(record, number=1, life=1):
+    return msgspec.structs.replace(record, number=number, life=life)
 
 
 def test_a_cancelled_task_that_is_aboard_is_still_delivered():

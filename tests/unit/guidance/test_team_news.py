@@ -59,6 +59,22 @@ async def test_more_than_half_must_be_known_to_know(clock):
 
 
 @virtual
+async def test_who_is_started_again_takes_the_place_of_its_former_life(clock):
+    graph = named("complete", 3)
+    for former, present in ((9, 5), (5, 9)):
+        bus = Bus(clock)
+        news = {
+            i: TeamNews(Communicator(bus.port(i, former), graph), (), lambda i=i: (float(i), 0.0), False)
+            for i in graph.ids
+        }
+        await gossiping(clock, news, 4 * PERIOD)
+        bus.close(2)
+        news[2] = TeamNews(Communicator(bus.port(2, present), graph), (), lambda: (2.0, 0.0), False)
+        await gossiping(clock, news, 6 * PERIOD)
+        assert [one.book.newest(2).incarnation for one in news.values()] == [present] * 3
+
+
+@virtual
 async def test_what_is_no_book_is_dropped_and_counted_and_the_others_are_heard(clock):
     news = team(clock, named("complete", 3))
     news[2].book.learn(TASK)
