@@ -35,6 +35,8 @@ BACKLOG = 10_000
 """Frames that wait for the event loop; the oldest go when it hangs."""
 CLOSE_DEADLINE = 1.5
 """s; within what a supervisor grants."""
+CLOSING = "zenoh close"
+"""The name of the thread that a session is left behind in, see cli/ending.py."""
 SETTLED = 5
 """s during which a changed HELLO is repeated every second; then every so many s."""
 RUNTIME = "(rx: (worker_threads: 1))"
@@ -167,7 +169,7 @@ class ZenohLink(Actor):
         if session is None:
             return
         closed = asyncio.Event()
-        threading.Thread(target=self._close, args=(session, closed), name="zenoh close", daemon=True).start()
+        threading.Thread(target=self._close, args=(session, closed), name=CLOSING, daemon=True).start()
         try:
             async with asyncio.timeout(CLOSE_DEADLINE):
                 await closed.wait()

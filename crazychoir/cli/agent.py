@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from crazychoir.cli import ending
 from crazychoir.cli.show import STDERR, fail, prints_aside, result_table, set_up_logging, write_json
 from crazychoir.errors import CrazyChoirError
 
@@ -64,7 +65,7 @@ def agent(
 
 def main() -> None:
     """Entry point."""
-    app()
+    ending.run(app)
 
 
 if __name__ == "__main__":

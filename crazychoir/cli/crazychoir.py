@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from crazychoir.cli import look, param, plot, simulate, solve, task
+from crazychoir.cli import ending, look, param, plot, simulate, solve, task
 from crazychoir.cli.show import (
     STDERR,
     Progress,
@@ -122,7 +122,7 @@ def _show(result: dict[str, Any], as_json: bool) -> None:
 
 def main() -> None:
     """Entry point."""
-    app()
+    ending.run(app)
 
 
 if __name__ == "__main__":

@@ -6,6 +6,7 @@ from typing import Annotated
 
 import typer
 
+from crazychoir.cli import ending
 from crazychoir.cli.show import STDERR, fail, set_up_logging, write_json
 from crazychoir.errors import ConfigError, CrazyChoirError
 
@@ -46,7 +47,7 @@ def world(
 
 def main() -> None:
     """Entry point."""
-    app()
+    ending.run(app)
 
 
 if __name__ == "__main__":
