@@ -22,6 +22,8 @@ DRAWN = 0.6
 """Share of the best prices so far in the next ones."""
 HALF = 3
 """Times as many labels may a half have as a table, which keeps more of each."""
+CLOSE = 0.01
+"""Relative gap below which prices are no longer drawn."""
 ENOUGH = 1e-5
 """Relative gap between the value of the columns known and the bound."""
 
@@ -29,7 +31,7 @@ ENOUGH = 1e-5
 class LargeBound:
     """The Lagrangian bound of bound.py, by prices that are sought pass by pass; only the robots' pricing is heavy.
 
-        pi_k = DRAWN * (the prices of the best bound) + (1 - DRAWN) * (the prices of the columns known)
+        pi_k = DRAWN * (the prices of the best bound) + (1 - DRAWN) * (the prices of the columns known), at first
         value_k = sum_j pi_kj + sum_i K_i least_i(pi_k),     pi_kj at most what refusing task j costs
 
     Each robot floods least_i and columns of negative reduced cost, exact ones by halves.py, else least_i of a
@@ -74,7 +76,8 @@ class LargeBound:
             relaxed, prices = yield from self._agree(master)
             if relaxed - best <= ENOUGH * max(1.0, abs(relaxed)):
                 break
-            drawn = new > 0  # where drawn prices bring nothing, those of the columns themselves are next
+            # Where drawn prices bring nothing, or little is missing, those of the columns themselves are next.
+            drawn = new > 0 and relaxed - best > CLOSE * abs(relaxed)
             pi = DRAWN * centre + (1.0 - DRAWN) * prices if drawn else prices
         self.value = best
 
