@@ -32,8 +32,8 @@ ending.run(app)
 @pytest.mark.parametrize("left", [False, True])
 def test_a_session_that_does_not_close_changes_no_exit_code(code, left):
     began = time.monotonic()
-    words = [str(code), str(left)]
-    done = subprocess.run([sys.executable, "-c", HANGS, *words], capture_output=True, text=True, check=False, timeout=50)
+    words = [sys.executable, "-c", HANGS, str(code), str(left)]
+    done = subprocess.run(words, capture_output=True, text=True, check=False, timeout=50)
     assert done.returncode == code, done.stderr
     assert done.stdout.splitlines() == (["the result"] if left else ["the result", "taken down"])
     assert time.monotonic() - began < 40.0
