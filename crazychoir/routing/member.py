@@ -46,7 +46,7 @@ class Settings:
     first_steps: int = 1_000
     cluster: tuple[int, int] = (25, 60)
     leaders: int = 3
-    steps: int = 300_000
+    steps: int = 220_000
     cluster_rounds: int = 120
     least_passes: int = 8
     most_passes: int = 40
