@@ -5,6 +5,9 @@ BIN := $(VENV)/bin
 # setuptools explains at length what an editable installation is.
 PIP_INSTALL := PYTHONWARNINGS='ignore:Editable installation' $(BIN)/python -m pip install --quiet
 
+# What gets a processor only when nobody else wants it: what runs in real time beside it does not notice.
+IDLE := $(shell command -v chrt >/dev/null && echo chrt --idle 0 || echo nice -n 19)
+
 # A sourced ROS workspace or a user's site-packages must not leak in.
 unexport PYTHONPATH PYTHONHOME PIP_USER PIP_TARGET PIP_PREFIX
 # Each drone is a process: without byte code each of them compiles all modules anew.
@@ -28,8 +31,8 @@ demo: $(VENV)/.installed  ## six drones in six processes plan and fly pickups an
 test: $(VENV)/.installed-test  ## all tests but the campaigns, with ruff, mypy and the import contract
 	@mkdir -p out
 	@echo "What runs in real time is shown here; what only computes runs beside it, and is shown afterwards."
-	@nice -n 19 $(BIN)/python -m pytest -m "not (slow or real_time)" -o cache_dir=.pytest_cache/computing \
-		>out/computing.txt 2>&1 & beside=$$!; trap 'kill $$beside; exit 130' INT TERM; \
+	@$(IDLE) $(BIN)/python -m pytest -n auto --dist loadfile -m "not (slow or real_time)" \
+		-o cache_dir=.pytest_cache/computing >out/computing.txt 2>&1 & beside=$$!; trap 'kill $$beside; exit 130' INT TERM; \
 	$(BIN)/python -m pytest -v -m "real_time and not slow"; real_time=$$?; \
 	wait $$beside; computing=$$?; cat out/computing.txt; exit $$((real_time | computing))
 
