@@ -23,7 +23,7 @@ import numpy as np
 
 from crazychoir.errors import AgentFailed, CrazyChoirError, PeerLost, RosterChanged
 from crazychoir.guidance.airspace import way_round
-from crazychoir.guidance.base import CFGuidance, Interrupted, Member
+from crazychoir.guidance.base import ARRIVED, CFGuidance, Interrupted, Member
 from crazychoir.guidance.commitments import Commitments
 from crazychoir.guidance.replanning import AUCTION, Goods, Mark, Replanning, Share, mark
 from crazychoir.guidance.site import Site
@@ -362,12 +362,16 @@ class OnlinePDVRPGuidance(CFGuidance):
         self.news.say(out=True)
 
     async def _reach(self, stop: Stop) -> bool:
-        """Fly to a stop; False if it is not the next one any more."""
+        """Fly to a stop; False if it is not the next one any more, or is elsewhere by what is known now."""
         if not self.up:
             self.up = True
             self.news.say(landed=False, idle=False)
             await self.take_off(self.options.levels[self.id])
-        return await self._to(self._place(stop), lambda: self.commitments.next() == stop)
+        return await self._to(goal := self._place(stop), lambda: self._leads_to(stop, goal))
+
+    def _leads_to(self, stop: Stop, goal: Vec) -> bool:
+        """Whether a stop is the next one, and still there: of a robot that is gone something newer may be heard."""
+        return self.commitments.next() == stop and float(np.linalg.norm(self._place(stop) - goal)) < ARRIVED
 
     async def _to(self, goal: Vec, valid: Callable[[], bool]) -> bool:
         """Fly to a place, round the homes of the others, as long as it is where to fly."""
@@ -388,7 +392,7 @@ class OnlinePDVRPGuidance(CFGuidance):
             finally:
                 await _given_up(leg)
                 self.flown += float(np.linalg.norm(self._here() - began))
-        return True
+        return valid()
 
     async def _come_to_rest(self) -> None:
         """A flight that turns round under way swings far out: who flies elsewhere now stops first, for a moment."""
