@@ -48,6 +48,7 @@ LATE = 5.0
 REUNION = 30.0
 """s on the ground after which a part of the team that is cut off ends its mission."""
 UNREACHED = "cut off from more than half of the team"
+NO_PLAN = "no plan, only what is aboard is delivered"
 TOO_FAR = "no drone that can serve it has enough left of its route_length_limit"
 
 
@@ -83,6 +84,7 @@ class OnlinePDVRPGuidance(CFGuidance):
         self.served: list[dict[str, Any]] = []
         self.unserved: dict[int, str] = {}
         self.plannings: list[float] = []
+        self.fallbacks: list[dict[str, Any]] = []
         self.longest_wait = self.flown = 0.0
         self.up = False
         self.reason = ""
@@ -125,6 +127,7 @@ class OnlinePDVRPGuidance(CFGuidance):
             "tasks": {str(j): [s.fate.value, s.robot] for j, s in self.news.standings().items()},
             "unserved": {str(j): why for j, why in self.unserved.items()},
             "plannings_s": self.plannings,
+            "fallbacks": self.fallbacks,
             "longest_wait_s": self.longest_wait,
             "dropped": self.news.dropped,
             **({"success": False, "reason": self.reason} if self.reason else {}),
@@ -289,7 +292,9 @@ class OnlinePDVRPGuidance(CFGuidance):
         self.commitments.adopt(share)
         self._mark = mark(share.book)
         self._promised = self._now + self._seconds(self.commitments.route)
-        self._say_unserved({j: self._why(j) for j in share.unserved})
+        self._say_trouble(share.trouble)
+        unplanned = f"{NO_PLAN}: {share.trouble[AUCTION]}" if AUCTION in share.trouble else ""
+        self._say_unserved({j: unplanned or self._why(j) for j in share.unserved})
         self._redirected.set()
 
     def _why(self, j: int) -> str:
@@ -299,11 +304,24 @@ class OnlinePDVRPGuidance(CFGuidance):
         badly = site.lies_badly(task, standing.pickup, standing.robot)
         return badly or site.never(task) or site.waits(task, flying) or TOO_FAR
 
+    @property
+    def _speaks(self) -> bool:
+        """Whether it is the robot that says for all what all know: the lowest that flies."""
+        return self.id == min(self.news.book.alive(self.news.members), default=self.id)
+
+    def _say_trouble(self, trouble: dict[str, str]) -> None:
+        """Which methods have found no plan, and why: in the log once, and in the result."""
+        n = len(self.plannings)
+        for method, why in trouble.items():
+            instead = NO_PLAN if method == AUCTION else f"planned by {AUCTION}"
+            self.fallbacks.append({"planning": n, "method": method, "why": why, "instead": instead})
+            if self._speaks:
+                log.warning("drone %d: planning %d: %s: %s; %s", self.id, n, method, why, instead)
+
     def _say_unserved(self, unserved: dict[int, str]) -> None:
-        """The lowest robot that flies says what is new of that, for all."""
-        speaks = self.id == min(self.news.book.alive(self.news.members), default=self.id)
+        """What is new of that, in the log once."""
         for j, why in unserved.items():
-            if speaks and self.unserved.get(j) != why:
+            if self._speaks and self.unserved.get(j) != why:
                 log.warning("drone %d: task %d is left alone: %s", self.id, j, why)
         self.unserved = unserved
 
