@@ -23,7 +23,7 @@ import numpy as np
 
 from crazychoir.errors import AgentFailed, CrazyChoirError, PeerLost, RosterChanged
 from crazychoir.guidance.airspace import way_round
-from crazychoir.guidance.base import ARRIVED, CFGuidance, Interrupted, Member
+from crazychoir.guidance.base import ARRIVED, TOUCHDOWN, CFGuidance, Interrupted, Member, touch_down
 from crazychoir.guidance.commitments import Commitments
 from crazychoir.guidance.replanning import AUCTION, Goods, Mark, Replanning, Share, mark
 from crazychoir.guidance.site import Site
@@ -112,13 +112,19 @@ class OnlinePDVRPGuidance(CFGuidance):
                 await self.news.farewell()
                 for job in jobs:
                     job.cancel()
-        except BaseExceptionGroup as errors:
+        except BaseException as error:
+            cause = error.exceptions[0] if isinstance(error, BaseExceptionGroup) else error
+            await self._come_down("" if isinstance(cause, asyncio.CancelledError) else f"mission failed: {cause}")
             await self.news.last_words()
-            raise errors.exceptions[0] from errors
-        except BaseException:
-            await self.news.last_words()
-            raise
+            if cause is error:
+                raise
+            raise cause from error
         return self.outcome()
+
+    async def _come_down(self, reason: str) -> None:
+        """Be on the ground before the others hear that it is out: they come to where it is, for its goods."""
+        self.member.pilot.land(reason)
+        await touch_down(self.member.pilot, TOUCHDOWN)
 
     def outcome(self) -> dict[str, Any]:
         """This drone's part of the report."""
@@ -376,6 +382,7 @@ class OnlinePDVRPGuidance(CFGuidance):
         except CrazyChoirError as error:
             log.warning("drone %d: %s", self.id, error)
             self.reason = str(error)
+            await self._come_down("")
         self.up = False
         self.news.say(out=True)
 

@@ -247,6 +247,38 @@ def test_a_drone_that_is_landed_by_its_operator_leaves_its_tasks_to_the_others()
     assert all(len(by) == 1 for by in outcome.delivered.values())
 
 
+BROKEN = [("commitments", "next"), ("news", "letter"), ("", "_seconds")]
+"""What is broken in flight: where it goes, what it says, what it plans."""
+
+
+@pytest.mark.parametrize(("part", "name"), BROKEN)
+def test_a_mission_that_raises_alone_leaves_its_tasks_to_the_others(part, name):
+    """Others came for its goods while it was above them; and of one that could not say it nobody heard, for ever."""
+    config, failed = drawn(7, 0.2, drones=5, tasks=6, later=0, recover=True), []
+
+    def prepare(agent):
+        def fail():
+            busy = max(agent.ids, key=lambda i: len(agent.drones[i].guidance.commitments.route))
+            failed.append(busy)
+            guidance = agent.drones[busy].guidance
+            setattr(getattr(guidance, part, guidance), name, broken)
+
+        agent.clock.call_at(round(9 * SECONDS), fail)
+
+    def broken(*_args):
+        raise RuntimeError("broken")
+
+    outcome = fly_online(config, {}, prepare)
+    (i,), others = failed, [i for i in config.ids if i not in failed]
+    assert "guidance failed: RuntimeError: broken" in outcome.results[i]["reason"]
+    assert all(outcome.results[i]["success"] for i in others), outcome.results
+    fates = outcome.results[others[0]]["tasks"]
+    assert all(outcome.results[i]["tasks"] == fates for i in others)
+    assert {fate for fate, _ in fates.values()} == {"delivered"}
+    assert all(len(by) == 1 for by in outcome.delivered.values())
+    assert outcome.touching == {}
+
+
 @pytest.mark.parametrize(
     ("who", "recover"),
     [(0, True), (3, False), *(pytest.param(*both, marks=pytest.mark.slow) for both in ((0, False), (3, True)))],
