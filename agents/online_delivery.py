@@ -178,6 +178,7 @@ def report(config: SwarmConfig, results: Results) -> dict[str, Any]:
         "undone": undone,
         "twice": twice,
         "plannings": max((len(r.get("plannings_s", [])) for r in results.values()), default=0),
+        "fallbacks": first.get("fallbacks", []),
         "longest_wait_s": max((r.get("longest_wait_s", 0.0) for r in results.values()), default=0.0),
     }
 

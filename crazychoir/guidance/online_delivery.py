@@ -23,7 +23,7 @@ import numpy as np
 
 from crazychoir.errors import AgentFailed, CrazyChoirError, PeerLost, RosterChanged
 from crazychoir.guidance.airspace import way_round
-from crazychoir.guidance.base import CFGuidance, Interrupted, Member
+from crazychoir.guidance.base import ARRIVED, TOUCHDOWN, CFGuidance, Interrupted, Member, touch_down
 from crazychoir.guidance.commitments import Commitments
 from crazychoir.guidance.replanning import AUCTION, Goods, Mark, Replanning, Share, mark
 from crazychoir.guidance.site import Site
@@ -48,6 +48,7 @@ LATE = 5.0
 REUNION = 30.0
 """s on the ground after which a part of the team that is cut off ends its mission."""
 UNREACHED = "cut off from more than half of the team"
+NO_PLAN = "no plan, only what is aboard is delivered"
 TOO_FAR = "no drone that can serve it has enough left of its route_length_limit"
 
 
@@ -83,6 +84,7 @@ class OnlinePDVRPGuidance(CFGuidance):
         self.served: list[dict[str, Any]] = []
         self.unserved: dict[int, str] = {}
         self.plannings: list[float] = []
+        self.fallbacks: list[dict[str, Any]] = []
         self.longest_wait = self.flown = 0.0
         self.up = False
         self.reason = ""
@@ -110,13 +112,19 @@ class OnlinePDVRPGuidance(CFGuidance):
                 await self.news.farewell()
                 for job in jobs:
                     job.cancel()
-        except BaseExceptionGroup as errors:
+        except BaseException as error:
+            cause = error.exceptions[0] if isinstance(error, BaseExceptionGroup) else error
+            await self._come_down("" if isinstance(cause, asyncio.CancelledError) else f"mission failed: {cause}")
             await self.news.last_words()
-            raise errors.exceptions[0] from errors
-        except BaseException:
-            await self.news.last_words()
-            raise
+            if cause is error:
+                raise
+            raise cause from error
         return self.outcome()
+
+    async def _come_down(self, reason: str) -> None:
+        """Be on the ground before the others hear that it is out: they come to where it is, for its goods."""
+        self.member.pilot.land(reason)
+        await touch_down(self.member.pilot, TOUCHDOWN)
 
     def outcome(self) -> dict[str, Any]:
         """This drone's part of the report."""
@@ -125,6 +133,7 @@ class OnlinePDVRPGuidance(CFGuidance):
             "tasks": {str(j): [s.fate.value, s.robot] for j, s in self.news.standings().items()},
             "unserved": {str(j): why for j, why in self.unserved.items()},
             "plannings_s": self.plannings,
+            "fallbacks": self.fallbacks,
             "longest_wait_s": self.longest_wait,
             "dropped": self.news.dropped,
             **({"success": False, "reason": self.reason} if self.reason else {}),
@@ -289,7 +298,9 @@ class OnlinePDVRPGuidance(CFGuidance):
         self.commitments.adopt(share)
         self._mark = mark(share.book)
         self._promised = self._now + self._seconds(self.commitments.route)
-        self._say_unserved({j: self._why(j) for j in share.unserved})
+        self._say_trouble(share.trouble)
+        unplanned = f"{NO_PLAN}: {share.trouble[AUCTION]}" if AUCTION in share.trouble else ""
+        self._say_unserved({j: unplanned or self._why(j) for j in share.unserved})
         self._redirected.set()
 
     def _why(self, j: int) -> str:
@@ -299,11 +310,24 @@ class OnlinePDVRPGuidance(CFGuidance):
         badly = site.lies_badly(task, standing.pickup, standing.robot)
         return badly or site.never(task) or site.waits(task, flying) or TOO_FAR
 
+    @property
+    def _speaks(self) -> bool:
+        """Whether it is the robot that says for all what all know: the lowest that flies."""
+        return self.id == min(self.news.book.alive(self.news.members), default=self.id)
+
+    def _say_trouble(self, trouble: dict[str, str]) -> None:
+        """Which methods have found no plan, and why: in the log once, and in the result."""
+        n = len(self.plannings)
+        for method, why in trouble.items():
+            instead = NO_PLAN if method == AUCTION else f"planned by {AUCTION}"
+            self.fallbacks.append({"planning": n, "method": method, "why": why, "instead": instead})
+            if self._speaks:
+                log.warning("drone %d: planning %d: %s: %s; %s", self.id, n, method, why, instead)
+
     def _say_unserved(self, unserved: dict[int, str]) -> None:
-        """The lowest robot that flies says what is new of that, for all."""
-        speaks = self.id == min(self.news.book.alive(self.news.members), default=self.id)
+        """What is new of that, in the log once."""
         for j, why in unserved.items():
-            if speaks and self.unserved.get(j) != why:
+            if self._speaks and self.unserved.get(j) != why:
                 log.warning("drone %d: task %d is left alone: %s", self.id, j, why)
         self.unserved = unserved
 
@@ -358,16 +382,21 @@ class OnlinePDVRPGuidance(CFGuidance):
         except CrazyChoirError as error:
             log.warning("drone %d: %s", self.id, error)
             self.reason = str(error)
+            await self._come_down("")
         self.up = False
         self.news.say(out=True)
 
     async def _reach(self, stop: Stop) -> bool:
-        """Fly to a stop; False if it is not the next one any more."""
+        """Fly to a stop; False if it is not the next one any more, or is elsewhere by what is known now."""
         if not self.up:
             self.up = True
             self.news.say(landed=False, idle=False)
             await self.take_off(self.options.levels[self.id])
-        return await self._to(self._place(stop), lambda: self.commitments.next() == stop)
+        return await self._to(goal := self._place(stop), lambda: self._leads_to(stop, goal))
+
+    def _leads_to(self, stop: Stop, goal: Vec) -> bool:
+        """Whether a stop is the next one, and still there: of a robot that is gone something newer may be heard."""
+        return self.commitments.next() == stop and float(np.linalg.norm(self._place(stop) - goal)) < ARRIVED
 
     async def _to(self, goal: Vec, valid: Callable[[], bool]) -> bool:
         """Fly to a place, round the homes of the others, as long as it is where to fly."""
@@ -388,7 +417,7 @@ class OnlinePDVRPGuidance(CFGuidance):
             finally:
                 await _given_up(leg)
                 self.flown += float(np.linalg.norm(self._here() - began))
-        return True
+        return valid()
 
     async def _come_to_rest(self) -> None:
         """A flight that turns round under way swings far out: who flies elsewhere now stops first, for a moment."""

@@ -1,12 +1,13 @@
 """One planning of a team in flight, as rounds: agree on what is known, share out what is free, from where all are."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from crazychoir.errors import CodecError
+from crazychoir.guidance.attempt import attempt
 from crazychoir.guidance.task_book import Fate, Place, Task, TaskBook
 from crazychoir.optimization.agreement import flood
 from crazychoir.optimization.program import Exchange, Program
@@ -30,7 +31,7 @@ class Share:
 
     stops: after those that it was bound to;  unserved: tasks that nobody can serve;  book: what the plan was made with,
     the same at all robots;  ended: nothing is left to do, and all have landed;  dropped: why, by robot, what it said
-    counts for nothing.
+    counts for nothing;  trouble: why, by method, it has found no plan, the same at all robots.
     """
 
     stops: tuple[Stop, ...]
@@ -38,6 +39,7 @@ class Share:
     book: TaskBook
     ended: bool
     dropped: Dropped
+    trouble: dict[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -69,13 +71,15 @@ class Replanning(Program[Share]):
 
         flood of books and bonds  ->  auction of the free tasks  ->  a better plan of those that were sold
 
+    A method that raises, at one robot or at all, leaves the plan of the auction; an auction that does, no plan: what is
+    aboard is delivered, and the free tasks are left.
+
     graph: of the members, connected and undirected;  book: what this robot knows;  bound: tasks that it is about to
     serve, or to deliver, before its start; nobody else gets them;  carried: tasks that are aboard at its start;
     problem: this robot's problem of these goods;  recover: see TaskBook.standings;  method: of KINDS; the auction alone
     takes some tens of rounds and milliseconds, the others find shorter plans and compute for seconds.
     What robots know is theirs as of the first round: what they hear later is for the next planning.
     What somebody says that is no book is dropped, by all alike, as everybody hears the same of it.
-    Raises SolverError as PickupDelivery does.
     """
 
     def __init__(
@@ -93,26 +97,46 @@ class Replanning(Program[Share]):
         said = yield from flood(self.robot, self._mine, self.diameter)
         book, bound, carried, dropped = _merged(said)
         goods = self._goods(book, bound, carried)
-        free = [n for n, is_free in enumerate(goods.free) if is_free]
-        local, m = self._problem(goods), len(goods.tasks)
-        route, left = yield from parallel_auction(self.robot, local.vehicle, free, self.diameter)
-        sold = [n for n in range(m) if n not in left]
-        if self.method != AUCTION and sold and self.diameter:
-            # Goods aboard are delivered whatever the way, so a plan of that length must be allowed.
-            least = max(local.vehicle.limit, local.vehicle.length(route))
-            route = yield from self._better(replace(local, left=least), sold)
-        stops = tuple(Stop(goods.tasks[v % m].id, "pickup" if v < m else "delivery") for v in route)
+        stops, left, trouble = yield from self._shared_out(goods)
         idle = all(record.idle for record in book.alive(self.members).values())
         return Share(
             stops,
             unserved=tuple(goods.tasks[n].id for n in left),
             book=book,
-            ended=idle and len(left) == len(free) and not (bound or carried),
+            ended=idle and len(left) == sum(goods.free) and not (bound or carried),
             dropped=dropped,
+            trouble=trouble,
         )
 
-    def _better(self, local: LocalProblem, sold: list[int]) -> Exchange[tuple[int, ...]]:
-        """This robot's route, as nodes, in a plan of PickupDelivery, for which robots and tasks count from 0."""
+    def _shared_out(self, goods: Goods) -> Exchange[tuple[tuple[Stop, ...], tuple[int, ...], dict[str, str]]]:
+        """This robot's stops, the tasks that are left, as indices, and the methods that have found no plan."""
+        m, trouble = len(goods.tasks), dict[str, str]()
+        found, why = yield from attempt(self.robot, self._auction(goods), self.diameter)
+        if found is None:
+            aboard = [task.id for task, mine in zip(goods.tasks, goods.mine, strict=True) if mine]
+            left = tuple(n for n, free in enumerate(goods.free) if free)
+            return tuple(Stop(j, "delivery") for j in aboard), left, {AUCTION: why}
+        local, route, left = found
+        sold = [n for n in range(m) if n not in left]
+        if self.method != AUCTION and sold and self.diameter:
+            better, why = yield from attempt(self.robot, self._better(local, route, sold), self.diameter)
+            if better is None:
+                trouble[self.method] = why
+            else:
+                route = better
+        return tuple(Stop(goods.tasks[v % m].id, "pickup" if v < m else "delivery") for v in route), left, trouble
+
+    def _auction(self, goods: Goods) -> Exchange[tuple[LocalProblem, tuple[int, ...], tuple[int, ...]]]:
+        """This robot's problem, its route, as nodes, and the tasks that are left, as indices."""
+        local, free = self._problem(goods), [n for n, is_free in enumerate(goods.free) if is_free]
+        route, left = yield from parallel_auction(self.robot, local.vehicle, free, self.diameter)
+        return local, route, left
+
+    def _better(self, local: LocalProblem, route: tuple[int, ...], sold: list[int]) -> Exchange[tuple[int, ...]]:
+        """This robot's route, as nodes, in a plan of PickupDelivery, for which robots and tasks count from 0.
+
+        Goods aboard are delivered whatever the way, so a plan as long as this route must be allowed.
+        """
         index = {i: n for n, i in enumerate(self.members)}
         chosen, m = np.array(sold), len(local.tasks)
         both = np.concatenate([chosen, m + chosen])
@@ -125,7 +149,7 @@ class Replanning(Program[Share]):
         solver = PickupDelivery(
             replace(
                 local, robot=index[self.robot], robots=len(index), tasks=tasks, capable=local.capable[chosen],
-                aboard=aboard,
+                aboard=aboard, left=max(local.vehicle.limit, local.vehicle.length(route)),
             ),
             neighbors=[index[j] for j in neighbors],
             n=len(index),

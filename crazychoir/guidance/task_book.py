@@ -108,6 +108,7 @@ class TaskBook:
         self.changes = 0
         self._newest: dict[int, Record] = {}
         self._standings: tuple[Any, dict[int, Standing]] = (None, {})
+        self._fallen: dict[int | None, None] = {}  # robots by whose places these standings are: others fly about
         for task in tasks:
             self.learn(task)
         for record in records:
@@ -131,7 +132,8 @@ class TaskBook:
         self.records[key] = record
         lives = [other for other in self.records.values() if other.robot == record.robot]
         self._newest[record.robot] = max(lives, key=lambda other: (other.life, other.incarnation))
-        if known is None or (known.deeds, known.life) != (record.deeds, record.life) or known.out or record.out:
+        moved = record.robot in self._fallen and known is not None and known.place != record.place
+        if moved or known is None or _done(known) != _done(record):
             self.changes += 1
         return True
 
@@ -176,7 +178,9 @@ class TaskBook:
         """
         key = self.changes, tuple(members), recover
         if self._standings[0] != key:
-            self._standings = key, self._all_standings(members, recover)
+            found = self._all_standings(members, recover)
+            lying = [s for s in found.values() if s.fate in (Fate.OPEN, Fate.CANCELLED) and s.robot is not None]
+            self._standings, self._fallen = (key, found), dict.fromkeys(s.robot for s in lying)
         return self._standings[1]
 
     def _all_standings(self, members: Collection[int], recover: bool) -> dict[int, Standing]:
@@ -230,6 +234,11 @@ class TaskBook:
             return cls(*_READER.decode(wire))  # type: ignore[arg-type]  # what is no bytes raises
         except (msgspec.MsgspecError, TypeError, ValueError, RecursionError) as error:
             raise CodecError(f"task book: {error}") from error
+
+
+def _done(record: Record) -> tuple[Any, ...]:
+    """What of a record may change what has become of tasks, wherever it is."""
+    return record.deeds, record.life, record.out
 
 
 _READER = msgspec.msgpack.Decoder(tuple[list[Task], list[Record]])

@@ -2,7 +2,7 @@
 
 import asyncio
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from functools import lru_cache
 from itertools import pairwise
 from typing import Any
@@ -13,6 +13,7 @@ from crazychoir.errors import CodecError, RosterChanged
 from crazychoir.guidance.task_book import Place, Record, Standing, Task, TaskBook
 from crazychoir.swarm.communicator import Communicator
 from crazychoir.swarm.graph import Graph
+from crazychoir.swarm.rounds import FAILED
 
 log = logging.getLogger(__name__)
 PERIOD = 0.2
@@ -43,6 +44,7 @@ class TeamNews:
         self.changed = asyncio.Event()
         self.dropped = 0
         self._team: tuple[int, ...] = ()
+        self._failed: dict[int, None] = {}
 
     # Saying and hearing ---------------------------------------------------------------------------------------
 
@@ -58,6 +60,7 @@ class TeamNews:
             try:
                 neighbors = self.links().neighbors(self.id)
                 self.hear(await self.communicator.asynchronous_receive(neighbors, channel=BOOK))
+                self._write_off(await self.communicator.asynchronous_receive(neighbors, channel=FAILED))
                 await self._tell()
             except RosterChanged:
                 self.changed.set()
@@ -88,6 +91,20 @@ class TeamNews:
         newest = self.book.newest(self.id)
         if newest is not None and newest.incarnation != self.record.incarnation:
             self.say(life=newest.life + 1)
+        if self.key() != before:
+            self.changed.set()
+
+    def _write_off(self, failed: Collection[int]) -> None:
+        """Say for neighbours whose missions have failed that they are out: they may have had no last words of it.
+
+        Once: who is started again is another one.
+        """
+        before = self.key()
+        for i in failed:
+            record = self.book.newest(i)
+            if i not in self._failed and record is not None and not record.out:
+                self.book.hear(msgspec.structs.replace(record, number=record.number + 1, out=True))
+        self._failed = dict.fromkeys(failed)
         if self.key() != before:
             self.changed.set()
 

@@ -160,6 +160,28 @@ async def test_goods_that_are_not_there_are_left_out(clock):
 
 
 @virtual
+async def test_a_drone_on_its_way_to_goods_turns_to_where_they_are_heard_to_lie(clock):
+    guidance = robot(clock)
+    guidance.news.recover, guidance.up, flown = True, True, []
+
+    async def go_to(p):
+        flown.append(tuple(p[:2]))
+        await clock.sleep(1.0)
+        if len(flown) == 1:
+            guidance.news.book.hear(Record(9, 1, 2, (3.0, 3.0), (Deed(1, PICK, 1),)))  # who else was told of it
+
+    guidance.go_to = go_to
+    guidance.member.pilot.remaining = lambda: 0.0
+    guidance.news.book.hear(Record(9, 1, 1, (1.0, 1.0), (Deed(1, PICK, 1),)))
+    guidance.commitments.route = stops((1, PICK), (1, DROP))
+    assert not await guidance._reach(Stop(1, PICK))
+    assert await guidance._reach(Stop(1, PICK))
+    assert flown == [(1.0, 1.0), (3.0, 3.0)]
+    guidance.news.book.hear(Record(9, 1, 3, (3.1, 3.0), (Deed(1, PICK, 1),)))
+    assert guidance._leads_to(Stop(1, PICK), np.array([3.0, 3.0])), "near enough: a place is never known to the mm"
+
+
+@virtual
 async def test_a_new_plan_keeps_what_it_was_bound_to_and_leaves_out_what_is_done(clock):
     guidance = robot(clock)
     guidance.commitments.begin(ROUTE[:2])

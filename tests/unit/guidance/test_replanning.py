@@ -7,9 +7,13 @@ import numpy as np
 import pytest
 
 from crazychoir.bus.codec import decode, encode
+from crazychoir.errors import SolverError
+from crazychoir.guidance import replanning
 from crazychoir.guidance.replanning import AUCTION, Replanning, mark
 from crazychoir.guidance.task_book import Deed, Record, Task, TaskBook
 from crazychoir.routing.generate import random_instance
+from crazychoir.routing.parallel_auction import parallel_auction
+from crazychoir.routing.pickup_delivery import PickupDelivery
 from crazychoir.swarm.graph import Graph
 
 IDS = (2, 3, 5, 8)
@@ -160,6 +164,62 @@ def test_goods_aboard_are_delivered_by_any_method_whatever_is_left_of_the_limit(
         shares = planned(books, carried={3: (6,)}, method=method)
         assert stops(shares[3]) == [(6, "delivery")]
         assert stops(shares[2]) == [(4, "pickup"), (4, "delivery")]
+
+
+# A method that raises ------------------------------------------------------------------------------------------
+
+CARRIED = {3: (6,)}
+
+
+def with_trouble(monkeypatch, who, after, **options):
+    """Shares of a planning in which PickupDelivery raises in step `after` at the members `who`."""
+    step = PickupDelivery.step
+
+    def broken(self, heard):
+        step(self, heard)
+        if IDS[self._member.place.robot] in who and (self.k == after or (after is None and self.done)):
+            raise SolverError("columns", "no plan found")
+
+    monkeypatch.setattr(PickupDelivery, "step", broken)
+    books = {i: TaskBook([NEAR_2, NEAR_8], records()) for i in IDS}
+    return planned(books, carried=CARRIED, **options)
+
+
+@pytest.mark.parametrize("after", [1, 2, 5, None])
+@pytest.mark.parametrize("who", [(8,), (2, 3), IDS])
+def test_a_method_that_raises_leaves_the_plan_of_the_auction(monkeypatch, who, after):
+    books = {i: TaskBook([NEAR_2, NEAR_8], records()) for i in IDS}
+    auction = planned(books, carried=CARRIED)
+    shares = with_trouble(monkeypatch, who, after, method="columns")
+    assert [stops(shares[i]) for i in IDS] == [stops(auction[i]) for i in IDS]
+    why = f"robot {who[0]}: SolverError: columns: the solver ended with status no plan found"
+    assert [share.trouble for share in shares.values()] == [{"columns": why}] * 4
+
+
+def test_an_auction_that_raises_leaves_what_is_aboard_to_be_delivered(monkeypatch):
+    def broken(robot, *args):
+        if robot == 5:
+            raise KeyError("a bug")
+        return (yield from parallel_auction(robot, *args))
+
+    monkeypatch.setattr(replanning, "parallel_auction", broken)
+    books = {i: TaskBook([NEAR_2, NEAR_8], records()) for i in IDS}
+    shares = planned(books, carried=CARRIED, method="columns")
+    assert [stops(shares[i]) for i in IDS] == [[], [(6, "delivery")], [], []]
+    assert {share.unserved for share in shares.values()} == {(4,)}
+    assert not any(share.ended for share in shares.values())
+    (why,) = {share.trouble[AUCTION] for share in shares.values()}
+    assert why.startswith("robot 5: KeyError: 'a bug' (test_replanning.py:")
+
+
+def test_a_planning_for_which_somebody_has_no_problem_is_none(monkeypatch):
+    def broken(i, start):
+        return lambda goods: 1 / 0
+
+    monkeypatch.setitem(globals(), "problem", broken)
+    shares = planned({i: TaskBook([NEAR_2], records(idle=True)) for i in IDS})
+    assert all("robot 2: ZeroDivisionError" in share.trouble[AUCTION] for share in shares.values())
+    assert all(share.ended for share in shares.values()), "on the ground nobody plans for ever"
 
 
 @pytest.mark.parametrize("nonsense", [b"no book", [b"no book", [], []], [TaskBook().wire(), ["x"], []], None, 7])

@@ -23,15 +23,19 @@ records = st.builds(
 )  # fmt: skip
 books = st.builds(TaskBook, st.lists(tasks, max_size=4), st.lists(records, max_size=5))
 
+TEAMS = (0, 1, 2), (0,), ()
+
 
 def content(book):
-    return book.tasks, book.records, {i: book.newest(i) for i in range(3)}, book.standings(range(3), True)
+    return book.tasks, book.records, {i: book.newest(i) for i in range(3)}, *(book.standings(m, True) for m in TEAMS)
 
 
 def merged(*parts):
+    """Asked in between: what it has answered once must not stay."""
     book = TaskBook()
     for part in parts:
         book.merge(part)
+        content(book)
     return book
 
 
@@ -168,6 +172,27 @@ def test_goods_are_where_a_robot_that_is_out_says_that_it_is_now():
         assert book.standings((0,), recover=True)[7].generation == 1
         book.hear(Record(0, 1, number, place, (Deed(7, PICK, 1),), out=True))
         assert book.standings((0,), recover=True)[7] == Standing(Fate.OPEN, place, 0, 1)
+
+
+def test_goods_are_where_a_robot_that_is_lost_has_last_said_whoever_is_told_later():
+    """They were fetched from where it had been when its loss was noticed, by those who heard its last record later."""
+    last, before = (Record(1, 1, n, place, (Deed(7, PICK, 1),)) for n, place in ((9, (3.0, 3.0)), (4, (1.0, 1.0))))
+    for order in permutations((before, last)):
+        book = TaskBook([TASK])
+        for said in order:
+            book.hear(said)
+            book.standings((0,), recover=True)
+        assert book.standings((0,), recover=True)[7] == Standing(Fate.OPEN, (3.0, 3.0), 1, 1)
+
+
+def test_where_a_robot_flies_changes_nothing():
+    """All say their places all the time: what has become of tasks would be found out anew at each."""
+    book = TaskBook([TASK], [record(0, (PICK, 1)), record(1)])
+    book.standings((0, 1), recover=True)
+    before = book.changes
+    assert book.hear(Record(0, 1, 2, (0.5, 0.5), (Deed(7, PICK, 1),)))
+    assert book.hear(Record(1, 1, 2, (0.5, 0.5)))
+    assert book.changes == before
 
 
 @given(books, books)

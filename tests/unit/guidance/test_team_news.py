@@ -8,10 +8,11 @@ from virtual_time import virtual
 from crazychoir.bus.impairment import Impairment
 from crazychoir.bus.local import Bus
 from crazychoir.bus.rules import Rule
-from crazychoir.guidance.task_book import Deed, Fate, Task
+from crazychoir.guidance.task_book import Deed, Fate, Record, Task
 from crazychoir.guidance.team_news import BOOK, PERIOD, TeamNews, mended
 from crazychoir.swarm.communicator import Communicator
 from crazychoir.swarm.graph import Graph, named
+from crazychoir.types import Failure
 
 TASK = Task(1, 0, False, (1.0, 0.0), (2.0, 0.0))
 
@@ -159,3 +160,19 @@ def test_a_graph_is_mended_where_it_fell_apart():
     assert mended(ring, (1,)).edges() == ((0, 5), (2, 3), (3, 4), (4, 5))
     assert mended(ring, (1, 4)).edges() == ((0, 2), (0, 5), (2, 3))
     assert mended(Graph.from_edges((1, 2, 3), [])).edges() == ((1, 2), (2, 3))
+
+
+@virtual
+async def test_neighbours_say_for_a_robot_that_has_failed_without_a_word_that_it_is_out(clock):
+    news = team(clock, named("ring", 6), 0.4)
+    await gossiping(clock, news, 30 * PERIOD)
+    before = news[2].record
+    await news[2].communicator.fail(Failure(2, "broken"))
+    others = {i: one for i, one in news.items() if i != 2}
+    await gossiping(clock, others, 30 * PERIOD)
+    assert {one.key() for one in others.values()} == {(0, (2,))}
+    assert all(one.changed.is_set() for one in others.values())
+    again = Record(2, before.incarnation + 1, 1, (5.0, 5.0), life=before.life + 1)
+    news[3].book.hear(again)
+    await gossiping(clock, others, 30 * PERIOD)
+    assert all(one.book.newest(2) == again for one in others.values()), "who is started again is another one"
