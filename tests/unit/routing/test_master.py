@@ -60,6 +60,30 @@ def test_robots_that_are_the_same_share_a_row(columns):
     assert partition(together, 4, 0, 1000, alike={1: (1,)}).cost > each.cost
 
 
+def test_missing_robots_cost_what_a_robot_does_at_most(columns):
+    """At least n columns, each that is missing at the cost f: the dual of that row is between 0 and f."""
+    for f in (0.5, 5.0, 500.0):
+        master, penalty = Master(np.full(4, 100.0)), np.full(4, 100.0)
+        for robot, column in columns[::2]:
+            master.add(robot, [column])
+        free = master.relax().value
+        master.at_least(3, f)
+        for robot, column in columns[1::2]:
+            master.add(robot, [column])
+        relaxed, pool = master.relax(), Pool(4)
+        for robot, column in columns:
+            pool.add(robot, [column])
+        assert 0.0 <= relaxed.reward <= f
+        least = [
+            min(0.0, *(c.length - relaxed.prices[list(c.tasks)].sum() - relaxed.reward for i, c in columns if i == r))
+            for r in range(3)
+        ]
+        assert relaxed.value == pytest.approx(3 * relaxed.reward + relaxed.prices.sum() + sum(least))
+        assert pool.relax(penalty).value - 1e-9 <= relaxed.value
+        assert all(column.tasks for _, column in master.basis)
+        assert free > 0.0
+
+
 def test_no_cover_is_proven_and_relaxes_at_the_penalty():
     lonely = [(0, Column(3.0, (0,)))]
     none = Partition(np.inf, {}, np.inf)
