@@ -13,6 +13,12 @@ from crazychoir.routing.pricing import Column
 from crazychoir.types import Vec
 
 GOLDEN = 0.6180339887498949
+STATUS = highspy.HighsModelStatus
+NONE = (STATUS.kInfeasible, STATUS.kUnboundedOrInfeasible, STATUS.kModelEmpty)
+"""Where a search over x in [0, 1] says so, there is no choice."""
+REACHED = (STATUS.kOptimal, *NONE, STATUS.kSolutionLimit, STATUS.kIterationLimit, STATUS.kObjectiveBound,
+           STATUS.kObjectiveTarget)  # fmt: skip
+"""Ends of a search that is not broken: an answer, or a limit, which for nodes is called kSolutionLimit."""
 Key = tuple[int, tuple[int, ...]]
 Routes = dict[int, tuple[int, ...]]
 """Tasks of each robot, increasing."""
@@ -197,24 +203,39 @@ def partition(
 
     Stops after `nodes` branch-and-bound nodes, never by time. known: a choice to start from;  alike: the K_i robots
     that a column of i is one of, i among them: i alone where it is not named.
+    Raises SolverError if HiGHS breaks off, then also without presolve and a start.
     """
     same = {robot: (alike or {}).get(robot, (robot,)) for robot, _ in columns}
-    highs = _model(columns, tasks, seed, {robot: len(robots) for robot, robots in same.items()})
-    index = np.arange(len(columns), dtype=np.int32)
-    highs.changeColsIntegrality(len(index), index, np.full(len(index), int(highspy.HighsVarType.kInteger), np.uint8))
-    highs.setOptionValue("mip_rel_gap", 0.0)
-    highs.setOptionValue("mip_max_nodes", nodes)
+    number = {robot: len(robots) for robot, robots in same.items()}
+    start = None
     if known is not None:
-        start = [float(any(known.get(i) == column.tasks for i in same[robot])) for robot, column in columns]
-        highs.setSolution(len(index), index, np.array(start))
-    highs.run()
-    info = highs.getInfo()
+        start = np.array([float(any(known.get(i) == c.tasks for i in same[robot])) for robot, c in columns])
+    highs = _searched(_model(columns, tasks, seed, number), nodes, start)
+    if highs.getModelStatus() not in REACHED:  # HiGHS 1.x presolves some infeasible ones to an answer that it rejects
+        highs = _model(columns, tasks, seed, number)
+        highs.setOptionValue("presolve", "off")
+        highs = _searched(highs, nodes, None)
+    status, info = highs.getModelStatus(), highs.getInfo()
+    if status not in REACHED:
+        raise SolverError(f"set partitioning of {len(columns)} columns", status.name)
     if info.primal_solution_status != int(highspy.SolutionStatus.kSolutionStatusFeasible):
-        none = not columns or highs.getModelStatus() == highspy.HighsModelStatus.kInfeasible
-        return Partition(np.inf, {}, np.inf if none else -np.inf)
+        return Partition(np.inf, {}, np.inf if not columns or status in NONE else -np.inf)
     chosen = [c for c, x in zip(columns, highs.getSolution().col_value, strict=True) if x > 0.5]
     cost = sum(column.length for _, column in chosen)
     return Partition(cost, _shared_out(chosen, same), min(cost, info.mip_dual_bound))
+
+
+def _searched(highs: highspy.Highs, nodes: int, start: Vec | None) -> highspy.Highs:
+    """After branch and bound over binary columns."""
+    n = highs.getNumCol()
+    index = np.arange(n, dtype=np.int32)
+    highs.changeColsIntegrality(n, index, np.full(n, int(highspy.HighsVarType.kInteger), np.uint8))
+    highs.setOptionValue("mip_rel_gap", 0.0)
+    highs.setOptionValue("mip_max_nodes", nodes)
+    if start is not None:
+        highs.setSolution(n, index, start)
+    highs.run()
+    return highs
 
 
 def _shared_out(chosen: list[tuple[int, Column]], same: Mapping[int, Sequence[int]]) -> Routes:
