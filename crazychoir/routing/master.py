@@ -113,10 +113,6 @@ class Master:
     def __len__(self) -> int:
         return len(self._columns)
 
-    def columns(self) -> list[tuple[int, Column]]:
-        """(robot, column) in the order of their arrival."""
-        return list(self._columns)
-
     def add(self, robot: int, columns: Iterable[Column]) -> int:
         """Take columns of a robot; returns how many are new or shorter than known."""
         new = [column for column in columns if column.tasks and self._is_news(robot, column)]
