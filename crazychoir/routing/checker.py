@@ -4,19 +4,10 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
-from crazychoir.errors import CrazyChoirError
 from crazychoir.routing.instance import Instance, LocalProblem
 from crazychoir.routing.plan import Plan, Route
 
 TOLERANCE = 1e-6
-
-
-class PlanError(CrazyChoirError, ValueError):
-    """A plan breaks rules of its instance; `violations` lists them."""
-
-    def __init__(self, violations: list[str]) -> None:
-        self.violations = tuple(violations)
-        super().__init__("the plan is not feasible: " + "; ".join(violations))
 
 
 def check(instance: Instance, plan: Plan) -> list[str]:
@@ -48,13 +39,6 @@ def check_team(team: Sequence[LocalProblem], plan: Plan) -> list[str]:
         if times > 1 or (times == 0 and penalty == math.inf):
             found.append(f"task {task} is served {times} times, not once")
     return found
-
-
-def require_feasible(instance: Instance, plan: Plan) -> None:
-    """Raise PlanError if `check` finds anything."""
-    violations = check(instance, plan)
-    if violations:
-        raise PlanError(violations)
 
 
 def cost_of(instance: Instance, plan: Plan) -> float:

@@ -4,7 +4,7 @@ from typing import Any
 
 from crazychoir.optimization.agreement import best_offer
 from crazychoir.optimization.program import Exchange
-from crazychoir.routing.bound import Bound, improve
+from crazychoir.routing.bound import Bound, improve, least_robots
 from crazychoir.routing.master import Master, Pool, Relaxation
 from crazychoir.routing.member import Member
 from crazychoir.routing.packing import packed, unpacked
@@ -26,6 +26,8 @@ class Gossip:
     same round from `latest`, the last round in which anybody that was heard of learned one; or after `gossip_rounds`.
     Then the prices of the robot with the least value are everybody's: price exactly, flood, bound; where that bound is
     below the value, a robot's column was not known to the one that named the prices: again with those columns.
+    Where robots have a fixed cost, parts of robots leave a gap of parts of it: all that again with the row that at
+    least n robots leave, see `least_robots`, which every plan meets.
     bound, value: m, the value of the relaxation;  master: with all columns that robot i has heard of.
     Source: the idea of distributed simplex (Burger, Notarstefano, Bullo, Allgower 2012, Automatica 48(9)), with columns
     priced instead of listed.
@@ -40,20 +42,33 @@ class Gossip:
         self._latest = 0
 
     def run(self) -> Exchange[float]:
-        """Gossip and agree until the bound is the value, which is returned, or `passes` are over."""
-        settings = self._member.settings
+        """The value; where robots have a fixed cost, with their number rounded up."""
         self._member.report(phase="columns")
+        value, used = yield from self._converge()
+        if self._member.fixed > 0.0:
+            robots = yield from least_robots(self.bound, self._member)
+            if robots > used:
+                self.bound.robots = robots
+                self.master.at_least(robots, self._member.fixed)
+                value, _ = yield from self._converge()
+        return value
+
+    def _converge(self) -> Exchange[tuple[float, float]]:
+        """Gossip and agree until the bound is the value, which is returned, or `passes` are over; and how many robots
+        the relaxation uses.
+        """
+        settings = self._member.settings
         best = self._priced()
         for _ in range(settings.passes):
             best = yield from self._spread(best)
-            value, pi = yield from self._agree(best)
-            news = yield from improve(self.bound, self._member, self.pool, pi, settings.batch)
+            value, pi, used, reward = yield from self._agree(best)
+            news = yield from improve(self.bound, self._member, self.pool, pi, settings.batch, reward)
             if not news or value - self.bound.value <= settings.tolerance * max(1.0, value):
                 break
             for robot, column in self.pool.items():
                 self.master.add(robot, [column])
             best = self._priced()
-        return value
+        return value, used
 
     def _spread(self, best: Relaxation) -> Exchange[Relaxation]:
         """Rounds until nobody learns."""
@@ -86,18 +101,18 @@ class Gossip:
 
     def _priced(self) -> Relaxation:
         """The relaxation after own pricing, until no own column has a negative reduced cost."""
-        member = self._member
+        member, batch = self._member, self._member.settings.batch
         while True:
             best = self.master.relax()
             below = self.master.sigma(self._i) - TOLERANCE
-            own = member.table.cheapest(best.prices, member.settings.batch, below) if member.speaks else []
+            own = member.table.cheapest(best.prices, batch, below, best.reward) if member.speaks else []
             if not self.master.add(self._i, own):
                 return best
 
-    def _agree(self, best: Relaxation) -> Exchange[tuple[float, Vec]]:
-        """The least value, and the prices of the robot that found it."""
+    def _agree(self, best: Relaxation) -> Exchange[tuple[float, Vec, float, float]]:
+        """The least value; the prices, the number of robots and their reward of the one that found it."""
         self._member.kind = "prices"
-        own: list[Any] = [best.value, self._i, best.prices]
+        own: list[Any] = [best.value, self._i, best.prices, best.used, best.reward]
         offer = yield from best_offer(own, self._member.place.diameter)
-        value, _, prices = offer or own  # everybody makes one
-        return float(value), prices
+        value, _, prices, used, reward = offer or own  # everybody makes one
+        return float(value), prices, float(used), float(reward)

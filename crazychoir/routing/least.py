@@ -1,16 +1,13 @@
 """The least reduced cost of a robot at given prices, without a table of all its routes."""
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from crazychoir.errors import SolverError
-from crazychoir.routing.labels import MOST_TASKS, Flags, Ints, Words
+from crazychoir.routing.labels import Flags, Ints, Words
 from crazychoir.routing.priced import grow_priced
-from crazychoir.routing.pricing import TOO_MANY, Column, shortest_route
-from crazychoir.routing.search import search
-from crazychoir.routing.vehicle import SLACK, TOTAL, Vehicle
+from crazychoir.routing.pricing import Column, shortest_route
+from crazychoir.routing.vehicle import SLACK, Vehicle
 from crazychoir.types import Vec
 
 MOST_LABELS = 1_000_000
@@ -18,9 +15,6 @@ WIDTH = 200
 """Labels a number of stops in the quick search that comes first: what it finds is what the exact one is cut by."""
 MOST_COLUMNS = 20
 NEAR = 8
-FEW, MOST_OF_FEW, MOST_OF_MANY, STEPS = 12, 1_000_000, 50_000, 5_000
-"""One set of tasks: up to FEW of them need at most so many labels; larger sets are worth a try, as narrow windows may
-leave few; steps of the search."""
 
 
 class Least(NamedTuple):
@@ -31,14 +25,6 @@ class Least(NamedTuple):
 
     value: float
     columns: list[Column]
-    exact: bool
-
-
-class RouteOf(NamedTuple):
-    """Nodes and length in m of a route, and whether it is proven to be the best."""
-
-    nodes: list[int]
-    length: float
     exact: bool
 
 
@@ -56,49 +42,6 @@ def least_reduced_cost(vehicle: Vehicle, prices: Vec, most: int = MOST_LABELS, w
     columns = [Column(shortest_route(vehicle, tasks)[1] + vehicle.fixed, tasks) for tasks in list(sets)[:MOST_COLUMNS]]
     columns.sort(key=lambda c: (c.length - float(prices[list(c.tasks)].sum()), c))
     return Least(found[-1].value, columns, found[-1].exact)
-
-
-def columns_below(vehicle: Vehicle, prices: Vec, below: float, most: int = MOST_LABELS) -> Least:
-    """All columns with a reduced cost less than `below`, by (length, tasks): what a proof needs of a robot.
-
-    A bound of the routes' reduced costs cuts labels, so that a part of those of a table is made.
-    """
-    problem = _Problem(vehicle, prices)
-    search = problem.search(below, most, most, every=True)
-    sets = problem.sets(search.routes)
-    columns = sorted(Column(vehicle.length(nodes) + vehicle.fixed, tasks) for tasks, nodes in sets.items())
-    return Least(min([problem.nothing, *(cost for cost, _ in search.routes)]), columns, search.exact)
-
-
-def route_of(
-    vehicle: Vehicle, tasks: Sequence[int], objective: tuple[str, ...] = (TOTAL,), most: int | None = None
-) -> RouteOf:
-    """The best route of `vehicle` that serves exactly `tasks`; a good one where the best needs more than `most` labels.
-
-    most: None is enough for 12 tasks, and a second at most.
-    Raises SolverError if there is none, or, where it is not exact, if none was found.
-    """
-    chosen = np.array(sorted(tasks), dtype=np.int64)
-    most = (MOST_OF_FEW if len(chosen) <= FEW else MOST_OF_MANY) if most is None else most
-    if len(chosen) <= MOST_TASKS:
-        try:
-            return RouteOf(*shortest_route(vehicle, tasks, objective, most), True)
-        except SolverError as error:
-            if error.status != TOO_MANY:
-                raise
-    return _good_route(vehicle, chosen, objective)
-
-
-def _good_route(vehicle: Vehicle, chosen: Ints, objective: tuple[str, ...]) -> RouteOf:
-    """By ruin and recreate."""
-    few = vehicle.only(chosen)
-    found = search([few], [[]], np.full(len(chosen), np.inf), STEPS, seed=0, objective=objective)
-    if found.unserved:
-        raise SolverError(f"robot {vehicle.robot}: a tour of tasks {chosen.tolist()}", "none was found")
-    m, k = vehicle.tasks, len(chosen)
-    names = [*chosen.tolist(), *(m + chosen).tolist(), 2 * m, 2 * m + 1]
-    nodes = [names[min(v, 2 * k + 1)] for v in found.routes[0]]
-    return RouteOf(nodes, vehicle.length(nodes), False)
 
 
 def relaxed_reduced_cost(
@@ -138,8 +81,8 @@ class _Problem:
         """The reduced cost of no route: 0, or inf for a robot that has goods to deliver."""
         return np.inf if self._whole.aboard.any() else 0.0
 
-    def search(self, below: float, most: int, width: int, every: bool = False) -> _Search:
-        """The best routes with a reduced cost less than `below`, or the best of each set of tasks."""
+    def search(self, below: float, most: int, width: int) -> _Search:
+        """The best routes with a reduced cost less than `below`."""
         v = self._vehicle
         into = _into(v)
         by = np.array([True, v.timed, bool(np.isfinite(v.farthest)), v.trips > 1])
@@ -148,9 +91,9 @@ class _Problem:
         best, ends, costs, last, parent, again, exact = grow_priced(
             v.distance, v.duration, v.shortest, v.fastest, v.earliest, v.latest + SLACK, v.load, v.aboard,
             self._price, into, np.argsort(-worth, kind="stable"), self._memory, by, v.capacity + SLACK,
-            v.limit + SLACK, v.limit_again + SLACK, v.trips, below - v.fixed, every, most, width,
+            v.limit + SLACK, v.limit_again + SLACK, v.trips, below - v.fixed, most, width,
         )  # fmt: skip
-        order = np.argsort(costs, kind="stable")[: None if every else 10 * MOST_COLUMNS]
+        order = np.argsort(costs, kind="stable")[: 10 * MOST_COLUMNS]
         routes = [(float(costs[r]) + v.fixed, self._nodes(int(ends[r]), last, parent, again)) for r in order]
         return _Search(min(below, best + v.fixed), routes, bool(exact))
 

@@ -13,6 +13,12 @@ from crazychoir.routing.pricing import Column
 from crazychoir.types import Vec
 
 GOLDEN = 0.6180339887498949
+STATUS = highspy.HighsModelStatus
+NONE = (STATUS.kInfeasible, STATUS.kUnboundedOrInfeasible, STATUS.kModelEmpty)
+"""Where a search over x in [0, 1] says so, there is no choice."""
+REACHED = (STATUS.kOptimal, *NONE, STATUS.kSolutionLimit, STATUS.kIterationLimit, STATUS.kObjectiveBound,
+           STATUS.kObjectiveTarget)  # fmt: skip
+"""Ends of a search that is not broken: an answer, or a limit, which for nodes is called kSolutionLimit."""
 Key = tuple[int, tuple[int, ...]]
 Routes = dict[int, tuple[int, ...]]
 """Tasks of each robot, increasing."""
@@ -20,10 +26,15 @@ Routes = dict[int, tuple[int, ...]]
 
 @dataclass(frozen=True)
 class Relaxation:
-    """Value in m of the linear relaxation and the task prices (M,) m >= 0."""
+    """Value in m of the linear relaxation and the task prices (M,) m >= 0.
+
+    used: sum of x, parts of robots counted as such;  reward: m >= 0, what each of them earns, where they are too few.
+    """
 
     value: float
     prices: Vec
+    used: float = 0.0
+    reward: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -79,6 +90,7 @@ class Master:
         min  sum length_c x_c + sum_j penalty_j v_j
         s.t. sum_{c serves j} x_c + v_j >= 1                     : pi_j >= 0
              sum_{c of i} x_c <= K_i                             : sigma_i <= 0,    x >= 0, v >= 0
+             sum_c x_c + w >= n, at the cost f w                 : 0 <= mu <= f,    after `at_least`
 
     penalty: (M,) m, more than any price, or what it costs to refuse the task;  spread: the right-hand sides are raised
     by up to this, each by another amount, the same at all robots: then no optimal basis is degenerate, so prices are
@@ -93,16 +105,13 @@ class Master:
         self._columns: list[tuple[int, Column]] = []
         self._index: dict[Key, int] = {}
         self._row: dict[int, int] = {}
+        self._count: tuple[int, int] | None = None
         for j, price in enumerate(penalty):
             self._highs.addRow(self._raised(j), highspy.kHighsInf, 0, np.array([], np.int32), np.array([]))
             self._highs.addCol(float(price), 0.0, highspy.kHighsInf, 1, np.array([j], np.int32), np.ones(1))
 
     def __len__(self) -> int:
         return len(self._columns)
-
-    def columns(self) -> list[tuple[int, Column]]:
-        """(robot, column) in the order of their arrival."""
-        return list(self._columns)
 
     def add(self, robot: int, columns: Iterable[Column]) -> int:
         """Take columns of a robot; returns how many are new or shorter than known."""
@@ -122,7 +131,7 @@ class Master:
 
     def _row_of(self, robot: int) -> int:
         if robot not in self._row:
-            self._row[robot] = self._tasks + len(self._row)
+            self._row[robot] = self._highs.getNumRow()
             most = self._raised(self._tasks + robot, self._number.get(robot, 1))
             self._highs.addRow(-highspy.kHighsInf, most, 0, np.array([], np.int32), np.array([]))
         return self._row[robot]
@@ -132,12 +141,22 @@ class Master:
         return number + self._spread * ((row + 1) * GOLDEN % 1.0)
 
     def _append(self, row: int, columns: list[Column]) -> None:
-        rows = [[*column.tasks, row] for column in columns]
+        common = [row] if self._count is None else [row, self._count[0]]
+        rows = [[*column.tasks, *common] for column in columns]
         starts = np.cumsum([0, *(len(r) for r in rows)])[:-1].astype(np.int32)
         index = np.array([r for column in rows for r in column], dtype=np.int32)
         n, cost = len(columns), np.array([column.length for column in columns])
         free = np.full(n, highspy.kHighsInf)
         self._highs.addCols(n, cost, np.zeros(n), free, len(index), starts, index, np.ones(len(index)))
+
+    def at_least(self, robots: int, reward: float) -> None:
+        """Ask for `robots` = n columns in all, each that is missing at the cost `reward` = f in m; once."""
+        row, n = self._highs.getNumRow(), len(self)
+        self._count = row, robots
+        index = np.arange(self._tasks, self._tasks + n, dtype=np.int32)
+        self._highs.addRow(self._raised(row, robots), highspy.kHighsInf, n, index, np.ones(n))
+        self._highs.addCol(reward, 0.0, highspy.kHighsInf, 1, np.array([row], np.int32), np.ones(1))
+        self._columns.append((-1, Column(reward, ())))  # keeps its place
 
     def relax(self) -> Relaxation:
         """Its value (that of its prices at right-hand sides not raised) and prices, with the columns added since."""
@@ -149,7 +168,9 @@ class Master:
         self._sigma = {robot: min(0.0, float(dual[row])) for robot, row in self._row.items()}
         prices = np.clip(dual[: self._tasks], 0.0, self._penalty)
         saved = [self._number.get(robot, 1) * sigma for robot, sigma in self._sigma.items()]
-        return Relaxation(math.fsum([*prices, *saved]), prices)
+        row, robots = self._count or (0, 0)
+        reward = max(0.0, float(dual[row])) if self._count else 0.0
+        return Relaxation(math.fsum([*prices, *saved, robots * reward]), prices, self._used, reward)
 
     def sigma(self, robot: int) -> float:
         """sigma_i in m of the last relaxation, <= 0: what one more route of this robot would save."""
@@ -159,12 +180,13 @@ class Master:
     def basis(self) -> list[tuple[int, Column]]:
         """Columns of the last basis, in the order of their arrival."""
         _, basic = self._highs.getBasicVariables()
-        return [self._columns[int(k) - self._tasks] for k in np.sort(basic) if k >= self._tasks]
+        basis = [self._columns[int(k) - self._tasks] for k in np.sort(basic) if k >= self._tasks]
+        return [(robot, column) for robot, column in basis if column.tasks]
 
     @property
-    def weights(self) -> Vec:
-        """(len(self),) x of the last relaxation."""
-        return np.array(self._highs.getSolution().col_value)[self._tasks :]
+    def _used(self) -> float:
+        x = self._highs.getSolution().col_value[self._tasks :]
+        return math.fsum(part for part, (_, column) in zip(x, self._columns, strict=True) if column.tasks)
 
 
 def partition(
@@ -177,24 +199,39 @@ def partition(
 
     Stops after `nodes` branch-and-bound nodes, never by time. known: a choice to start from;  alike: the K_i robots
     that a column of i is one of, i among them: i alone where it is not named.
+    Raises SolverError if HiGHS breaks off, then also without presolve and a start.
     """
     same = {robot: (alike or {}).get(robot, (robot,)) for robot, _ in columns}
-    highs = _model(columns, tasks, seed, {robot: len(robots) for robot, robots in same.items()})
-    index = np.arange(len(columns), dtype=np.int32)
-    highs.changeColsIntegrality(len(index), index, np.full(len(index), int(highspy.HighsVarType.kInteger), np.uint8))
-    highs.setOptionValue("mip_rel_gap", 0.0)
-    highs.setOptionValue("mip_max_nodes", nodes)
+    number = {robot: len(robots) for robot, robots in same.items()}
+    start = None
     if known is not None:
-        start = [float(any(known.get(i) == column.tasks for i in same[robot])) for robot, column in columns]
-        highs.setSolution(len(index), index, np.array(start))
-    highs.run()
-    info = highs.getInfo()
+        start = np.array([float(any(known.get(i) == c.tasks for i in same[robot])) for robot, c in columns])
+    highs = _searched(_model(columns, tasks, seed, number), nodes, start)
+    if highs.getModelStatus() not in REACHED:  # HiGHS 1.x presolves some infeasible ones to an answer that it rejects
+        highs = _model(columns, tasks, seed, number)
+        highs.setOptionValue("presolve", "off")
+        highs = _searched(highs, nodes, None)
+    status, info = highs.getModelStatus(), highs.getInfo()
+    if status not in REACHED:
+        raise SolverError(f"set partitioning of {len(columns)} columns", status.name)
     if info.primal_solution_status != int(highspy.SolutionStatus.kSolutionStatusFeasible):
-        none = not columns or highs.getModelStatus() == highspy.HighsModelStatus.kInfeasible
-        return Partition(np.inf, {}, np.inf if none else -np.inf)
+        return Partition(np.inf, {}, np.inf if not columns or status in NONE else -np.inf)
     chosen = [c for c, x in zip(columns, highs.getSolution().col_value, strict=True) if x > 0.5]
     cost = sum(column.length for _, column in chosen)
     return Partition(cost, _shared_out(chosen, same), min(cost, info.mip_dual_bound))
+
+
+def _searched(highs: highspy.Highs, nodes: int, start: Vec | None) -> highspy.Highs:
+    """After branch and bound over binary columns."""
+    n = highs.getNumCol()
+    index = np.arange(n, dtype=np.int32)
+    highs.changeColsIntegrality(n, index, np.full(n, int(highspy.HighsVarType.kInteger), np.uint8))
+    highs.setOptionValue("mip_rel_gap", 0.0)
+    highs.setOptionValue("mip_max_nodes", nodes)
+    if start is not None:
+        highs.setSolution(n, index, start)
+    highs.run()
+    return highs
 
 
 def _shared_out(chosen: list[tuple[int, Column]], same: Mapping[int, Sequence[int]]) -> Routes:

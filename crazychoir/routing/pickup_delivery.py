@@ -26,6 +26,8 @@ CONFIRMED = ("route lengths or times", "task sets and hashes of routes")
 """What the confirmation of a plan tells of each robot, whatever the method."""
 BY_PRICES = ("resource-columns", "resource", "resource-argmax")
 """Methods that add up what tasks cost at prices: where that is no cost of a plan, they cannot."""
+BY_CLAIMS = ("resource", "resource-argmax")
+"""Methods whose robots claim every task: they cannot refuse one."""
 METHODS = ("columns", *BY_PRICES, *insertion_bids.METHODS)
 
 
@@ -41,8 +43,8 @@ class PickupDelivery(Program[Solution]):
     cbba, auction: bids of cheapest insertions, see insertion_bids.py; baselines, without a bound.
     diameter: of the connected, undirected graph;  degree_of: degree of each neighbour.
     All robots are done in the same round, with the same plan digest, cost and bound.
-    Raises ConfigError for an unknown method, and for one of BY_PRICES where prices say nothing; SolverError if the team
-    cannot agree on a plan.
+    Raises ConfigError for an unknown method, for one of BY_PRICES where prices say nothing, and for one of BY_CLAIMS
+    where tasks may be refused; SolverError if the team cannot agree on a plan.
     """
 
     heavy = True
@@ -62,6 +64,8 @@ class PickupDelivery(Program[Solution]):
             raise ConfigError("method", method, ", ".join(METHODS), "Choose one of them.")
         if method in BY_PRICES:
             _require_prices(local, method)
+        if method in BY_CLAIMS:
+            _require_service(local, method)
         place = Place(local.robot, n, tuple(sorted(neighbors)), diameter, dict(degree_of))
         self._member = Member(local, place, settings or Settings())
         self._method = method
@@ -189,3 +193,13 @@ def _require_prices(local: LocalProblem, method: str) -> None:
         able = [name for name in METHODS if name not in BY_PRICES]
         allowed = f"the total first and no priorities, as prices of tasks add up; or the methods {', '.join(able)}"
         raise ConfigError(f"method {method}", found, allowed, "Take columns, or change the instance.")
+
+
+def _require_service(local: LocalProblem, method: str) -> None:
+    """ConfigError where tasks may be refused: claims go on until every task has a robot."""
+    refusable = np.flatnonzero(np.isfinite(local.tasks.penalty)).tolist()
+    if refusable:
+        able = [name for name in METHODS if name not in BY_CLAIMS]
+        found = f"a finite penalty of task(s) {', '.join(map(str, refusable))}, which may be refused"
+        allowed = f"tasks that must all be served; or the methods {', '.join(able)}"
+        raise ConfigError(f"method {method}", found, allowed, "Take columns, or leave the penalties out.")

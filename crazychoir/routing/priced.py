@@ -103,11 +103,9 @@ def _thin(guide: Vec, dead: Flags, first: int, count: int, width: int) -> bool:
 def grow_priced(
     distance: Mat, duration: Mat, shortest: Mat, fastest: Mat, earliest: Vec, latest: Vec, load: Vec, aboard: Flags,
     prices: Vec, into: Vec, order: Ints, memory: Words, by: Flags, capacity: float, limit: float, limit_again: float,
-    trips: int, best: float, every: bool, most: int, width: int,
+    trips: int, best: float, most: int, width: int,
 ) -> tuple[float, Ints, Vec, Ints, Ints, Flags, bool]:  # fmt: skip
     """The least reduced cost of a route that is not empty, and less than `best`; without the fixed cost.
-
-    every: find the best route of each set of tasks with a reduced cost less than `best` instead.
 
     prices: (m,);  into: (2m + 2,) m, the shortest way into each node;  order: (m,) tasks, those first whose price is
     high for their way;  memory: (m, 2) words: the tasks that are remembered as done at a stop of task k, all of them
@@ -126,7 +124,7 @@ def grow_priced(
     due = np.zeros(m, np.int64)
     begin(keys, held, load, aboard)
     gone[0, 0], gone[0, 1] = keys[0, 0], keys[0, 1]
-    keys[0, 0], keys[0, 1] = (keys[0, 0], keys[0, 1]) if every else (zero, zero)
+    keys[0, 0], keys[0, 1] = zero, zero
     last[0], state[0, TIME], state[0, LEFT], state[0, TRIP] = 2 * m, earliest[2 * m], limit, 1.0
     for j in range(m):
         if aboard[j]:
@@ -156,9 +154,8 @@ def grow_priced(
             time = max(time + duration[at, stop], earliest[stop])
             if not in_time(stop, on, goods, m, time, left, latest, shortest, fastest):
                 continue
-            p0, p1, o0, o1 = after(keys, i, stop, m)
-            if not every:  # what is picked up does not tell labels apart
-                p0, p1 = zero, zero
+            _, _, o0, o1 = after(keys, i, stop, m)
+            p0, p1 = zero, zero  # what is picked up does not tell labels apart
             keys[count, 0], keys[count, 1], keys[count, 2], keys[count, 3] = p0, p1, o0, o1
             bit = ONE << np.uint64(j & 63)
             gone[count, 0] = (gone[i, 0] & memory[j, 0]) | o0 | (bit if j < 64 else zero)
@@ -194,7 +191,7 @@ def grow_priced(
             total, finish = cost + distance[stop, end], max(time + duration[stop, end], earliest[end])
             if waiting == 0 and total < below and distance[stop, end] <= left and finish <= latest[end]:
                 ends[found], worths[found], found = count, total, found + 1
-                best = best if every else min(best, total)
+                best = min(best, total)
             count += 1
             if count == len(last):
                 keys, last, parent, state = doubled(keys), doubled(last), doubled(parent), doubled(state)

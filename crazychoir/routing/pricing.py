@@ -65,20 +65,21 @@ class RouteTable:
         """Column number c."""
         return Column(float(self.length[c]), tuple(int(j) for j in self.task[self.start[c] : self.start[c + 1]]))
 
-    def reduced_costs(self, prices: Vec) -> Vec:
-        """(len(self),) m, of all columns; prices: (M,) m, -inf forbids a task."""
-        return np.asarray(reduced_costs(self.length, self.start, self.task, prices))
+    def reduced_costs(self, prices: Vec, reward: float = 0.0) -> Vec:
+        """(len(self),) m, of all columns, of all but the idle one less `reward`; prices: (M,) m, -inf forbids."""
+        cost = np.asarray(reduced_costs(self.length, self.start, self.task, prices))
+        return cost - reward * (np.diff(self.start) > 0) if reward else cost
 
-    def cheapest(self, prices: Vec, count: int, below: float) -> list[Column]:
+    def cheapest(self, prices: Vec, count: int, below: float, reward: float = 0.0) -> list[Column]:
         """At most `count` columns with a reduced cost under `below`, the least first, ties in the table's order."""
-        cost = self.reduced_costs(prices)
+        cost = self.reduced_costs(prices, reward)
         candidates = np.flatnonzero(cost < below)
         best = candidates[np.argsort(cost[candidates], kind="stable")[:count]]
         return [self.column(int(c)) for c in best]
 
-    def least(self, prices: Vec) -> float:
+    def least(self, prices: Vec, reward: float = 0.0) -> float:
         """The least reduced cost; at most 0, that of the idle column."""
-        return float(self.reduced_costs(prices).min())
+        return float(self.reduced_costs(prices, reward).min())
 
     def find(self, tasks: Sequence[int]) -> Column | None:
         """The column that serves exactly `tasks`, if there is one."""

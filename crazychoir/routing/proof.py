@@ -115,7 +115,7 @@ class Proof:
         """Own columns within the gap, by their numbers in the table."""
         if not self._member.speaks:
             return np.zeros(0, np.int64)
-        cost = self._member.table.reduced_costs(self._bound.prices)
+        cost = self._member.table.reduced_costs(self._bound.prices, self._bound.reward)
         return np.flatnonzero(cost < self._bound.least[self._i] + gap)
 
     def _is_more(self, near: Ints, most: float) -> Exchange[bool]:

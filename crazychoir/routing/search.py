@@ -27,15 +27,6 @@ ROUNDS = 2
 
 
 @dataclass(frozen=True)
-class Seen:
-    """A route that a search has seen: vehicle, cost in m with its fixed cost, stops."""
-
-    vehicle: int
-    cost: float
-    stops: list[int]
-
-
-@dataclass(frozen=True)
 class Found:
     """A plan. routes: the stops of each vehicle;  unserved: tasks that no route serves, increasing;
 
@@ -49,14 +40,6 @@ class Found:
     total: float
     finish: float
     pool: Pool = field(repr=False)
-
-    def seen(self) -> list[Seen]:
-        """The routes that the search has been at, of each set of tasks and each kind of vehicle the cheapest."""
-        pool, end = self.pool, 2 * (len(self.pool.sign) - len(self.routes)) + 1
-        return [
-            Seen(int(pool.vehicle[p]), float(pool.cost[p]), np.minimum(pool.stop[p, : pool.stops[p]], end).tolist())
-            for p in np.flatnonzero(pool.vehicle >= 0)
-        ]
 
 
 def search(
@@ -87,22 +70,6 @@ def search(
     return Search(vehicles, penalty, objective).run(
         routes, steps, seed, fleet_steps=fleet_steps, hot=hot, average=average, rounds=rounds
     )
-
-
-def emptied(
-    vehicles: Sequence[Vehicle], routes: Sequence[Sequence[int]], victim: int, penalty: Vec, steps: int, seed: int
-) -> Found | None:
-    """A plan in which vehicle `victim` stays and no other leaves that did not; None if none is found.
-
-    Its tasks go into the routes of the others, which make room among themselves: those tasks that were without a place
-    most often come first.
-    """
-    closed = [k for k, route in enumerate(routes) if k == victim or not route]
-    rest = [[] if k == victim else route for k, route in enumerate(routes)]
-    found = Search(vehicles, penalty).run(
-        rest, steps, seed, fleet_steps=0, hot=FLEET_HOT, rounds=1, closed=closed
-    )
-    return None if np.isinf(found.total) else found
 
 
 class Search:

@@ -3,12 +3,14 @@
 import numpy as np
 import pytest
 
+from crazychoir.routing.bound import Bound
 from crazychoir.routing.columns import ColumnProgram
 from crazychoir.routing.generate import random_instance
 from crazychoir.routing.halves import Halves
+from crazychoir.routing.instance import Instance
 from crazychoir.routing.master import Pool
 from crazychoir.routing.member import Member, Place, Settings
-from crazychoir.routing.pricing import RouteTable
+from crazychoir.routing.pricing import Column, RouteTable
 from crazychoir.routing.primal_decomposition import PriceRounds
 from crazychoir.routing.solve import solve_in_loop
 
@@ -119,6 +121,22 @@ def test_any_common_price_bounds_the_optimum_and_excesses_add_up(instance, table
         for route in solution.routes:
             excess += route.length - pi[list(route.tasks)].sum()
         assert bound + excess == pytest.approx(solution.cost)
+
+
+def test_a_reward_for_robots_that_leave_keeps_the_bound_and_the_excesses(instance):
+    """n mu + sum pi + sum least <= cost of any plan of at least n robots, less the excesses of its columns."""
+    fixed = Instance.parse(instance.to_json() | {"fixed_cost": 300.0})
+    solution, tables = solve_in_loop(fixed, RING), [RouteTable(fixed.local(i).vehicle) for i in range(N)]
+    n = len(solution.routes)
+    for _ in range(30):
+        pi, mu = DRAW.uniform(0, 200, size=M), DRAW.uniform(0, 300)
+        least = {i: tables[i].least(pi, mu) for i in range(N)}
+        assert list(least.values()) == [min(0.0, (t.reduced_costs(pi)[1:] - mu).min()) for t in tables]
+        bound = Bound(n * mu + pi.sum() + sum(least.values()), pi, mu, n, least)
+        assert bound.value <= solution.cost + 1e-9
+        flown = {route.robot: Column(route.length + 300.0, route.tasks) for route in solution.routes}
+        excess = sum(bound.excess(i, flown.get(i, Column(0.0, ()))) for i in range(N))
+        assert bound.value + excess == pytest.approx(solution.cost)
 
 
 def test_prices_sum_up_to_a_bound_with_the_least_of_all_routes_put_together_of_halves(instance, tables, relaxation):

@@ -44,6 +44,26 @@ def run_all(programs, links):
             return [value for (value,) in results]
 
 
+@pytest.mark.parametrize(("fixed", "gap"), [(1000.0, 0.004), (1e6, 4e-6)])
+def test_where_robots_are_dear_the_bound_counts_whole_ones(graph, fixed, gap):
+    """Without that, parts of robots leave a gap of half of their cost, a sixth of the plan's."""
+    plain = random_instance(6, 10, 0, route_length_limit=30.0).to_json()
+    instance = Instance.parse(plain | {"fixed_cost": fixed})
+    links = graph("ring", 6)
+    team = members(instance, links)
+    for member in team:
+        member.fixed = fixed  # as the robots' introductions tell
+    gossips = [Gossip(member) for member in team]
+    values = run_all([gossip.run() for gossip in gossips], links)
+    best = solve_in_loop(instance, links)
+    assert len({gossip.bound.robots for gossip in gossips}) == 1
+    assert gossips[0].bound.robots <= len(best.routes) == 3
+    assert best.lower_bound == pytest.approx(best.cost, rel=1e-9)
+    for value, gossip in zip(values, gossips, strict=True):
+        assert gossip.bound.value == pytest.approx(value, rel=1e-6)
+        assert best.cost * (1.0 - gap) <= gossip.bound.value <= best.cost + 1e-6
+
+
 @pytest.mark.parametrize("shape", ["ring", "path", "star"])
 @pytest.mark.parametrize("seed", [1, 2])
 def test_the_gossip_reaches_the_relaxation_over_all_columns_and_proves_it(graph, shape, seed):

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from crazychoir.errors import ConfigError, InstanceError
 from crazychoir.routing.instance import Instance
 from crazychoir.routing.instance_file import OPTIONAL
+from crazychoir.routing.solve import solve_in_loop
 
 GOOD = {
     "home": [[0.0, 0.0], [4.0, 0.0]],
@@ -137,7 +138,11 @@ def test_identical_robots_are_of_one_kind():
 
 
 def test_a_task_that_nobody_can_serve_may_be_refused():
-    Instance.parse(with_change(route_length_limit=5.0, penalty=[None, None, 3.0]))
+    instance = Instance.parse(with_change(route_length_limit=5.0, penalty=[None, None, 3.0]))
+    assert all(2 not in instance.local(i).vehicle.servable for i in range(2))
+    solution = solve_in_loop(instance, {0: [1], 1: [0]})
+    assert sorted(j for route in solution.routes for j in route.tasks) == [0, 1]
+    assert solution.cost == pytest.approx(sum(route.length for route in solution.routes) + 3.0)
 
 
 def test_a_robot_sees_its_own_part_and_the_public_goods():

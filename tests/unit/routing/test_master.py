@@ -1,8 +1,12 @@
 from itertools import product
+from types import SimpleNamespace
 
+import highspy
 import numpy as np
 import pytest
 
+from crazychoir.errors import SolverError
+from crazychoir.routing import master
 from crazychoir.routing.generate import random_instance
 from crazychoir.routing.master import Master, Partition, Pool, partition
 from crazychoir.routing.pricing import Column, RouteTable
@@ -58,6 +62,65 @@ def test_robots_that_are_the_same_share_a_row(columns):
         many.add(i, own)
     assert one.relax().value == pytest.approx(many.relax().value)
     assert partition(together, 4, 0, 1000, alike={1: (1,)}).cost > each.cost
+
+
+def test_missing_robots_cost_what_a_robot_does_at_most(columns):
+    """At least n columns, each that is missing at the cost f: the dual of that row is between 0 and f."""
+    for f in (0.5, 5.0, 500.0):
+        relaxation, penalty = Master(np.full(4, 100.0)), np.full(4, 100.0)
+        for robot, column in columns[::2]:
+            relaxation.add(robot, [column])
+        relaxation.relax()
+        relaxation.at_least(3, f)
+        for robot, column in columns[1::2]:
+            relaxation.add(robot, [column])
+        relaxed, pool = relaxation.relax(), Pool(4)
+        for robot, column in columns:
+            pool.add(robot, [column])
+        assert 0.0 <= relaxed.reward <= f
+        least = [
+            min(0.0, *(c.length - relaxed.prices[list(c.tasks)].sum() - relaxed.reward for i, c in columns if i == r))
+            for r in range(3)
+        ]
+        assert relaxed.value == pytest.approx(3 * relaxed.reward + relaxed.prices.sum() + sum(least))
+        assert pool.relax(penalty).value - 1e-9 <= relaxed.value
+        assert all(column.tasks for _, column in relaxation.basis)
+
+
+@pytest.mark.parametrize("broken", [1, 2])
+def test_a_search_that_breaks_off_is_not_taken_for_one_that_found_nothing(columns, broken, monkeypatch):
+    """Once more without the start that it was given, and without presolve; then it is an error."""
+    best, runs, searched = partition(columns, 4, 0, 1000), [], master._searched
+
+    def breaking(highs, nodes, start):
+        runs.append(start)
+        if len(runs) > broken:
+            return searched(highs, nodes, start)
+        status = highspy.HighsModelStatus.kSolveError
+        return SimpleNamespace(getModelStatus=lambda: status, getInfo=highs.getInfo)
+
+    monkeypatch.setattr(master, "_searched", breaking)
+    if broken == 1:
+        assert partition(columns, 4, 0, 1000, known=best.routes).cost == pytest.approx(best.cost)
+        assert [start is None for start in runs] == [False, True]
+        return
+    with pytest.raises(SolverError, match=f"partitioning of {len(columns)} columns: .* kSolveError"):
+        partition(columns, 4, 0, 1000, known=best.routes)
+
+
+REJECTED = """0:29:0135 0:29:0369 0:30:0459 0:29:046 0:28:13689 0:28:1458 0:28:1468 0:30:23679 0:30:2467 0:30:35679
+0:28:3568 0:30:35689 1:26:1345 1:27:13459 1:29:2346 1:30:348 2:29:027 2:30:0279 2:30:12567 2:30:2578 2:30:378 3:29:2368
+4:29:027 4:29:123569 4:30:12567 4:29:2346 4:28:2358 4:30:23589 4:30:2368 4:30:2578 4:29:3568"""
+"""robot:m above 1000:tasks. Without a cover; HiGHS presolves it to a solution that it then rejects as a solve error."""
+
+
+def test_columns_that_presolve_takes_for_feasible_are_proven_not_to_be():
+    words = [word.split(":") for word in REJECTED.split()]
+    columns = [(int(i), Column(1000.0 + int(m), tuple(map(int, tasks)))) for i, m, tasks in words]
+    sets = [{j: set(c.tasks) for j, (i, c) in enumerate(columns) if i == robot} for robot in range(5)]
+    choices = product(*([set(), *own.values()] for own in sets))
+    assert not any(sum(map(len, sets)) == 10 and len(set().union(*sets)) == 10 for sets in choices)
+    assert partition(columns, 10, seed=0, nodes=2) == Partition(np.inf, {}, np.inf)
 
 
 def test_no_cover_is_proven_and_relaxes_at_the_penalty():

@@ -16,7 +16,7 @@ from crazychoir.routing.instance import Instance
 from crazychoir.routing.master import partition
 from crazychoir.routing.member import Settings
 from crazychoir.routing.packing import packed
-from crazychoir.routing.pickup_delivery import BY_PRICES, METHODS, PickupDelivery
+from crazychoir.routing.pickup_delivery import BY_CLAIMS, BY_PRICES, METHODS, PickupDelivery
 from crazychoir.routing.pricing import Column, RouteTable
 from crazychoir.routing.proof import Assignment
 from crazychoir.routing.solve import diameter, joined, solve_in_loop, team
@@ -201,9 +201,27 @@ def test_what_prices_do_not_add_up_to_is_refused_by_methods_of_prices(method, mo
         assert solve_in_loop(Instance.parse(raw | more), {0: [1], 1: [0, 2], 2: [1]}, able).feasible
 
 
+@pytest.mark.parametrize("method", METHODS)
+def test_methods_that_cannot_refuse_a_task_say_so(method):
+    """Nobody can lift the last task; the first of those that can refuse it does."""
+    raw = three_robots_and_four_tasks(np.random.default_rng(1)) | {"capacity": [2.0] * 3}
+    raw |= {"load": [1.0, 1.0, 1.0, 1000.0], "penalty": [None, None, None, 5.0]}
+    if method in BY_CLAIMS:
+        said = rf"method {method}: found a finite penalty of task\(s\) 3, .* columns, resource-columns, cbba, auction\."
+        with pytest.raises(ConfigError, match=said):
+            team(Instance.parse(raw), {0: [1], 1: [0, 2], 2: [1]}, method)
+    else:
+        solution = solve_in_loop(Instance.parse(raw), {0: [1], 1: [0, 2], 2: [1]}, method)
+        assert solution.feasible
+        assert sorted(j for route in solution.routes for j in route.tasks) == [0, 1, 2]
+
+
 @pytest.mark.parametrize(
     ("method", "more"),
-    [*((method, {"penalty": [0.5] * 4}) for method in ("columns", *BY_PRICES)), *(("columns", w) for w in WEIGHED)],
+    [
+        *((method, {"penalty": [0.5] * 4}) for method in ("columns", "resource-columns")),
+        *(("columns", w) for w in WEIGHED),
+    ],
 )
 def test_no_bound_is_above_the_optimum_where_tasks_are_refused_or_time_is_minimised(graph, method, more):
     raw = three_robots_and_four_tasks(np.random.default_rng(1)) | {"capacity": [2.0] * 3, "route_length_limit": 25.0}
