@@ -16,7 +16,7 @@ from crazychoir.routing.introduction import introduce, restricted
 from crazychoir.routing.large_bound import LargeBound
 from crazychoir.routing.master import Pool, partition
 from crazychoir.routing.member import Member, Place, Settings
-from crazychoir.routing.neighborhood import flown, reoptimize
+from crazychoir.routing.neighborhood import flown, most_saved, reoptimize
 from crazychoir.routing.pricing import Column, RouteTable
 from crazychoir.routing.solve import diameter, solve_in_loop
 
@@ -90,6 +90,52 @@ def test_a_robot_restricted_to_some_tasks_is_that_vehicle_with_these_tasks_only(
     part, whole = restricted(local, chosen).vehicle, local.vehicle.only(chosen)
     for name, value in vars(replace(whole)).items():
         np.testing.assert_array_equal(getattr(part, name), value, err_msg=name)
+
+
+def remote(home, **more):
+    """Two robots, one of them far away, that alone can serve the first two of six tasks."""
+    random = np.random.default_rng(0)
+    raw = {"home": [[home, 0.0], [0.5, 0.5]], "pickup": random.random((6, 2)).tolist(), "load": [1] * 6}
+    raw |= {"delivery": random.random((6, 2)).tolist(), "capacity": [1, 2]}
+    return Instance.parse(raw | {"capability": [[True] * 2 + [False] * 4, [False] * 2 + [True] * 4]} | more)
+
+
+def test_a_robot_serves_its_tasks_from_however_far(graph):
+    solution = solve_in_loop(remote(100.0), graph("path", 2))
+    assert solution.cost == pytest.approx(204.0921, abs=1e-3)
+    assert solution.lower_bound == pytest.approx(solution.cost, abs=1e-3)
+
+
+def test_distances_of_a_matrix_may_be_any_times_those_between_the_points(graph):
+    near = remote(1.0)
+    points = np.vstack([near.home, near.tasks.pickup, near.tasks.delivery])
+    distance = np.linalg.norm(points[:, None] - points[None], axis=2)
+    one, many = (remote(1.0, distance=(times * distance).tolist()) for times in (1.0, 1000.0))
+    few, more = (solve_in_loop(instance, graph("path", 2)) for instance in (one, many))
+    assert more.cost == pytest.approx(1000.0 * few.cost)
+    assert more.lower_bound == pytest.approx(more.cost)
+
+
+def test_after_introductions_all_have_one_penalty_which_is_no_less_than_any_robot_for_a_task_alone(graph):
+    flying = replace(remote(30.0).local(0), start=np.array([0.0, -70.0]))
+    for local in (remote(30.0).local(0), flying):
+        team = members(remote(30.0), graph("path", 2))
+        team[0] = replace(team[0], local=local, reach=0.0)
+        run_all([introduce(member) for member in team], graph("path", 2))
+        np.testing.assert_array_equal(team[0].penalty, team[1].penalty)
+        assert all((member.penalty >= member.local.vehicle.shortest_trip).all() for member in team)
+
+
+@pytest.mark.parametrize("objective", ["total", "makespan"])
+def test_nothing_is_saved_by_leaving_a_task_out_that_costs_more_than_any_plan(objective):
+    raw = random_instance(2, 6, 3).to_json() | {"objective": objective, "speed": [0.01, 2.0], "recharge": 6}
+    raw |= {"service_time": 3.0, "fixed_cost": 4.0, "time_windows": {"pickup": [[500, None]] * 6}}
+    instance = Instance.parse(raw)
+    robots = {i: instance.local(i) for i in range(2)}
+    everything = [v for j in range(6) for v in (j, 6 + j, 13)][:-1]
+    cost, finish = flown(robots[0], everything)
+    reach = float(robots[0].vehicle.distance.max())
+    assert (cost if objective == "total" else finish) < most_saved(robots, reach)
 
 
 def test_clusters_are_disjoint_hold_every_task_and_differ_from_pass_to_pass():
