@@ -32,7 +32,7 @@ class LargeBound:
     """The Lagrangian bound of bound.py, by prices that are sought pass by pass; only the robots' pricing is heavy.
 
         pi_k = DRAWN * (the prices of the best bound) + (1 - DRAWN) * (the prices of the columns known), at first
-        value_k = sum_j pi_kj + sum_i K_i least_i(pi_k),     pi_kj at most what refusing task j costs
+        value_k = sum_j pi_kj + sum_i K_i least_i(pi_k),     pi_kj at most what leaving task j out costs
 
     Each robot floods least_i and columns of negative reduced cost, exact ones by halves.py, else least_i of a
     relaxation; two robots solve the relaxation over all columns heard of, and the prices of the better one are taken
@@ -82,7 +82,10 @@ class LargeBound:
         self.value = best
 
     def _start(self) -> Vec:
-        """The cost of each route of the plan, in equal parts on its tasks; at most what refusing a task costs."""
+        """The cost of each route of the plan, in equal parts on its tasks; at most what leaving a task out costs.
+
+        All robots begin alike, as the penalty is one for all after introductions.
+        """
         pi = np.array(self._member.unserved)
         for _, column in self._plan:
             pi[list(column.tasks)] = column.length / max(1, len(column.tasks))

@@ -309,6 +309,13 @@ def test_a_large_team_proves_a_bound_by_halves_or_names_its_relaxation(graph, se
         assert best.bound_exact
 
 
+def test_a_large_team_proves_a_bound_with_a_robot_far_away(graph):
+    instance = remote(20.0, route_length_limit=90.0)
+    found = solve_in_loop(instance, graph("path", 2), settings=Settings(prove=True, most_listed=0))
+    assert found.bound_exact
+    assert found.lower_bound == pytest.approx(found.cost, abs=1e-4)
+
+
 @pytest.mark.parametrize("penalty", [1.0, 6.0, 12.0])
 def test_the_bound_of_a_large_team_holds_where_tasks_are_refused_whatever_its_plan(graph, penalty):
     instance = random_instance(4, 7, 2, route_length_limit=27.0, fields={"penalty": [penalty] * 7})
