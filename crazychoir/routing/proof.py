@@ -66,7 +66,7 @@ class Proof:
         if self.best is None:
             why, status = self._failure()
             raise SolverError(f"{why} (robot {self._i}: set partitioning of {len(self._pool)} columns)", status)
-        return Assignment(self.best.routes, min(self.proven, self.best.cost) if self._bound.exact else None)
+        return Assignment(self.best.routes, self.proven if self._bound.exact else None)
 
     @property
     def closed(self) -> bool:

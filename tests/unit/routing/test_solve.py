@@ -9,6 +9,8 @@ import pytest
 
 from crazychoir.bus.codec import MAX_PAYLOAD, decode, encode
 from crazychoir.errors import ConfigError, SolverError
+from crazychoir.routing import column_recovery, gossip
+from crazychoir.routing.bound import improve
 from crazychoir.routing.checker import check
 from crazychoir.routing.distributed_columns import DistributedColumns
 from crazychoir.routing.generate import random_instance
@@ -213,6 +215,19 @@ def test_no_bound_is_above_the_optimum_where_tasks_are_refused_or_time_is_minimi
     assert (solution.lower_bound or 0.0) <= solve_in_loop(instance, graph("path", 3)).cost + 1e-6
     assert solution.bound_exact == (solution.lower_bound is not None)
     assert solution.bound_exact == (more.keys() == {"penalty"})
+
+
+@pytest.mark.parametrize("method", ["columns", "resource-columns"])
+def test_a_bound_above_the_cost_is_an_error_and_not_clipped(graph, monkeypatch, method):
+    def too_high(bound, *args):
+        news = yield from improve(bound, *args)
+        bound.value += 7.0
+        return news
+
+    for module in (gossip, column_recovery):
+        monkeypatch.setattr(module, "improve", too_high)
+    with pytest.raises(SolverError, match=r"bound .* above the cost .* of the plan"):
+        solve_in_loop(random_instance(5, 8, 1, route_length_limit=30.0), graph("ring", 5), method)
 
 
 def test_an_infeasible_instance_is_a_clear_error():
