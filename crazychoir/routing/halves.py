@@ -6,7 +6,7 @@ import numpy as np
 
 from crazychoir.math3d import kernel
 from crazychoir.routing.labels import SPREAD, Ints, Words, grow_labels
-from crazychoir.routing.pricing import Column
+from crazychoir.routing.pricing import Column, of_one_set
 from crazychoir.routing.setting import bits_of
 from crazychoir.routing.vehicle import SLACK, Vehicle
 from crazychoir.types import Mat, Vec
@@ -39,12 +39,13 @@ class Halves:
     limit. That needs about the square root of the labels of whole routes.
     For robots with a limit, of one trip, without windows and with nothing aboard: `fits` says so.
     complete: whether each half had at most `most` labels.
+    Raises InstanceError if the robot could serve more than MOST_TASKS tasks.
     Source: Righini & Salani 2006, Discrete Optimization 3(3), bounded bidirectional dynamic programming.
     """
 
     def __init__(self, vehicle: Vehicle, most: int = MOST_LABELS) -> None:
         self._servable, self._tasks = vehicle.servable, vehicle.tasks
-        self._vehicle = v = vehicle.only(self._servable)
+        self._vehicle = v = of_one_set(vehicle, self._servable)
         there, complete = _labels(v, most)
         back, also = _labels(_backwards(v), most)
         self.complete = complete and also

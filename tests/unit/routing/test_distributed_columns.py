@@ -5,18 +5,20 @@ import pytest
 
 from crazychoir.bus.codec import decode, encode
 from crazychoir.errors import SolverError
-from crazychoir.routing import introduction
+from crazychoir.routing import introduction, large_bound
 from crazychoir.routing.checker import check
 from crazychoir.routing.clusters import Neighbors, tasks_of, unserved
 from crazychoir.routing.compact import solve_compact
 from crazychoir.routing.generate import random_instance
 from crazychoir.routing.gossip import Gossip
+from crazychoir.routing.halves import Halves
 from crazychoir.routing.instance import Instance
 from crazychoir.routing.introduction import introduce, restricted
 from crazychoir.routing.large_bound import LargeBound
 from crazychoir.routing.master import Pool, partition
 from crazychoir.routing.member import Member, Place, Settings
 from crazychoir.routing.neighborhood import flown, most_saved, reoptimize
+from crazychoir.routing.packing import packed
 from crazychoir.routing.pricing import Column, RouteTable
 from crazychoir.routing.solve import diameter, solve_in_loop
 
@@ -333,6 +335,47 @@ def test_where_pricing_is_cut_there_is_no_bound(graph):
         cut = Settings(prove=True, most_listed=0, most_labels=9)
         found = solve_in_loop(instance, graph("ring", 4), settings=cut)
         assert (found.lower_bound, found.bound_exact, found.bound_relaxation) == (None, False, None)
+
+
+def test_what_is_proven_stays_when_a_later_pass_is_cut(graph, monkeypatch):
+    instance, links = random_instance(3, 7, 1, route_length_limit=27.0), graph("ring", 3)
+    settings = Settings(prove=True, most_listed=0)
+    whole = solve_in_loop(instance, links, settings=settings)
+    priced, passes = LargeBound._priced, {i: 0 for i in range(3)}
+
+    def cut(self, pi):
+        passes[self._i] += 1
+        return [-np.inf, True, packed([])] if passes[self._i] > 2 and self._i == 1 else priced(self, pi)
+
+    monkeypatch.setattr(LargeBound, "_priced", cut)
+    part = solve_in_loop(instance, links, settings=settings)
+    assert set(passes.values()) == {3}
+    assert part.bound_exact
+    assert 0.5 * whole.lower_bound < part.lower_bound < whole.lower_bound
+
+
+def test_one_robot_whose_halves_are_too_many_prices_by_a_relaxation(graph, monkeypatch):
+    class Few(Halves):
+        def __init__(self, vehicle, most):
+            super().__init__(vehicle, 900)
+
+    raw = random_instance(3, 8, 1, route_length_limit=30.0).to_json()
+    instance = Instance.parse(raw | {"capacity": [1, 1, 8], "load": [1] * 8})
+    assert [Few(instance.local(i).vehicle, 0).complete for i in range(3)] == [True, True, False]
+    settings = Settings(prove=True, most_listed=0, steps=4_000)
+    exact = solve_in_loop(instance, graph("ring", 3), settings=settings)
+    monkeypatch.setattr(large_bound, "Halves", Few)
+    found = solve_in_loop(instance, graph("ring", 3), settings=settings)
+    assert (exact.bound_exact, found.bound_exact, found.bound_relaxation) == (True, False, "ng-route")
+    assert 0.8 * exact.lower_bound < found.lower_bound <= exact.lower_bound + 1e-4
+
+
+@pytest.mark.parametrize("limit", [60.0, None])
+def test_a_robot_that_can_serve_more_tasks_than_a_set_holds_leaves_the_plan_without_a_bound(graph, limit):
+    instance = random_instance(2, 130, 0, (0.7, 0.7), route_length_limit=limit)
+    few = Settings(prove=True, starters=1, first_steps=30, steps=100)
+    found = solve_in_loop(instance, graph("path", 2), settings=few)
+    assert (found.feasible, found.lower_bound, found.bound_relaxation) == (True, None, None)
 
 
 def test_a_team_of_two_kinds_prices_once_a_kind_and_proves_what_single_robots_prove(graph):

@@ -7,7 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from crazychoir.errors import InstanceError
+from crazychoir.routing.generate import random_instance
 from crazychoir.routing.halves import Halves
+from crazychoir.routing.least import least_reduced_cost
 from crazychoir.routing.pricing import RouteTable
 from tests.unit.routing.test_vehicle_routes import vehicle_of
 
@@ -49,3 +52,10 @@ def test_nothing_to_serve():
     v = replace(vehicle_of(1, 4, "limit"), capable=np.zeros(4, bool))
     assert Halves(v).least(np.full(4, 9.0)) == 0.0
     assert Halves(v).cheapest(np.full(4, 9.0), 3, 0.0) == []
+
+
+def test_more_tasks_than_a_set_holds_are_refused_by_name():
+    v = random_instance(2, 130, 0, (0.7, 0.7), route_length_limit=60.0).local(0).vehicle
+    for price in (Halves, lambda v: least_reduced_cost(v, np.ones(130))):
+        with pytest.raises(InstanceError, match="at most 128"):
+            price(v)
