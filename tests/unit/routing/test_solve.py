@@ -237,6 +237,23 @@ def test_an_infeasible_instance_is_a_clear_error():
         solve_in_loop(infeasible(), {0: [1], 1: [0]}, "resource")
 
 
+def test_robots_that_did_not_search_know_in_the_same_round_that_there_is_no_plan(graph):
+    goods = {"pickup": [[x, 1] for x in range(6)], "delivery": [[x, 2] for x in range(6)], "load": [1] * 6}
+    raw = goods | {"home": [[x, 0] for x in range(4)], "capacity": [1] * 4, "route_length_limit": 6.8}
+    settings = Settings(small=0, first_steps=50, steps=500)
+    agents, failed = team(Instance.parse(raw), graph("ring", 4), "columns", settings), {}
+    while not failed:
+        messages = {i: decode(encode(agent.message())) for i, agent in agents.items()}
+        for i, agent in agents.items():
+            try:
+                agent.step({j: messages[j] for j in graph("ring", 4)[i]})
+            except SolverError as error:
+                failed[i] = str(error)
+        assert not any(agent.done for agent in agents.values())
+    assert sorted(failed) == [0, 1, 2, 3]
+    assert all("infeasible: no plan serves every task" in text for text in failed.values())
+
+
 def test_a_table_that_is_cut_gives_a_plan_without_a_bound(graph):
     instance = random_instance(4, 6, seed=3)
     cut = Settings(most_labels=600)  # 200 of them without limits
