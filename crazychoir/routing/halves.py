@@ -59,13 +59,18 @@ class Halves:
     def cheapest(self, prices: Vec, count: int, below: float) -> list[Column]:
         """At most `count` columns with a reduced cost under `below`, the least first; the very least is among them."""
         found: dict[tuple[int, ...], Column] = {}
-        for value, a, b in self._joined(prices, below - self._vehicle.fixed):
+        for _, a, b in self._joined(prices, below - self._vehicle.fixed):
             words = self._there.keys[a, :2] | self._back.keys[b, :2]
             tasks = tuple(self._servable[bits_of(words)].tolist())
             if tasks not in found and len(found) < count:
-                length = value + self._vehicle.fixed + float(sum(prices[list(tasks)]))
-                found[tasks] = Column(length, tasks)
+                found[tasks] = Column(self._length(a, b), tasks)
         return list(found.values())
+
+    def _length(self, a: int, b: int) -> float:
+        """m, of the route of halves a and b, with the fixed cost; a price in it would round it, and make it news."""
+        v, there, back = self._vehicle, self._there, self._back
+        way = float(v.distance[there.open[a], back.open[b]])
+        return float(there.length[a]) + way + float(back.length[b]) + v.fixed
 
     def least(self, prices: Vec) -> float:
         """The least reduced cost; at most 0, that of the idle column."""

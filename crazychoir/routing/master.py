@@ -13,6 +13,8 @@ from crazychoir.routing.pricing import Column
 from crazychoir.types import Vec
 
 GOLDEN = 0.6180339887498949
+ROUNDING = 1e-9
+"""m: of the length of one route, added in another order."""
 Key = tuple[int, tuple[int, ...]]
 Routes = dict[int, tuple[int, ...]]
 """Tasks of each robot, increasing."""
@@ -112,9 +114,9 @@ class Master:
         return len(new)
 
     def _is_news(self, robot: int, column: Column) -> bool:
-        """Note the column; of one set of tasks the shorter remains, so a later longer one is none."""
+        """Note the column; of one set of tasks the shorter remains, so a later longer one is none, nor is rounding."""
         k = self._index.get((robot, column.tasks))
-        if k is not None and self._columns[k][1].length <= column.length:
+        if k is not None and self._columns[k][1].length <= column.length + ROUNDING:
             return False
         self._index[robot, column.tasks] = len(self._columns)
         self._columns.append((robot, column))

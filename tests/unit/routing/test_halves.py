@@ -37,6 +37,16 @@ def test_the_least_of_all_routes_is_found(kind, seed, worth, far):
         assert halves.cheapest(prices, 4, table.least(prices) - 1e-6) == []
 
 
+def test_the_length_of_a_column_is_that_of_its_halves_at_any_prices():
+    vehicle = random_instance(4, 10, 3, route_length_limit=25.0).local(0).vehicle
+    halves, random, lengths = Halves(vehicle), np.random.default_rng(0), {}
+    for _ in range(200):
+        for column in halves.cheapest(random.uniform(0.0, 20.0, 10), 10, 0.0):
+            lengths.setdefault(column.tasks, set()).add(column.length)
+    assert len(lengths) > 20
+    assert max(len(values) for values in lengths.values()) <= 4, "one a pair of halves, whatever the prices"
+
+
 def test_halves_that_are_cut_say_so():
     v = vehicle_of(3, 6, "limit")
     assert not Halves(v, most=5).complete
