@@ -15,7 +15,7 @@ from crazychoir.routing.instance import LocalProblem
 from crazychoir.routing.introduction import TOLD, introduce, restricted
 from crazychoir.routing.large_bound import LargeBound
 from crazychoir.routing.member import Member
-from crazychoir.routing.neighborhood import flown, renamed, reoptimize
+from crazychoir.routing.neighborhood import flown, most_saved, renamed, reoptimize
 from crazychoir.routing.pricing import Column, shortest_route
 from crazychoir.routing.proof import Assignment, Offer, Proof
 from crazychoir.routing.vehicle import MAKESPAN, TOTAL
@@ -51,7 +51,7 @@ class DistributedColumns:
 
     def __init__(self, member: Member) -> None:
         self._member, self._i, self._diameter = member, member.place.robot, member.place.diameter
-        self._m = len(member.local.tasks)
+        self._m, self._refusal = len(member.local.tasks), member.local.tasks.refusal
         self._robots: dict[int, LocalProblem] = {}
         self._costs: dict[tuple[int, tuple[int, ...]], tuple[float, float]] = {}
         self.routes: dict[int, list[int]] = {}
@@ -83,10 +83,9 @@ class DistributedColumns:
         return self._assignment(large.value, large.relaxation)
 
     @property
-    def _penalty(self) -> Vec:
-        """(M,) m: what the search pays for a task left out: its refusal, or more than any plan could save by it."""
-        refusal = self._member.local.tasks.refusal
-        return np.asarray(np.where(np.isfinite(refusal), refusal, 10.0 * self._member.penalty + 1.0))
+    def _left_out(self) -> Vec:
+        """(M,): what the search pays for a task left out: its refusal, or more than any plan could save by it."""
+        return np.where(np.isfinite(self._refusal), self._refusal, most_saved(self._robots, self._member.reach))
 
     def _relax(self) -> Exchange[Gossip | None]:
         """Column generation, if lengths are what is minimised, and every robot can list its routes."""
@@ -112,13 +111,13 @@ class DistributedColumns:
         mine = None
         if self._i < settings.starters:
             everybody = Cluster(tuple(sorted(self._robots)), tuple(range(self._m)), (self._i,))
-            routes = reoptimize(self._robots, {}, everybody, self._penalty, settings.first_steps, self._i)
+            routes = reoptimize(self._robots, {}, everybody, self._left_out, settings.first_steps, self._i)
             mine = [self._worth(routes), self._i, _flat(routes)]
         best = yield from best_offer(mine, self._diameter)
         if best is None:
             raise SolverError(f"robot {self._i}: first plan", "nobody offered one")
         self.routes = _unflat(best[2])
-        self._member.report(cost=self._worth(self.routes)[0])
+        self._member.report(cost=self._worth(self.routes)[1])
 
     def _improve(self, bound: float) -> Exchange[None]:
         """Passes of clusters, until the bound is met, or nothing got better for `still_passes`."""
@@ -129,13 +128,14 @@ class DistributedColumns:
         passes = max(settings.least_passes, min(settings.most_passes, fitting))
         near, still = Neighbors(self._robots), 0
         for k in range(passes):
-            cost = self._worth(self.routes)[0]
-            if still == settings.still_passes or cost - bound <= settings.tolerance * max(1.0, cost):
+            missing, cost, *_ = self._worth(self.routes)
+            met = not missing and cost - bound <= settings.tolerance * max(1.0, cost)
+            if met or still == settings.still_passes:
                 return
             clusters = near.draw(self.routes, settings.cluster, settings.leaders, [k])
             offers = yield from flood(self._i, self._lead(clusters, settings.steps // passes, k), self._diameter)
             still = 0 if self._accept(clusters, offers) else still + 1
-            self._member.report(cost=self._worth(self.routes)[0])
+            self._member.report(cost=self._worth(self.routes)[1])
 
     def _lead(self, clusters: Sequence[Cluster], steps: int, k: int) -> list[Any] | None:
         """The worth of the better routes that this robot found for the cluster that it leads, and these routes."""
@@ -143,7 +143,7 @@ class DistributedColumns:
         if own is None or not own.tasks:
             return None
         seed = k * self._member.place.robots + self._i
-        new = reoptimize(self._robots, self.routes, own, self._penalty, steps, seed)
+        new = reoptimize(self._robots, self.routes, own, self._left_out, steps, seed)
         old = {i: self.routes.get(i, []) for i in own.robots}
         worth = self._worth(new, own.tasks)
         if not _better(worth, self._worth(old, own.tasks)):
@@ -162,14 +162,14 @@ class DistributedColumns:
 
     def _offer(self) -> Offer | None:
         """The plan in force, if it serves all that must be served."""
-        return None if self._missing() else Offer(self._worth(self.routes)[0], self._sets())
+        return None if self._missing() else Offer(self._worth(self.routes)[1], self._sets())
 
     def _take_over(self, proof: Proof) -> None:
         """The routes of the proof's plan, where it is better than the one in force."""
         if proof.infeasible:
             why = "each can be served alone, but not all together within capability, capacity and route_length_limit"
             raise SolverError(f"infeasible: no plan serves every task; {why} (robot {self._i})", "infeasible")
-        if proof.best is None or proof.best.cost >= self._worth(self.routes)[0] - BETTER:
+        if proof.best is None or not _better([0, proof.best.cost], self._worth(self.routes)):
             return
         for i in self._robots:
             self.routes[i] = self._shortest(i, proof.best.routes.get(i, ()))
@@ -190,14 +190,17 @@ class DistributedColumns:
 
     def _missing(self) -> list[int]:
         """Tasks that must be served and are not."""
-        return [j for j in unserved(self.routes, self._m) if np.isinf(self._member.local.tasks.refusal[j])]
+        return [j for j in unserved(self.routes, self._m) if np.isinf(self._refusal[j])]
 
     def _sets(self) -> dict[int, tuple[int, ...]]:
         sets = {i: tuple(tasks_of(stops, self._m)) for i, stops in self.routes.items()}
         return {i: tasks for i, tasks in sorted(sets.items()) if tasks}
 
     def _worth(self, routes: Mapping[int, Sequence[int]], tasks: Sequence[int] | None = None) -> list[float]:
-        """What is minimised, in order, the first with the penalty of what is left out of `tasks`, all if None."""
+        """By what plans are compared: how many tasks are missing that must be served, then what is minimised, in order.
+
+        The first of these is with the refusals. Of what is left out only `tasks` count, all if None.
+        """
         left = [j for j in unserved(routes, self._m) if tasks is None or j in tasks]
         flights = [self._flown(i, tuple(stops)) for i, stops in sorted(routes.items()) if len(stops)]
         value = {
@@ -205,7 +208,9 @@ class DistributedColumns:
             MAKESPAN: max((finish for _, finish in flights), default=0.0),
         }
         first, *rest = (value[name] for name in self._member.local.objective)
-        return [first + math.fsum(self._penalty[left]), *rest]
+        refusals = self._refusal[left]
+        refused = np.isfinite(refusals)
+        return [float(np.count_nonzero(~refused)), first + math.fsum(refusals[refused]), *rest]
 
     def _flown(self, i: int, stops: tuple[int, ...]) -> tuple[float, float]:
         if (i, stops) not in self._costs:

@@ -6,7 +6,7 @@ import numpy as np
 
 from crazychoir.math3d import kernel
 from crazychoir.routing.labels import SPREAD, Ints, Words, grow_labels
-from crazychoir.routing.pricing import Column
+from crazychoir.routing.pricing import Column, of_one_set
 from crazychoir.routing.setting import bits_of
 from crazychoir.routing.vehicle import SLACK, Vehicle
 from crazychoir.types import Mat, Vec
@@ -39,12 +39,13 @@ class Halves:
     limit. That needs about the square root of the labels of whole routes.
     For robots with a limit, of one trip, without windows and with nothing aboard: `fits` says so.
     complete: whether each half had at most `most` labels.
+    Raises InstanceError if the robot could serve more than MOST_TASKS tasks.
     Source: Righini & Salani 2006, Discrete Optimization 3(3), bounded bidirectional dynamic programming.
     """
 
     def __init__(self, vehicle: Vehicle, most: int = MOST_LABELS) -> None:
         self._servable, self._tasks = vehicle.servable, vehicle.tasks
-        self._vehicle = v = vehicle.only(self._servable)
+        self._vehicle = v = of_one_set(vehicle, self._servable)
         there, complete = _labels(v, most)
         back, also = _labels(_backwards(v), most)
         self.complete = complete and also
@@ -58,13 +59,18 @@ class Halves:
     def cheapest(self, prices: Vec, count: int, below: float) -> list[Column]:
         """At most `count` columns with a reduced cost under `below`, the least first; the very least is among them."""
         found: dict[tuple[int, ...], Column] = {}
-        for value, a, b in self._joined(prices, below - self._vehicle.fixed):
+        for _, a, b in self._joined(prices, below - self._vehicle.fixed):
             words = self._there.keys[a, :2] | self._back.keys[b, :2]
             tasks = tuple(self._servable[bits_of(words)].tolist())
             if tasks not in found and len(found) < count:
-                length = value + self._vehicle.fixed + float(sum(prices[list(tasks)]))
-                found[tasks] = Column(length, tasks)
+                found[tasks] = Column(self._length(a, b), tasks)
         return list(found.values())
+
+    def _length(self, a: int, b: int) -> float:
+        """m, of the route of halves a and b, with the fixed cost; a price in it would round it, and make it news."""
+        v, there, back = self._vehicle, self._there, self._back
+        way = float(v.distance[there.open[a], back.open[b]])
+        return float(there.length[a]) + way + float(back.length[b]) + v.fixed
 
     def least(self, prices: Vec) -> float:
         """The least reduced cost; at most 0, that of the idle column."""

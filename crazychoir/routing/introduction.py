@@ -10,7 +10,7 @@ from crazychoir.optimization.agreement import flood
 from crazychoir.optimization.program import Exchange
 from crazychoir.routing.instance import PUBLIC, LocalProblem, Tasks, kinds
 from crazychoir.routing.labels import Ints
-from crazychoir.routing.member import Member
+from crazychoir.routing.member import Member, reach
 
 TOLD = tuple(f.name.replace("_", " ") for f in fields(LocalProblem) if f.name not in PUBLIC)
 """What the flood tells of each robot."""
@@ -29,6 +29,7 @@ def introduce(member: Member) -> Exchange[dict[int, LocalProblem]]:
         told = yield from flood(place.robot, _told(local) if place.robot in turn else None, place.diameter)
         known |= {i: _understood(local, i, told[i]) for i in turn}
     member.fixed = max(robot.fixed for robot in known.values())
+    member.reach = max(reach(robot) for robot in known.values())
     member.alike = {same[0]: same for same in kinds(known)}
     return known
 

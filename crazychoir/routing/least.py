@@ -6,7 +6,7 @@ import numpy as np
 
 from crazychoir.routing.labels import Flags, Ints, Words
 from crazychoir.routing.priced import grow_priced
-from crazychoir.routing.pricing import Column, shortest_route
+from crazychoir.routing.pricing import Column, of_one_set, shortest_route
 from crazychoir.routing.vehicle import SLACK, Vehicle
 from crazychoir.types import Vec
 
@@ -67,12 +67,15 @@ class _Search(NamedTuple):
 
 
 class _Problem:
-    """A vehicle with those of its tasks that have a price, as the kernel takes it."""
+    """A vehicle with those of its tasks that have a price, as the kernel takes it.
+
+    Raises InstanceError if they are more than MOST_TASKS.
+    """
 
     def __init__(self, vehicle: Vehicle, prices: Vec, near: int | None = None) -> None:
         able = [j for j in vehicle.servable if vehicle.aboard[j] or prices[j] > -np.inf]
         self._whole, self._chosen = vehicle, np.array(able, dtype=np.int64)
-        self._vehicle = vehicle.only(self._chosen)
+        self._vehicle = of_one_set(vehicle, self._chosen)
         self._price = np.asarray(prices[self._chosen], dtype=float)
         self._memory = _memory(self._vehicle, len(self._chosen) if near is None else near)
 

@@ -19,6 +19,8 @@ NONE = (STATUS.kInfeasible, STATUS.kUnboundedOrInfeasible, STATUS.kModelEmpty)
 REACHED = (STATUS.kOptimal, *NONE, STATUS.kSolutionLimit, STATUS.kIterationLimit, STATUS.kObjectiveBound,
            STATUS.kObjectiveTarget)  # fmt: skip
 """Ends of a search that is not broken: an answer, or a limit, which for nodes is called kSolutionLimit."""
+ROUNDING = 1e-9
+"""m: of the length of one route, added in another order."""
 Key = tuple[int, tuple[int, ...]]
 Routes = dict[int, tuple[int, ...]]
 """Tasks of each robot, increasing."""
@@ -121,9 +123,9 @@ class Master:
         return len(new)
 
     def _is_news(self, robot: int, column: Column) -> bool:
-        """Note the column; of one set of tasks the shorter remains, so a later longer one is none."""
+        """Note the column; of one set of tasks the shorter remains, so a later longer one is none, nor is rounding."""
         k = self._index.get((robot, column.tasks))
-        if k is not None and self._columns[k][1].length <= column.length:
+        if k is not None and self._columns[k][1].length <= column.length + ROUNDING:
             return False
         self._index[robot, column.tasks] = len(self._columns)
         self._columns.append((robot, column))

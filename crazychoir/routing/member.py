@@ -17,7 +17,7 @@ class Settings:
 
     Price rounds: price_rounds: at most;  still: change of y that ends them;  step, exponent: of the step size;
     attempts: at claiming tasks.
-    Column generation: penalty: of unserved demand, in diagonals of the arena;  tolerance: relative, of bounds;
+    Column generation: penalty: of unserved demand, in longest ways of a robot;  tolerance: relative, of bounds;
     gossip_rounds: at most;  passes: at most;  batch: columns that a robot offers a pass;  most_labels: of a robot's
     route table;  most_listed: tasks of a robot whose routes are listed for it, in the method columns.
     Search: starters: robots that look for a first plan, by first_steps of search each;  cluster: robots and tasks of
@@ -103,11 +103,14 @@ class Member:
     bytes_by_kind: dict[str, int] = field(default_factory=dict)
     fixed: float = 0.0
     """m, the highest fixed cost of a robot, as far as the robots have told it."""
+    reach: float = 0.0
+    """m, at least any way of a robot between two places, as far as the robots have told it."""
     alike: dict[int, tuple[int, ...]] = field(default_factory=dict)
     """Robots that are the same in all, by the lowest id, as far as they have told it: it speaks for the others."""
 
     def __post_init__(self) -> None:
         self.alike = self.alike or {i: (i,) for i in range(self.place.robots)}
+        self.reach = self.reach or reach(self.local)
 
     @property
     def speaks(self) -> bool:
@@ -124,17 +127,18 @@ class Member:
 
     @cached_property
     def penalty(self) -> Vec:
-        """(M,) m: what leaving a task unserved costs, more than any robot for it alone from any corner of the arena.
+        """(M,) m: what leaving a task unserved costs in the relaxations, the same at all robots after introductions.
 
-        A task at a still higher price stays unserved in the relaxations: the bound is weaker then, never wrong.
+            penalty_j = fixed + settings.penalty * reach,    so that no robot needs more for it alone if that is 3
+
+        A task at a still higher price stays unserved in the relaxations: the bound is weaker then, never wrong. Plans
+        are not compared by it.
         """
-        tasks = self.local.tasks
-        points = np.vstack([tasks.pickup, tasks.delivery, self.local.home])
-        return np.full(len(tasks), self.fixed + self.settings.penalty * float(np.linalg.norm(np.ptp(points, axis=0))))
+        return np.full(len(self.local.tasks), self.fixed + self.settings.penalty * self.reach)
 
     @cached_property
     def unserved(self) -> Vec:
-        """(M,) m: what a task left out costs: its refusal if it may be refused, else the penalty."""
+        """(M,) m: what a task left out costs in the relaxations: its refusal if it may be refused, else the penalty."""
         refusal = self.local.tasks.refusal
         return np.asarray(np.where(np.isfinite(refusal), refusal, self.penalty))
 
@@ -158,3 +162,10 @@ class Member:
     def report(self, **news: object) -> None:
         """Replace fields of `progress`."""
         self.progress = replace(self.progress, **news)  # type: ignore[arg-type]
+
+
+def reach(local: LocalProblem) -> float:
+    """m, at least any way of the robot between two places: the diagonal of all, or the longest of its matrix."""
+    own = [point for point in (local.home, local.start, local.end) if point is not None]
+    diagonal = float(np.linalg.norm(np.ptp(np.vstack([local.tasks.pickup, local.tasks.delivery, *own]), axis=0)))
+    return diagonal if local.distance is None else max(diagonal, float(local.distance.max()))

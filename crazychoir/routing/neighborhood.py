@@ -1,5 +1,6 @@
 """The joint problem of a cluster, solved by one of its leaders; and what a route costs."""
 
+import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -9,6 +10,7 @@ from crazychoir.routing.instance import LocalProblem
 from crazychoir.routing.introduction import restricted
 from crazychoir.routing.labels import Ints
 from crazychoir.routing.search import search
+from crazychoir.routing.vehicle import MAKESPAN
 from crazychoir.types import Vec
 
 
@@ -26,6 +28,25 @@ def reoptimize(
     objective = robots[cluster.robots[0]].objective
     found = search(fleet, present, penalty[chosen], steps, seed, objective=objective)
     return {i: renamed(stops, chosen, len(penalty)) for i, stops in zip(cluster.robots, found.routes, strict=True)}
+
+
+def most_saved(robots: Mapping[int, LocalProblem], reach: float) -> float:
+    """More than a plan of these robots could save by leaving a task out: what the dearest one costs.
+
+        1 + (3M + 2N) reach + N fixed + sum of refusals;   where finishes count, also the last opening + all service
+                                                          + (3M + 2N) reach / the least speed
+
+    reach: m, at least any way. Each trip serves a task, so that there are at most 3M + N ways; a robot in flight that
+    stays there saves its way home, at most reach.
+    """
+    one, n = next(iter(robots.values())), len(robots)
+    tasks, ways = one.tasks, (3 * len(one.tasks) + 2 * n) * reach
+    saved = 1.0 + ways + n * max(r.fixed for r in robots.values())
+    saved += math.fsum(tasks.refusal[np.isfinite(tasks.refusal)])
+    if MAKESPAN in one.objective:
+        opens = max(float(tasks.earliest.max(initial=0.0)), *(max(r.window[0], r.start_time) for r in robots.values()))
+        saved += opens + math.fsum(tasks.service) + ways / min(r.speed for r in robots.values())
+    return saved
 
 
 def flown(local: LocalProblem, stops: Sequence[int]) -> tuple[float, float]:

@@ -29,6 +29,8 @@ BY_PRICES = ("resource-columns", "resource", "resource-argmax")
 BY_CLAIMS = ("resource", "resource-argmax")
 """Methods whose robots claim every task: they cannot refuse one."""
 METHODS = ("columns", *BY_PRICES, *insertion_bids.METHODS)
+ROUNDING = 2.0
+"""Tolerances by which a bound may be above the cost: the search of a proof goes one beyond the plan."""
 
 
 class PickupDelivery(Program[Solution]):
@@ -168,11 +170,15 @@ class PickupDelivery(Program[Solution]):
     def _bound(self, assignment: Assignment, cost: float) -> float | None:
         """What is proven of the cost: nothing where prices add up what counts otherwise.
 
-        A sum of finishing times is no makespan, and refusals weighed by priority are no cost.
+        A sum of finishing times is no makespan, and refusals weighed by priority are no cost. Only rounding is clipped:
+        a bound above the cost of a plan is none, and neither is any other of its kind; all robots see it alike.
         """
-        local = self._member.local
+        local, tolerance = self._member.local, ROUNDING * self._member.settings.tolerance
         if assignment.lower_bound is None or local.objective[0] == MAKESPAN or (local.tasks.priority > 0).any():
             return None
+        if assignment.lower_bound > cost + tolerance * max(1.0, abs(cost)):
+            found = f"bound {assignment.lower_bound:.9g} above the cost {cost:.9g} of the plan: a pricing was not exact"
+            raise SolverError(f"robot {local.robot}: {self._method}", found)
         return min(assignment.lower_bound, cost)
 
     def _own_route(self, assignment: Assignment) -> tuple[list[int], float]:

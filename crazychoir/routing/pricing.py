@@ -44,7 +44,7 @@ class RouteTable:
 
     def __init__(self, vehicle: Vehicle, most: int = MOST_LABELS, objective: tuple[str, ...] = (TOTAL,)) -> None:
         servable = vehicle.servable
-        labels = final_labels(_restricted(vehicle, servable), most, objective)
+        labels = final_labels(of_one_set(vehicle, servable), most, objective)
         self.complete = labels.complete
         first, second = _amounts(labels, objective, vehicle.fixed)
         best = _best_of_each(labels.picked, first, second)
@@ -105,7 +105,7 @@ def shortest_route(
     left = np.setdiff1d(np.flatnonzero(vehicle.aboard), chosen)
     if len(left) or not (vehicle.capable | vehicle.aboard)[chosen].all():
         raise SolverError(where, f"infeasible: it carries {left.tolist()}" if len(left) else "infeasible")
-    labels = final_labels(_restricted(vehicle, chosen), most, objective)
+    labels = final_labels(of_one_set(vehicle, chosen), most, objective)
     full = np.flatnonzero(labels.count == len(chosen))
     if not len(full):
         raise SolverError(where, "infeasible" if labels.complete else TOO_MANY)
@@ -114,7 +114,7 @@ def shortest_route(
     return labels.route(best, chosen, vehicle.tasks), float(labels.length[best])
 
 
-def _restricted(vehicle: Vehicle, chosen: Ints) -> Vehicle:
+def of_one_set(vehicle: Vehicle, chosen: Ints) -> Vehicle:
     """With the tasks `chosen` alone; InstanceError if no set can hold them."""
     if len(chosen) > MOST_TASKS:
         where, do = f"robot {vehicle.robot}: tasks that it could serve", "Narrow capability or route_length_limit."

@@ -48,7 +48,8 @@ class Proof:
     min-consensus on (cost, robot) picks one plan, sent with its hash. If its cost is within gap of the bound, it is
     optimal; else double the gap and again. A partitioning of more than `small` columns is left to the `searchers`
     lowest ids, because it costs seconds and one answer is enough.
-    Every decision that ends a loop is taken from flooded values, so all robots end in the same round.
+    Every decision that ends a loop is taken from flooded values, so all robots end in the same round; so is that there
+    is no plan, which a searcher offers in the place of one.
     pool: columns that are known to all;  best: the best plan known to all;  proven: m, no plan costs less.
     Raises SolverError if there is no plan, or if a plan arrives damaged.
     """
@@ -66,7 +67,7 @@ class Proof:
         if self.best is None:
             why, status = self._failure()
             raise SolverError(f"{why} (robot {self._i}: set partitioning of {len(self._pool)} columns)", status)
-        return Assignment(self.best.routes, min(self.proven, self.best.cost) if self._bound.exact else None)
+        return Assignment(self.best.routes, self.proven if self._bound.exact else None)
 
     @property
     def closed(self) -> bool:
@@ -144,7 +145,8 @@ class Proof:
     def _agree(self, gap: float) -> Exchange[Offer | None]:
         """The best plan that a robot finds among the columns within the gap."""
         best = yield from best_offer(self._search(gap), self._diameter)
-        if best is None:
+        self._none = best is not None and best[0] == np.inf
+        if best is None or self._none:
             return None
         cost, robot, routes, searched, digest = best
         if sha256(routes) != digest:
@@ -153,7 +155,10 @@ class Proof:
         return Offer(float(cost), {int(i): tuple(int(j) for j in tasks) for i, tasks in routes}, float(searched))
 
     def _search(self, gap: float) -> list[Any] | None:
-        """Own offer: cost, robot, routes, searched bound, hash. A large search is left to a few robots."""
+        """Own offer: cost, robot, routes, searched bound, hash; a cost of inf says that there is no plan.
+
+        A large search is left to a few robots: the others offer nothing, nor do those that were cut without a plan.
+        """
         settings = self._member.settings
         useful = [(i, c) for i, c in self._pool.items() if self._bound.excess(i, c) <= gap]
         if len(useful) > settings.small and self._i >= settings.searchers:
@@ -163,8 +168,7 @@ class Proof:
         known = None if self.best is None else self._with_refusals(self.best.routes, refusals)
         nodes = settings.proof_nodes if settings.prove else settings.nodes
         found = partition(useful, len(self._member.local.tasks), self._i, nodes, known, self._member.alike)
-        self._none = found.bound == np.inf
-        if found.cost == np.inf:
+        if found.cost == np.inf and found.bound < np.inf:
             return None
         robots = self._member.place.robots
         routes = [[robot, list(tasks)] for robot, tasks in sorted(found.routes.items()) if robot < robots]

@@ -152,6 +152,13 @@ def test_a_method_of_pickup_delivery_finds_no_longer_plan_and_serves_the_same(se
     assert max(lengths["columns"], lengths["resource-columns"]) <= lengths[AUCTION] + 1e-6
 
 
+def test_goods_that_only_a_robot_far_away_may_carry_are_fetched(monkeypatch):
+    monkeypatch.setitem(HOMES, 2, (900.0, 0.0))
+    books = {i: TaskBook([task(4, (1.0, 0.0), (2.0, 0.0), robots=(2,))], records()) for i in IDS}
+    shares = planned(books, method="columns")
+    assert stops(shares[2]) == [(4, "pickup"), (4, "delivery")]
+
+
 def test_goods_aboard_are_delivered_by_any_method_whatever_is_left_of_the_limit(monkeypatch):
     books = {i: TaskBook([NEAR_2, NEAR_8], records()) for i in IDS}
     short = problem

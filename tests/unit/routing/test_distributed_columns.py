@@ -5,18 +5,20 @@ import pytest
 
 from crazychoir.bus.codec import decode, encode
 from crazychoir.errors import SolverError
-from crazychoir.routing import introduction
+from crazychoir.routing import introduction, large_bound
 from crazychoir.routing.checker import check
 from crazychoir.routing.clusters import Neighbors, tasks_of, unserved
 from crazychoir.routing.compact import solve_compact
 from crazychoir.routing.generate import random_instance
 from crazychoir.routing.gossip import Gossip
+from crazychoir.routing.halves import Halves
 from crazychoir.routing.instance import Instance
 from crazychoir.routing.introduction import introduce, restricted
 from crazychoir.routing.large_bound import LargeBound
 from crazychoir.routing.master import Pool, partition
 from crazychoir.routing.member import Member, Place, Settings
-from crazychoir.routing.neighborhood import flown, reoptimize
+from crazychoir.routing.neighborhood import flown, most_saved, reoptimize
+from crazychoir.routing.packing import packed
 from crazychoir.routing.pricing import Column, RouteTable
 from crazychoir.routing.solve import diameter, solve_in_loop
 
@@ -110,6 +112,52 @@ def test_a_robot_restricted_to_some_tasks_is_that_vehicle_with_these_tasks_only(
     part, whole = restricted(local, chosen).vehicle, local.vehicle.only(chosen)
     for name, value in vars(replace(whole)).items():
         np.testing.assert_array_equal(getattr(part, name), value, err_msg=name)
+
+
+def remote(home, **more):
+    """Two robots, one of them far away, that alone can serve the first two of six tasks."""
+    random = np.random.default_rng(0)
+    raw = {"home": [[home, 0.0], [0.5, 0.5]], "pickup": random.random((6, 2)).tolist(), "load": [1] * 6}
+    raw |= {"delivery": random.random((6, 2)).tolist(), "capacity": [1, 2]}
+    return Instance.parse(raw | {"capability": [[True] * 2 + [False] * 4, [False] * 2 + [True] * 4]} | more)
+
+
+def test_a_robot_serves_its_tasks_from_however_far(graph):
+    solution = solve_in_loop(remote(100.0), graph("path", 2))
+    assert solution.cost == pytest.approx(204.0921, abs=1e-3)
+    assert solution.lower_bound == pytest.approx(solution.cost, abs=1e-3)
+
+
+def test_distances_of_a_matrix_may_be_any_times_those_between_the_points(graph):
+    near = remote(1.0)
+    points = np.vstack([near.home, near.tasks.pickup, near.tasks.delivery])
+    distance = np.linalg.norm(points[:, None] - points[None], axis=2)
+    one, many = (remote(1.0, distance=(times * distance).tolist()) for times in (1.0, 1000.0))
+    few, more = (solve_in_loop(instance, graph("path", 2)) for instance in (one, many))
+    assert more.cost == pytest.approx(1000.0 * few.cost)
+    assert more.lower_bound == pytest.approx(more.cost)
+
+
+def test_after_introductions_all_have_one_penalty_which_is_no_less_than_any_robot_for_a_task_alone(graph):
+    flying = replace(remote(30.0).local(0), start=np.array([0.0, -70.0]))
+    for local in (remote(30.0).local(0), flying):
+        team = members(remote(30.0), graph("path", 2))
+        team[0] = replace(team[0], local=local, reach=0.0)
+        run_all([introduce(member) for member in team], graph("path", 2))
+        np.testing.assert_array_equal(team[0].penalty, team[1].penalty)
+        assert all((member.penalty >= member.local.vehicle.shortest_trip).all() for member in team)
+
+
+@pytest.mark.parametrize("objective", ["total", "makespan"])
+def test_nothing_is_saved_by_leaving_a_task_out_that_costs_more_than_any_plan(objective):
+    raw = random_instance(2, 6, 3).to_json() | {"objective": objective, "speed": [0.01, 2.0], "recharge": 6}
+    raw |= {"service_time": 3.0, "fixed_cost": 4.0, "time_windows": {"pickup": [[500, None]] * 6}}
+    instance = Instance.parse(raw)
+    robots = {i: instance.local(i) for i in range(2)}
+    everything = [v for j in range(6) for v in (j, 6 + j, 13)][:-1]
+    cost, finish = flown(robots[0], everything)
+    reach = float(robots[0].vehicle.distance.max())
+    assert (cost if objective == "total" else finish) < most_saved(robots, reach)
 
 
 def test_clusters_are_disjoint_hold_every_task_and_differ_from_pass_to_pass():
@@ -283,6 +331,13 @@ def test_a_large_team_proves_a_bound_by_halves_or_names_its_relaxation(graph, se
         assert best.bound_exact
 
 
+def test_a_large_team_proves_a_bound_with_a_robot_far_away(graph):
+    instance = remote(20.0, route_length_limit=90.0)
+    found = solve_in_loop(instance, graph("path", 2), settings=Settings(prove=True, most_listed=0))
+    assert found.bound_exact
+    assert found.lower_bound == pytest.approx(found.cost, abs=1e-4)
+
+
 @pytest.mark.parametrize("penalty", [1.0, 6.0, 12.0])
 def test_the_bound_of_a_large_team_holds_where_tasks_are_refused_whatever_its_plan(graph, penalty):
     instance = random_instance(4, 7, 2, route_length_limit=27.0, fields={"penalty": [penalty] * 7})
@@ -300,6 +355,47 @@ def test_where_pricing_is_cut_there_is_no_bound(graph):
         cut = Settings(prove=True, most_listed=0, most_labels=9)
         found = solve_in_loop(instance, graph("ring", 4), settings=cut)
         assert (found.lower_bound, found.bound_exact, found.bound_relaxation) == (None, False, None)
+
+
+def test_what_is_proven_stays_when_a_later_pass_is_cut(graph, monkeypatch):
+    instance, links = random_instance(3, 7, 1, route_length_limit=27.0), graph("ring", 3)
+    settings = Settings(prove=True, most_listed=0)
+    whole = solve_in_loop(instance, links, settings=settings)
+    priced, passes = LargeBound._priced, {i: 0 for i in range(3)}
+
+    def cut(self, pi):
+        passes[self._i] += 1
+        return [-np.inf, True, packed([])] if passes[self._i] > 2 and self._i == 1 else priced(self, pi)
+
+    monkeypatch.setattr(LargeBound, "_priced", cut)
+    part = solve_in_loop(instance, links, settings=settings)
+    assert set(passes.values()) == {3}
+    assert part.bound_exact
+    assert 0.5 * whole.lower_bound < part.lower_bound < whole.lower_bound
+
+
+def test_one_robot_whose_halves_are_too_many_prices_by_a_relaxation(graph, monkeypatch):
+    class Few(Halves):
+        def __init__(self, vehicle, most):
+            super().__init__(vehicle, 900)
+
+    raw = random_instance(3, 8, 1, route_length_limit=30.0).to_json()
+    instance = Instance.parse(raw | {"capacity": [1, 1, 8], "load": [1] * 8})
+    assert [Few(instance.local(i).vehicle, 0).complete for i in range(3)] == [True, True, False]
+    settings = Settings(prove=True, most_listed=0, steps=4_000)
+    exact = solve_in_loop(instance, graph("ring", 3), settings=settings)
+    monkeypatch.setattr(large_bound, "Halves", Few)
+    found = solve_in_loop(instance, graph("ring", 3), settings=settings)
+    assert (exact.bound_exact, found.bound_exact, found.bound_relaxation) == (True, False, "ng-route")
+    assert 0.8 * exact.lower_bound < found.lower_bound <= exact.lower_bound + 1e-4
+
+
+@pytest.mark.parametrize("limit", [60.0, None])
+def test_a_robot_that_can_serve_more_tasks_than_a_set_holds_leaves_the_plan_without_a_bound(graph, limit):
+    instance = random_instance(2, 130, 0, (0.7, 0.7), route_length_limit=limit)
+    few = Settings(prove=True, starters=1, first_steps=30, steps=100)
+    found = solve_in_loop(instance, graph("path", 2), settings=few)
+    assert (found.feasible, found.lower_bound, found.bound_relaxation) == (True, None, None)
 
 
 def test_a_team_of_two_kinds_prices_once_a_kind_and_proves_what_single_robots_prove(graph):

@@ -7,7 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from crazychoir.errors import InstanceError
+from crazychoir.routing.generate import random_instance
 from crazychoir.routing.halves import Halves
+from crazychoir.routing.least import least_reduced_cost
 from crazychoir.routing.pricing import RouteTable
 from tests.unit.routing.test_vehicle_routes import vehicle_of
 
@@ -34,6 +37,16 @@ def test_the_least_of_all_routes_is_found(kind, seed, worth, far):
         assert halves.cheapest(prices, 4, table.least(prices) - 1e-6) == []
 
 
+def test_the_length_of_a_column_is_that_of_its_halves_at_any_prices():
+    vehicle = random_instance(4, 10, 3, route_length_limit=25.0).local(0).vehicle
+    halves, random, lengths = Halves(vehicle), np.random.default_rng(0), {}
+    for _ in range(200):
+        for column in halves.cheapest(random.uniform(0.0, 20.0, 10), 10, 0.0):
+            lengths.setdefault(column.tasks, set()).add(column.length)
+    assert len(lengths) > 20
+    assert max(len(values) for values in lengths.values()) <= 4, "one a pair of halves, whatever the prices"
+
+
 def test_halves_that_are_cut_say_so():
     v = vehicle_of(3, 6, "limit")
     assert not Halves(v, most=5).complete
@@ -49,3 +62,10 @@ def test_nothing_to_serve():
     v = replace(vehicle_of(1, 4, "limit"), capable=np.zeros(4, bool))
     assert Halves(v).least(np.full(4, 9.0)) == 0.0
     assert Halves(v).cheapest(np.full(4, 9.0), 3, 0.0) == []
+
+
+def test_more_tasks_than_a_set_holds_are_refused_by_name():
+    v = random_instance(2, 130, 0, (0.7, 0.7), route_length_limit=60.0).local(0).vehicle
+    for price in (Halves, lambda v: least_reduced_cost(v, np.ones(130))):
+        with pytest.raises(InstanceError, match="at most 128"):
+            price(v)

@@ -142,3 +142,10 @@ def test_a_shorter_tour_of_the_same_set_replaces_the_longer():
     assert pool.add(0, [Column(9.0, (0, 2))]) == 1
     assert pool.items() == [(0, Column(9.0, (0, 2))), (1, Column(4.5, (0, 2))), (1, Column(6.0, (1,)))]
     assert not pool.has(1, Column(4.0, (0, 2)))
+
+
+def test_a_tour_that_is_shorter_by_rounding_alone_is_no_news():
+    master = Master(np.full(3, 9.0))
+    assert master.add(1, [Column(5.0, (0, 2))]) == 1
+    assert master.add(1, [Column(5.0 - 1e-12, (0, 2))]) == 0
+    assert master.add(1, [Column(5.0 - 1e-6, (0, 2))]) == 1

@@ -9,6 +9,8 @@ import pytest
 
 from crazychoir.bus.codec import MAX_PAYLOAD, decode, encode
 from crazychoir.errors import ConfigError, SolverError
+from crazychoir.routing import column_recovery, gossip
+from crazychoir.routing.bound import improve
 from crazychoir.routing.checker import check
 from crazychoir.routing.distributed_columns import DistributedColumns
 from crazychoir.routing.generate import random_instance
@@ -233,11 +235,41 @@ def test_no_bound_is_above_the_optimum_where_tasks_are_refused_or_time_is_minimi
     assert solution.bound_exact == (more.keys() == {"penalty"})
 
 
+@pytest.mark.parametrize("method", ["columns", "resource-columns"])
+def test_a_bound_above_the_cost_is_an_error_and_not_clipped(graph, monkeypatch, method):
+    def too_high(bound, *args):
+        news = yield from improve(bound, *args)
+        bound.value += 7.0
+        return news
+
+    for module in (gossip, column_recovery):
+        monkeypatch.setattr(module, "improve", too_high)
+    with pytest.raises(SolverError, match=r"bound .* above the cost .* of the plan"):
+        solve_in_loop(random_instance(5, 8, 1, route_length_limit=30.0), graph("ring", 5), method)
+
+
 def test_an_infeasible_instance_is_a_clear_error():
     with pytest.raises(SolverError, match=r"^infeasible: no plan serves every task; each can be served alone"):
         solve_in_loop(infeasible(), {0: [1], 1: [0]})
     with pytest.raises(SolverError, match="use the method columns"):
         solve_in_loop(infeasible(), {0: [1], 1: [0]}, "resource")
+
+
+def test_robots_that_did_not_search_know_in_the_same_round_that_there_is_no_plan(graph):
+    goods = {"pickup": [[x, 1] for x in range(6)], "delivery": [[x, 2] for x in range(6)], "load": [1] * 6}
+    raw = goods | {"home": [[x, 0] for x in range(4)], "capacity": [1] * 4, "route_length_limit": 6.8}
+    settings = Settings(small=0, first_steps=50, steps=500)
+    agents, failed = team(Instance.parse(raw), graph("ring", 4), "columns", settings), {}
+    while not failed:
+        messages = {i: decode(encode(agent.message())) for i, agent in agents.items()}
+        for i, agent in agents.items():
+            try:
+                agent.step({j: messages[j] for j in graph("ring", 4)[i]})
+            except SolverError as error:
+                failed[i] = str(error)
+        assert not any(agent.done for agent in agents.values())
+    assert sorted(failed) == [0, 1, 2, 3]
+    assert all("infeasible: no plan serves every task" in text for text in failed.values())
 
 
 def test_a_table_that_is_cut_gives_a_plan_without_a_bound(graph):
