@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from crazychoir.cli import ending
-from crazychoir.cli.show import STDERR, fail, prints_aside, result_table, set_up_logging, write_json
+from crazychoir.cli.show import STDERR, STDOUT, fail, prints_aside, result_table, set_up_logging, write_json
 from crazychoir.errors import CrazyChoirError
 
 log = logging.getLogger(__name__)
@@ -59,7 +59,7 @@ def agent(
     elif as_json:
         write_json(flight)
     else:
-        STDERR.print(result_table(results))
+        STDOUT.print(result_table(results))
     raise typer.Exit(0 if all(result.get("success") for result in results.values()) else 1)
 
 

@@ -12,7 +12,7 @@ from rich.console import RenderableType
 from rich.markup import escape
 
 from crazychoir.cli.bench_latency import latency
-from crazychoir.cli.show import STDERR, fail, set_up_logging
+from crazychoir.cli.show import STDERR, STDOUT, fail, set_up_logging
 from crazychoir.errors import CrazyChoirError
 
 app = typer.Typer(no_args_is_help=True, help="Measure, against peers of the same run.")
@@ -122,4 +122,4 @@ def _show(
     if as_json:
         sys.stdout.write(json.dumps(result) + "\n")
     else:
-        STDERR.print(table(result))
+        STDOUT.print(table(result))

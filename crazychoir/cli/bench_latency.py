@@ -20,7 +20,7 @@ import typer
 from rich.table import Table
 
 from crazychoir.agent import Agent
-from crazychoir.cli.show import STDERR, fail
+from crazychoir.cli.show import STDOUT, fail
 from crazychoir.errors import CrazyChoirError
 from crazychoir.guidance.base import CFDistributedFeedback, CFGuidance
 from crazychoir.guidance.mission import Mission
@@ -212,7 +212,7 @@ def latency(
     if as_json:
         sys.stdout.write(json.dumps(result) + "\n")
     else:
-        STDERR.print(_table(result))
+        STDOUT.print(_table(result))
 
 
 def ten_robots() -> Instance:

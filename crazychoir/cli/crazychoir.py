@@ -7,7 +7,7 @@ import typer
 
 from crazychoir.cli import ending, look, param, plot, simulate, solve, task
 from crazychoir.cli.show import (
-    STDERR,
+    STDOUT,
     Progress,
     fail,
     interrupted,
@@ -117,7 +117,7 @@ def _show(result: dict[str, Any], as_json: bool) -> None:
     if as_json:
         write_json(result)
     else:
-        STDERR.print(summary_table(result))
+        STDOUT.print(summary_table(result))
 
 
 def main() -> None:

@@ -8,7 +8,7 @@ import typer
 from rich import box
 from rich.table import Table
 
-from crazychoir.cli.show import STDERR, fail, set_up_logging, status_table, write_json
+from crazychoir.cli.show import STDOUT, fail, set_up_logging, status_table, write_json
 from crazychoir.errors import ConfigError, CrazyChoirError
 
 if TYPE_CHECKING:
@@ -52,7 +52,7 @@ def topics(as_json: JsonOption = False) -> None:
     table = Table(*rows[0], box=box.SIMPLE_HEAD, padding=0)
     for row in rows:
         table.add_row(*(str(value) for value in row.values()))
-    STDERR.print(table)
+    STDOUT.print(table)
 
 
 def echo(
@@ -107,7 +107,7 @@ def status(
         if watch:
             from rich.live import Live
 
-            with Live(console=STDERR, refresh_per_second=4) as live:
+            with Live(console=STDOUT, refresh_per_second=4) as live:
                 async for _ in window.clock.ticks(4.0):
                     live.update(status_table(score))
         return score
@@ -116,7 +116,7 @@ def status(
     if as_json:
         write_json(dict(sorted(score.statuses.items())))
     else:
-        STDERR.print(status_table(score))
+        STDOUT.print(status_table(score))
 
 
 def impair(
@@ -239,4 +239,4 @@ def _print_pairs(pairs: dict[int, Any], heads: tuple[str, str], as_json: bool) -
     table = Table(*heads)
     for i, value in pairs.items():
         table.add_row(str(i), f"{value:.1f}" if isinstance(value, float) else str(value))
-    STDERR.print(table)
+    STDOUT.print(table)

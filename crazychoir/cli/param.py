@@ -7,7 +7,7 @@ import typer
 from rich.table import Table
 
 from crazychoir.cli.look import JsonOption, SwarmOption, looking
-from crazychoir.cli.show import STDERR, fail, write_json
+from crazychoir.cli.show import STDERR, STDOUT, fail, write_json
 from crazychoir.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -62,7 +62,7 @@ def _conclude(answers: "Answers", as_json: bool) -> None:
     if as_json:
         write_json({i: said for i, (_, said) in answers.items()})
     else:
-        STDERR.print(_table(answers))
+        STDOUT.print(_table(answers))
     raise typer.Exit(0 if all(done for done, _ in answers.values()) else 1)
 
 

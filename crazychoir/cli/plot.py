@@ -7,7 +7,7 @@ import typer
 from rich import box
 from rich.table import Table
 
-from crazychoir.cli.show import STDERR, fail, set_up_logging, write_json
+from crazychoir.cli.show import STDERR, STDOUT, fail, set_up_logging, write_json
 from crazychoir.errors import ConfigError, CrazyChoirError
 
 if TYPE_CHECKING:
@@ -51,7 +51,7 @@ def plot(
     else:
         _show(recording, figures)
         names = ", ".join(path.stem for path in files if path.suffix == ".png")
-        STDERR.print(f"In {folder}/: {names} (.png and .pdf), drone*.csv", markup=False, highlight=False)
+        STDOUT.print(f"In {folder}/: {names} (.png and .pdf), drone*.csv", markup=False, highlight=False)
 
 
 def _write(flight: "Flight", folder: Path) -> list[Path]:
@@ -74,7 +74,7 @@ def _show(recording: "Recording", figures: dict[str, Any]) -> None:
     table = Table("drone", *HEADS.values(), title=title, box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), show_edge=False)
     for i, own in figures["drones"].items():
         table.add_row(str(i), *("" if own[key] is None else f"{own[key]:.3f}" for key in HEADS))
-    STDERR.print(table)
-    STDERR.print(COMPARED)
+    STDOUT.print(table)
+    STDOUT.print(COMPARED)
     if least is not None:
-        STDERR.print(f"Least distance of two drones: {least:.3f} m", highlight=False)
+        STDOUT.print(f"Least distance of two drones: {least:.3f} m", highlight=False)

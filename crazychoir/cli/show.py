@@ -25,6 +25,9 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 STDERR = Console(stderr=True)
+"""For what goes on, and what goes wrong."""
+STDOUT = Console()
+"""For what a command answers."""
 REFRESH = 4
 """Tables a second."""
 WIDE = 100

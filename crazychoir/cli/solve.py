@@ -8,7 +8,15 @@ from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
-from crazychoir.cli.show import STDERR, Progress, fail, interrupted, require_drawable, set_up_logging, write_json
+from crazychoir.cli.show import (
+    STDOUT,
+    Progress,
+    fail,
+    interrupted,
+    require_drawable,
+    set_up_logging,
+    write_json,
+)
 from crazychoir.errors import ConfigError, CrazyChoirError
 
 if TYPE_CHECKING:
@@ -80,7 +88,7 @@ def solve(
     if as_json:
         write_json(result)
     else:
-        STDERR.print(_tables(result))
+        STDOUT.print(_tables(result))
     raise typer.Exit(0 if result["feasible"] else 1)
 
 

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from crazychoir.cli.look import JsonOption, SwarmOption, looking
-from crazychoir.cli.show import STDERR, fail, write_json
+from crazychoir.cli.show import STDERR, STDOUT, fail, write_json
 from crazychoir.errors import ConfigError, Refused
 
 if TYPE_CHECKING:
@@ -74,7 +74,7 @@ def _ask(swarm: str | None, drone: int | None, verb: str, as_json: bool, argumen
         write_json(done[0] if done else {str(i): said for i, (_, said) in answers.items()})
     else:
         for line in _lines(answers):
-            STDERR.print(line, markup=False, highlight=False, soft_wrap=True)
+            (STDOUT if done else STDERR).print(line, markup=False, highlight=False, soft_wrap=True)
     raise typer.Exit(0 if done else 1)
 
 

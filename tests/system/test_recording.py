@@ -91,9 +91,9 @@ def test_plot_says_and_draws(here, recorded, tmp_path, monkeypatch):
     monkeypatch.setattr(plots, "draw", lambda flight, folder: list(folder.glob("*.png")))  # they are there already
     table = here("crazychoir", "plot", path, "--out", tmp_path / "made")
     assert table.code == 0
-    assert table.out == ""
+    assert table.err == ""
     for word in ("RMSE", "truth against the reference", f"{said.json['min_separation_m']:.3f} m", "made"):
-        assert word in table.err
+        assert word in table.out
 
 
 def test_what_cannot_be_recorded_is_said_before_anybody_flies(here, tmp_path):
