@@ -81,13 +81,13 @@ class ChannelEnded(CrazyChoirError, RuntimeError):
 
 
 class PeerLost(CrazyChoirError, ConnectionError):
-    """Members of the swarm are gone for longer than `lost_after`."""
+    """Members of the swarm are gone for longer than `lost_after`. seconds: since the last message of any of them."""
 
     def __init__(self, drone: int, lost: Iterable[int], seconds: float) -> None:
         self.drone, self.lost, self.seconds = drone, tuple(lost), seconds
         names = ", ".join(str(j) for j in self.lost)
         super().__init__(
-            f"drone {drone}: lost drone(s) {names}: silent for more than {seconds:g} s. "
+            f"drone {drone}: lost drone(s) {names}: silent for {seconds:.3g} s. "
             "Restart their agents, or start again without them."
         )
 

@@ -178,7 +178,7 @@ class Communicator(Rounds):
                 break
             lost = [j for j in late if self.membership.lost(j)]
             if lost and not ch.joinable:
-                raise PeerLost(self.id, lost, seconds)
+                raise PeerLost(self.id, lost, self.silence(lost))
             if self._clock.now() >= ends:
                 raise RoundTimeout(self.id, ch.name, ch.oldest, late or ch.ins, seconds)
             await self._pause(ch, MAX_RTO)

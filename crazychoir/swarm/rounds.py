@@ -76,6 +76,7 @@ class Rounds:
         self._known = self._epochs.known
         self._clock = port.bus.clock
         self._now_ns, self._heard_ns = self._clock.now_ns, port.heard_ns
+        self._made_ns = self._now_ns()
         self._channels: dict[str, Channel] = {}
         self._early: deque[tuple[int, bytes, int, str, int, int]] = deque(maxlen=MAX_EARLY)
         self._alarm: Alarm | None = None
@@ -99,6 +100,10 @@ class Rounds:
     def epoch(self) -> int:
         """Number of the team's present composition."""
         return self._epochs.epoch
+
+    def silence(self, lost: Iterable[int]) -> float:
+        """s since the last message of any kind from any of these; of who was never heard since these rounds began."""
+        return (self._now_ns() - max(self._heard_ns.get(j, self._made_ns) for j in lost)) / SECOND
 
     # Channels and epochs --------------------------------------------------------------------------------------
 
@@ -353,7 +358,7 @@ class Rounds:
         for ch in self._waiting():
             lost = () if ch.joinable else tuple(j for j in ch.missing if self.membership.lost(j))
             if lost:
-                fail(ch, PeerLost(self.id, lost, (now_ns - ch.since_ns) / SECOND))
+                fail(ch, PeerLost(self.id, lost, self.silence(lost)))
             elif ch.strict and (word := self._failure(ch.missing)):
                 fail(ch, AgentFailed(word.agent, word.reason))
             elif now_ns >= ch.deadline_ns:

@@ -166,7 +166,7 @@ def _require_all(communicator: Communicator) -> None:
     """Raise PeerLost, for all, if a neighbour is gone for good."""
     lost = [j for j in communicator.graph.at(0).in_neighbors(communicator.id) if communicator.membership.lost(j)]
     if lost:
-        error = PeerLost(communicator.id, lost, communicator.deadline)
+        error = PeerLost(communicator.id, lost, communicator.silence(lost))
         raise _Ended.by(error) from error
 
 

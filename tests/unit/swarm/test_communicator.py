@@ -465,6 +465,22 @@ def test_a_lost_neighbour(policy):
     assert found == ({0: {}, 2: {}} if policy == "partial" else {0: (1,), 2: (1,)})
 
 
+def test_who_is_lost_was_silent_since_it_was_heard_last_however_late_one_waits_for_it():
+    async def agent(c: Communicator) -> str:
+        await c.neighbors_exchange(c.id)
+        if c.id == 1:
+            return ""
+        c.membership = Lost(c.port.bus.clock, 1, 3.0)
+        await c.port.bus.clock.sleep(3.5)
+        with pytest.raises(PeerLost) as caught:
+            await c.neighbors_exchange(c.id)
+        assert caught.value.seconds == pytest.approx(3.5, abs=0.1)
+        return str(caught.value)
+
+    found = swarm(graphs.complete(2), agent)
+    assert found[0].startswith("drone 0: lost drone(s) 1: silent for 3.5")
+
+
 def test_a_source_hears_that_its_reader_is_lost():
     async def agent(c: Communicator) -> int:
         c.membership = Lost(c.port.bus.clock, 1, 0.3)
