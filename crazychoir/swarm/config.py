@@ -21,6 +21,8 @@ WORLD = -1
 """The process of the world's owner, among processes that are known by their lowest drone."""
 SPACING = 0.6
 MARGIN = 4.0
+FILES = ("instance", "drawing")
+"""Options of missions that name a file."""
 OWN_TO_A_HOST = ("hosts", "base_port", "network")
 """What hosts need not agree on: how they reach each other, and what is simulated to happen to their messages."""
 
@@ -33,7 +35,7 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
-        """Read a .toml or .json file. A mission that is a path is relative to the file's folder."""
+        """Read a .toml or .json file. A mission that is a path, and FILES, are relative to the file's folder."""
         try:
             text = Path(path).read_text(encoding="utf-8-sig")
         except (OSError, UnicodeDecodeError) as error:
@@ -41,7 +43,7 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
             do = 'The least is name = "lab" and a table [[drones]] with id = 0 and home = [0, 0, 0] for each drone.'
             raise ConfigError(str(path), str(reason), "a swarm file, TOML or JSON", do) from error
         config = cls.loads(text, str(path))
-        return config._with_mission_from(Path(path).parent)
+        return config._with_mission_from(Path(path).parent)._with_files_from(Path(path).parent)
 
     @classmethod
     def loads(cls, text: str, where: str = "swarm") -> Self:
@@ -70,6 +72,11 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
         if self.mission is None or not self.mission.endswith(".py"):
             return self
         return msgspec.structs.replace(self, mission=str((folder / self.mission).resolve()))
+
+    def _with_files_from(self, folder: Path) -> Self:
+        named = {key: value for key, value in self.mission_options.items() if key in FILES and isinstance(value, str)}
+        found = {key: str((folder / value).resolve()) for key, value in named.items()}
+        return msgspec.structs.replace(self, mission_options=self.mission_options | found) if found else self
 
     def digest(self) -> str:
         """16 hex digits that all hosts of one mission share, the same on every host, Python and hash seed.

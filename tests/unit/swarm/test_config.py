@@ -291,3 +291,14 @@ def test_the_readme_of_deploy_names_every_key() -> None:
             assert f"`{entry.name}`" in row[table] or f".{entry.name}]]" in row[table], f"{table}.{entry.name}"
     for entry in msgspec.structs.fields(type(demo_swarm().drones[0])):
         assert f"`{entry.name}`" in row["drones"] or f".{entry.name}]" in row["drones"], entry.name
+
+
+def test_files_of_options_are_relative_to_the_swarm_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "lab").mkdir()
+    text = square().replace(mission_options={"instance": "../own.json", "drawing": "a.csv", "method": "x"}).dumps()
+    (tmp_path / "lab" / "own.json").write_text(text)
+    monkeypatch.chdir("/")
+    config = SwarmConfig.load(tmp_path / "lab" / "own.json")
+    found = {"instance": str(tmp_path / "own.json"), "drawing": str(tmp_path / "lab" / "a.csv"), "method": "x"}
+    assert config.mission_options == found
+    assert SwarmConfig.loads(config.dumps()) == config
