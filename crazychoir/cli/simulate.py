@@ -82,7 +82,8 @@ def _team(file: Path, agents: int, graph: str, seed: int, directed: bool) -> "tu
     if make is None:
         allowed = "a file that defines agent(i, graph)"
         raise ConfigError(f"algorithm {file}", "no function agent(i, graph)", allowed)
-    hook = Hook(str(module.__file__), "agent", make, ("i", "graph"), "an agent: message(), step(heard), done")
+    returns = "an agent: message(), step(heard), done"
+    hook = Hook(str(module.__file__), "agent", make, ("i", "graph"), returns, "algorithm")
     hook.check()
     team = {i: hook(i, links) for i in links.ids}
     for i, one in team.items():

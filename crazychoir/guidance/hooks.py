@@ -23,13 +23,16 @@ from crazychoir.swarm.graph import span
 
 log = logging.getLogger(__name__)
 README = 'See "Write your own mission" in README.md.'
+CHAPTERS = {"mission": README, "algorithm": 'See "A new distributed algorithm" in README.md.'}
+"""Of README.md, by the kind of the file."""
 
 
 @dataclass(frozen=True)
 class Hook:
     """A function of a mission file.
 
-    file: where it is written;  arguments: as it is called, by position;  returns: what is allowed, in words.
+    file: where it is written;  arguments: as it is called, by position;  returns: what is allowed, in words;
+    kind: "mission", or "algorithm".
     """
 
     file: str
@@ -37,6 +40,7 @@ class Hook:
     function: Callable[..., Any]
     arguments: tuple[str, ...]
     returns: str
+    kind: str = "mission"
 
     @property
     def call(self) -> str:
@@ -45,7 +49,7 @@ class Hook:
 
     def check(self) -> None:
         """Raise ConfigError unless it is a plain function that takes its arguments."""
-        require_signature(self.function, self.arguments, f"mission {self.file}", self.name)
+        require_signature(self.function, self.arguments, f"{self.kind} {self.file}", self.name, CHAPTERS[self.kind])
 
     def __call__(self, *values: Any) -> Any:
         """Call it; an error that is no word of this package becomes one that names file, line and hook."""
@@ -59,7 +63,7 @@ class Hook:
 
     def wrong(self, found: str, line: str = "") -> ConfigError:
         """The error of a hook that did not return what is allowed."""
-        return ConfigError(f"mission {self.file}{line}: {self.call}", found, self.returns, README)
+        return ConfigError(f"{self.kind} {self.file}{line}: {self.call}", found, self.returns, CHAPTERS[self.kind])
 
     def _line(self, error: Exception) -> str:
         """Where in the user's file it happened."""
@@ -85,7 +89,9 @@ class MissionFile:
         return self._guarded.get(name) or getattr(self._module, name)
 
 
-def require_signature(function: object, arguments: tuple[str, ...], where: str, name: str) -> None:
+def require_signature(
+    function: object, arguments: tuple[str, ...], where: str, name: str, chapter: str = README
+) -> None:
     """Raise ConfigError unless `function` is a plain function that can be called with `arguments`, by position."""
     wanted = f"def {name}({', '.join(arguments)})"
     if not callable(function):
@@ -96,7 +102,7 @@ def require_signature(function: object, arguments: tuple[str, ...], where: str, 
     try:
         signature.bind(*arguments)
     except TypeError:
-        raise ConfigError(f"{where}: {name}", f"def {name}{signature}", wanted, README) from None
+        raise ConfigError(f"{where}: {name}", f"def {name}{signature}", wanted, chapter) from None
 
 
 def require_complete(guidance: CFGuidance, where: str) -> None:

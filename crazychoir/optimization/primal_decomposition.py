@@ -2,8 +2,9 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
+from crazychoir.errors import ConfigError
 from crazychoir.optimization.arrays import vector
 from crazychoir.optimization.average import RunningAverage
 from crazychoir.optimization.mixing import Mixing, Row, Rows, mix
@@ -25,6 +26,7 @@ class Allocated:
     violation: float
 
 
+@runtime_checkable
 class Local(Protocol):
     """An agent's problem for a given allocation: Convexified, or Allocation of a convex problem."""
 
@@ -56,6 +58,9 @@ class PrimalDecomposition(Mixing):
         self, i: int, weights: Rows, local: Local, share: Vec, step: float | StepSize, rounds: int | None = None
     ) -> None:
         super().__init__(i, weights, rounds)
+        if not isinstance(local, Local):
+            do = "Wrap it: Allocation(problem, penalty) of optimization/allocation.py, or Convexified."
+            raise ConfigError(f"agent {i}: local", type(local).__name__, "one with allocate(y)", do)
         self._local, self.step_size = local, step_size(step)
         self._mean = RunningAverage()
         self._set(vector(share, f"agent {i}", "share"))

@@ -99,6 +99,17 @@ def test_what_is_wrong_is_said_with_exit_code_2(simulated, text, options, said):
     assert said in " ".join(err.split())
 
 
+@pytest.mark.parametrize(
+    "text", ["def agent(i): pass", "def agent(i, graph): return 3", "def agent(i, graph):\n    return {}[i]"]
+)
+def test_an_error_of_an_algorithm_says_so_and_where_algorithms_are_explained(simulated, text):
+    _, _, err = simulated(text)
+    said = " ".join(err.split())
+    assert "ConfigError: algorithm " in said
+    assert "mission" not in said
+    assert said.endswith('See "A new distributed algorithm" in README.md.')
+
+
 def test_what_a_users_step_raises_is_named_with_its_line(simulated):
     text = AVERAGING + "\nclass Bad(Consensus):\n    def step(self, heard):\n        heard['x']\n"
     code, out, _ = simulated(text.replace("return Consensus", "return Bad"), "--json", "--loss", 0.2)

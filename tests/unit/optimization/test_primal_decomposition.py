@@ -244,6 +244,9 @@ def test_bad_input_is_refused_with_agent_and_value():
         PrimalDecompositionMILP(block, {0: 1.0}, 1, 0, 1.0, rounds=0)
     with pytest.raises(ConfigError, match="step size: a: found -1"):
         PrimalDecomposition(0, {0: 1.0}, Convexified(block, 10.0), block.share, -1.0)
+    problem = convex_problems(1, seed=0)[0][0]
+    with pytest.raises(ConfigError, match=r"agent 0: local: found ConstraintC.* Allocation\(problem, penalty\)"):
+        PrimalDecomposition(0, {0: 1.0}, problem, problem.share, 1.0)
     other = MixedIntegerBlock(1, [1.0], [[1.0]], [1.0], bounds=(0, 1))
     with pytest.raises(ConfigError, match="share of agent 1: found 1 resources; allowed: 2"):
         solve([block, other], ring(2))
