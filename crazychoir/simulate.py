@@ -105,7 +105,7 @@ class History:
         path = Path(path)
         if path.suffix not in SUFFIXES:
             raise ConfigError("history", path.name, f"a file that ends in {', '.join(SUFFIXES)}")
-        path.parent.mkdir(parents=True, exist_ok=True)
+        path.parent.mkdir(exist_ok=True)
         if path.suffix == ".csv":
             path.write_text("\n".join(self._lines()) + "\n")
         elif path.suffix == ".json":

@@ -74,10 +74,18 @@ def require_drawable(path: Path | None) -> None:
         return
     if path.suffix not in PICTURES:
         raise ConfigError("--picture", str(path), f"a name that ends in {', '.join(PICTURES)}")
+    require_folder(path, "--picture")
+
+
+def require_folder(path: Path | None, option: str) -> None:
+    """Make the folder of what is to be written, in one that is there: a mistyped path raises ConfigError."""
+    if path is None:
+        return
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
+        path.parent.mkdir(exist_ok=True)
     except OSError as error:
-        raise ConfigError("--picture", str(path), "a name in a folder that can be made", f"{error.strerror}.") from None
+        do = f"{path.parent.absolute()}: {error.strerror}."
+        raise ConfigError(option, str(path), "a name in a folder that is there, or that can be made in one", do) from None
 
 
 def fail(error: CrazyChoirError, as_json: bool) -> NoReturn:

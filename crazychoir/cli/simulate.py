@@ -8,7 +8,16 @@ import typer
 from rich.console import Group
 from rich.table import Table
 
-from crazychoir.cli.show import STDERR, Progress, fail, prints_aside, require_drawable, set_up_logging, write_json
+from crazychoir.cli.show import (
+    STDERR,
+    Progress,
+    fail,
+    prints_aside,
+    require_drawable,
+    require_folder,
+    set_up_logging,
+    write_json,
+)
 from crazychoir.errors import ConfigError, CrazyChoirError
 
 if TYPE_CHECKING:
@@ -49,6 +58,7 @@ def simulate(
     names = tuple(name.strip() for name in record.split(",") if name.strip())
     try:
         require_drawable(picture)
+        require_folder(save, "--save")
         with prints_aside():
             links, team = _team(file, agents, graph, seed, directed)
             with Progress(_progress_table, enabled=not as_json) as progress:

@@ -99,6 +99,17 @@ def test_what_is_wrong_is_said_with_exit_code_2(simulated, text, options, said):
     assert said in " ".join(err.split())
 
 
+@pytest.mark.parametrize(("option", "name"), [("--save", "a.csv"), ("--picture", "a.png")])
+def test_one_folder_is_made_for_a_file_and_no_more(simulated, tmp_path, option, name):
+    code, _, err = simulated(AVERAGING, option, tmp_path / "mistyped" / "out" / name)
+    assert code == 2
+    assert f"{option}: found {tmp_path}/mistyped/out/{name}; allowed: a name in a folder" in " ".join(err.split())
+    assert not (tmp_path / "mistyped").exists()
+    code, _, err = simulated(AVERAGING, option, tmp_path / "out" / name)
+    assert code == 0, err
+    assert (tmp_path / "out" / name).exists()
+
+
 @pytest.mark.parametrize(
     "text", ["def agent(i): pass", "def agent(i, graph): return 3", "def agent(i, graph):\n    return {}[i]"]
 )
