@@ -85,7 +85,7 @@ def require_folder(path: Path | None, option: str) -> None:
         path.parent.mkdir(exist_ok=True)
     except OSError as error:
         do = f"{path.parent.absolute()}: {error.strerror}."
-        raise ConfigError(option, str(path), "a name in a folder that is there, or that can be made in one", do) from None
+        raise ConfigError(option, str(path), "a name in a folder that is there or can be made in one", do) from None
 
 
 def fail(error: CrazyChoirError, as_json: bool) -> NoReturn:
