@@ -10,6 +10,7 @@ import pytest
 
 from crazychoir.guidance.base import CFDistributedFeedback, CFGuidance
 from crazychoir.guidance.hooks import HOOKS
+from crazychoir.optimization.problems import CostCoupled
 
 pytestmark = pytest.mark.system
 MARK = r"<!-- my_law\.py -->\n```python\n(.*?)```"
@@ -165,6 +166,49 @@ def test_a_problem_in_cvxpy_ends_where_the_readme_says(repository, tmp_path, sai
     result = said(tmp_path, command)
     expected = np.tile([float(number) for number in place.split(", ")], (10, 1))
     assert [own["x"] for own in result["agents"].values()] == pytest.approx(expected, abs=1e-6)
+
+
+def test_an_algorithm_of_ones_own_solves_local_problems_and_ends_where_the_readme_says(repository, tmp_path, said):
+    text = (repository / "README.md").read_text()
+    shown_file = re.search(r"<!-- proximal\.py -->\n```python\n(.*?)```", text, re.DOTALL)[1]
+    assert len(shown_file.splitlines()) <= 20
+    (tmp_path / "proximal.py").write_text(shown_file)
+    pattern = r"`(crazychoir simulate proximal\.py .*?)` ends after (\d+) rounds.*?`([-\d., ]+)`"
+    command, rounds, place = re.search(pattern, text, re.DOTALL).groups()
+    result = said(tmp_path, command)
+    assert result["rounds"] == int(rounds)
+    expected = np.tile([float(number) for number in place.split(", ")], (10, 1))
+    assert [own["x"] for own in result["agents"].values()] == pytest.approx(expected, abs=1e-6)
+
+
+def test_a_local_problem_is_asked_as_the_readme_says(repository):
+    for call in table(repository, "call"):
+        name, arguments = re.fullmatch(r"problem\.(\w+)\((.*)\)", call).groups()
+        parameters = inspect.signature(getattr(CostCoupled, name)).parameters
+        assert arguments == ", ".join(shown_parameter(p) for p in list(parameters.values())[1:]), call
+
+
+def shown_parameter(parameter):
+    """As the README shows it: without its type, a function by its name."""
+    default = parameter.default
+    value = getattr(default, "__name__", repr(default))
+    return parameter.name if default is parameter.empty else f"{parameter.name}={value}"
+
+
+def test_all_are_made_as_the_readme_says(repository):
+    text = (repository / "README.md").read_text()
+    block = re.search(r"<!-- signatures -->\n```python\n(.*?)```", text, re.DOTALL)[1]
+    found = [" ".join(call.split()) for call in re.findall(r"^\w+\(.*?\)$", block, re.DOTALL | re.MULTILINE)]
+    table_of_all = text.split("\n| there | here |")[1].split("\n\n")[0]
+    made = {}
+    for path in re.findall(r"in `(optimization/\w+)\.py`", table_of_all):
+        module = importlib.import_module("crazychoir." + path.replace("/", "."))
+        named = (getattr(module, name, None) for name in re.findall(r"`(\w+)", table_of_all))
+        made |= {one.__name__: one for one in named if inspect.isclass(one) and one.__module__ == module.__name__}
+    signatures = {name: inspect.signature(one).parameters.values() for name, one in made.items()}
+    expected = [f"{name}({', '.join(map(shown_parameter, those))})" for name, those in signatures.items()]
+    assert len(expected) > 35
+    assert sorted(found) == sorted(expected)
 
 
 def test_what_is_there_already_is_where_the_readme_says(repository):
