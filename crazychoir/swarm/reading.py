@@ -58,13 +58,13 @@ def read(raw: object, kind: type[T], where: str, key: str = "") -> T:
     if not isinstance(raw, Mapping):
         raise ConfigError(_at(where, key), show(raw), f"a table with {_names(kind)}")
     fields = {entry.encode_name: entry for entry in msgspec.structs.fields(kind)}
+    for name, value in raw.items():
+        if name not in fields:
+            raise _unknown(name, value, kind, where, key)
     for name, entry in fields.items():
         if entry.required and name not in raw:
             description, example = _allowed(entry)
             raise ConfigError(_at(where, key, name), "nothing", description, f"Add for example {name} = {example}.")
-    for name, value in raw.items():
-        if name not in fields:
-            raise _unknown(name, value, kind, where, key)
     return kind(
         **{fields[name].name: _value(value, fields[name], where, _path(key, name)) for name, value in raw.items()}
     )
