@@ -12,6 +12,7 @@ from crazychoir.errors import ConfigError
 from crazychoir.guidance.airspace import levels
 from crazychoir.guidance.delivery_checks import require_flown, require_servable, require_used
 from crazychoir.guidance.delivery_options import Appearance, DeliveryOptions
+from crazychoir.guidance.delivery_picture import draw_flown
 from crazychoir.guidance.online_delivery import OnlinePDVRPGuidance, Options
 from crazychoir.guidance.site import Site
 from crazychoir.guidance.task_book import Fate, Task
@@ -181,6 +182,27 @@ def report(config: SwarmConfig, results: Results) -> dict[str, Any]:
         "fallbacks": first.get("fallbacks", []),
         "longest_wait_s": max((r.get("longest_wait_s", 0.0) for r in results.values()), default=0.0),
     }
+
+
+def picture(config: SwarmConfig, results: Results, path: str) -> None:
+    """What was flown: ways, tasks, and who was lost."""
+    told = [*known(config), *(event.task for event in events(config))]
+    places = {"pickup": {task.id: task.pickup for task in told}, "delivery": {task.id: task.delivery for task in told}}
+    for result in results.values():
+        for stop in result.get("served", []):  # of operators' tasks, too
+            places[stop["kind"]].setdefault(stop["task"], _place(stop["place"]))
+    found = report(config, results)
+    lost = [i for i in config.ids if not results.get(i, {}).get("success")]
+    draw_flown(
+        path,
+        {drone.id: _place(drone.home) for drone in config.drones},
+        {i: np.array(r["way"], float) for i, r in sorted(results.items()) if len(r.get("way", [])) > 1},
+        places["pickup"],
+        places["delivery"],
+        [int(j) for j in found["undone"]],
+        lost,
+        ", ".join(f"{name}: {number}" for name, number in found["tasks"].items()),
+    )
 
 
 def _undone(fate: str, robot: int | None, why: str | None) -> str:

@@ -82,6 +82,7 @@ class OnlinePDVRPGuidance(CFGuidance):
         self.events = tuple(sorted(events, key=lambda event: event.t))
         self.tasks = tuple(tasks)
         self.served: list[dict[str, Any]] = []
+        self.way: list[Place] = [_flat(own.home)]
         self.unserved: dict[int, str] = {}
         self.plannings: list[float] = []
         self.fallbacks: list[dict[str, Any]] = []
@@ -130,6 +131,7 @@ class OnlinePDVRPGuidance(CFGuidance):
         """This drone's part of the report."""
         return {
             "served": self.served,
+            "way": self.way,
             "tasks": {str(j): [s.fate.value, s.robot] for j, s in self.news.standings().items()},
             "unserved": {str(j): why for j, why in self.unserved.items()},
             "plannings_s": self.plannings,
@@ -417,6 +419,7 @@ class OnlinePDVRPGuidance(CFGuidance):
             finally:
                 await _given_up(leg)
                 self.flown += float(np.linalg.norm(self._here() - began))
+                self.way.append(self._here())
         return valid()
 
     async def _come_to_rest(self) -> None:
@@ -434,7 +437,7 @@ class OnlinePDVRPGuidance(CFGuidance):
         number = self.commitments.announce(stop)
         await self.sleep(self.options.service_time)
         if await self._known(number, stop):
-            self.served.append({"task": stop.task, "kind": stop.kind})
+            self.served.append({"task": stop.task, "kind": stop.kind, "place": self._here()})
 
     async def _permitted(self, stop: Stop) -> bool:
         """Wait, above the stop, while it may be given to somebody else; False if it is not the next one any more."""

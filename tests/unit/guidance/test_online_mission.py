@@ -5,10 +5,13 @@ import math
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from crazychoir.errors import ConfigError
+from crazychoir.guidance.delivery_picture import RED
 from crazychoir.guidance.mission import load
 from crazychoir.guidance.task_source import Event
+from crazychoir.optimization.picture import INK
 
 MISSION = load("online_delivery")
 
@@ -202,3 +205,26 @@ def test_why_a_task_was_not_served_is_in_the_report():
     (said,) = report["reasons"].values()
     assert "task 1: its load 9" in said
     assert "task 2: lost with drone 1" in said
+
+
+def test_the_picture_shows_ways_tasks_and_who_was_lost(tmp_path, monkeypatch):
+    drawn = []
+    monkeypatch.setattr(Figure, "savefig", lambda figure, path, **options: drawn.append(figure))
+    flown = config(3, tasks=2, appear=[], later=0)
+    place = [1.0, 1.5]
+    stops = [{"task": j, "kind": kind, "place": place} for j in (0, 900) for kind in ("pickup", "delivery")]
+    fates = {"0": ["delivered", 0], "1": ["lost", 1], "900": ["delivered", 0]}
+    results = {
+        0: {"success": True, "served": stops, "tasks": fates, "way": [[0.0, -0.8], place, [0.0, -0.8]]},
+        1: {"success": False, "reason": "killed", "way": [[0.0, 5.8], [2.0, 3.0]]},
+    }
+    MISSION.picture(flown, results, str(tmp_path / "a.png"))
+    axes = drawn[0].axes[0]
+    labels = [line.get_label() for line in axes.lines]
+    assert "robot 0: 5.02 m" in labels
+    lost = {line.get_label(): line.get_xydata().tolist() for line in axes.lines if "lost" in line.get_label()}
+    assert lost == {"lost: robot 1": [[2.0, 3.0]], "lost: robot 2": [list(flown.drone(2).home[:2])]}
+    named = {text.get_text(): (text.get_color(), list(text.xy)) for text in axes.texts if hasattr(text, "xy")}
+    assert named["900"] == (INK, place)
+    assert named["1"][0] == RED
+    assert named["0"][0] == INK

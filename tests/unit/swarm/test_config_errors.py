@@ -28,8 +28,8 @@ CASES = {
     "unknown key beside one that is missing": (
         "network.partitions = [{ groups = [[0]], since = 8.0 }]",
         "",
-        "x.toml: network.partitions[0].since = 8.0: there is no such key; the keys here are at, groups, until. Remove it; "
-        "keys of your own go into [mission_options].",
+        "x.toml: network.partitions[0].since = 8.0: there is no such key; the keys here are at, groups, until. "
+        "Remove it; keys of your own go into [mission_options].",
     ),
     "wrong type": (
         "seed = 1.5",
