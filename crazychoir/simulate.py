@@ -5,7 +5,7 @@ import json
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
@@ -38,7 +38,9 @@ class History:
 
     values: {agent: {name: what it was}} at the start and after each step: an array whose first index is the round, or a
     list where the shape changes;  times: {agent: (K+1,) s} of virtual time;  cpu: {agent: (K,) s} a step;
-    messages, lost, resent, bytes: of all agents;  simulated_s, wall_s: how long it took, in virtual and in real time.
+    messages, lost, resent, bytes: of all agents;  simulated_s, wall_s: how long it took, in virtual and in real time;
+    common: whether the agents are to agree on x, not `common = False`;  violations: {agent: the largest entry of its
+    `violation` at the end}, of those that have one: by how much it takes more than it is allowed.
     """
 
     values: dict[int, dict[str, Any]]
@@ -50,6 +52,13 @@ class History:
     bytes: int
     simulated_s: float
     wall_s: float
+    common: bool = True
+    violations: dict[int, float] = field(default_factory=dict)
+
+    @property
+    def violation(self) -> float | None:
+        """The largest of all agents at the end; None if none of them has one."""
+        return max(self.violations.values(), default=None)
 
     @property
     def rounds(self) -> int:
@@ -78,7 +87,11 @@ class History:
         return np.abs(x - x.mean(axis=0)).reshape(*x.shape[:2], -1).max(axis=(0, 2))
 
     def disagreement(self, name: str = "x") -> float | None:
-        """max_i |x_i - mean_j x_j| at the end; None if the agents' x are no arrays of one shape, inf if one is."""
+        """max_i |x_i - mean_j x_j| at the end, inf if an entry is; None of an x of which each agent has its own, and of
+        what are no arrays of one shape.
+        """
+        if name == "x" and not self.common:
+            return None
         last = list(self.last(name).values())
         numeric = all(isinstance(x, np.ndarray | np.generic) and x.dtype.kind in "fiu" for x in last)
         if not numeric or len({x.shape for x in last}) != 1:
@@ -89,7 +102,8 @@ class History:
 
     def to_json(self) -> dict[str, Any]:
         """The figures and, of each agent, the last values; the histories are for `save`."""
-        figures = ("rounds", "messages", "lost", "resent", "bytes", "simulated_s", "wall_s", "critical_path_s")
+        traffic = ("messages", "lost", "resent", "bytes")
+        figures = ("rounds", "violation", *traffic, "simulated_s", "wall_s", "critical_path_s")
         names = next(iter(self.values.values()))
         last = {i: {name: series[-1] for name, series in values.items()} for i, values in self.values.items()}
         ends = {"disagreement": {name: self.disagreement(name) for name in names}, "agents": last}
@@ -208,6 +222,8 @@ def simulate(
         bytes=sum(c.bytes for c in counters),
         simulated_s=simulated_s,
         wall_s=time.perf_counter() - began,
+        common=all(getattr(agent, "common", True) for agent in agents.values()),
+        violations={i: v for i in graph.ids if (v := _largest(getattr(agents[i], "violation", None))) is not None},
     )
 
 
@@ -273,6 +289,14 @@ class _Followed:
             name: np.stack(series) if len({x.shape for x in series}) == 1 else [x.tolist() for x in series]
             for name, series in self.kept.items()
         }
+
+
+def _largest(violation: Any) -> float | None:
+    """Its largest entry, if it is numbers."""
+    if not isinstance(violation, float | int | np.ndarray | np.generic):
+        return None
+    entries = np.asarray(violation)
+    return float(entries.max(initial=0.0)) if entries.dtype.kind in "fiu" else None
 
 
 def _unwrapped(run: Run, main: Callable[[Clock], Any]) -> Any:

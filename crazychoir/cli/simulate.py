@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 SHOWN_AGENTS = 20
 ENTRIES = 6
 """Of an array that a table shows."""
+SMALL = 1e-6
+"""Of a violation: a solver's tolerance, which none that is meant is below."""
 
 
 def simulate(
@@ -98,7 +100,8 @@ def _draw(history: "History", names: tuple[str, ...], awake: bool, path: Path, t
     path.parent.mkdir(parents=True, exist_ok=True)
     if names:
         series = {i: values[names[0]] for i, values in history.values.items()}
-        draw_convergence(series, path, names[0], title, history.times if awake else None)
+        common = history.common or names[0] != "x"
+        draw_convergence(series, path, names[0], title, history.times if awake else None, common)
 
 
 def _progress_table(team: "Mapping[int, Any]") -> Table:
@@ -119,16 +122,30 @@ def _with_the_rest(table: Table, agents: int) -> Table:
 def _tables(history: "History", name: str) -> Group:
     figures = Table("figure", "value", title=name)
     result = history.to_json()
-    for key in ("rounds", "disagreement", "messages", "lost", "resent", "bytes", "simulated_s", "wall_s"):
+    for key in ("rounds", "disagreement", "violation", "messages", "lost", "resent", "bytes", "simulated_s", "wall_s"):
         value = result[key]
         if isinstance(value, dict):
             value = ", ".join(f"{name}: {v:.3g}" for name, v in value.items() if v is not None)
-        figures.add_row(key, f"{value:.4g}" if isinstance(value, float) else str(value))
+        if key == "violation":
+            value = _violation(history)
+        if value not in ("", None):
+            figures.add_row(key, f"{value:.4g}" if isinstance(value, float) else str(value))
     names = list(next(iter(history.values.values())))
     last = Table("agent", *names, title="at the end")
     for i in list(history.values)[:SHOWN_AGENTS]:
         last.add_row(str(i), *(_short(history.values[i][key][-1]) for key in names))
     return Group(figures, _with_the_rest(last, len(history.values)))
+
+
+def _violation(history: "History") -> str:
+    """The largest, and whose they are if they are not small: the agents' x are then no answer. "" if there is none."""
+    if history.violation is None:
+        return ""
+    over = [i for i, violation in history.violations.items() if not violation <= SMALL]
+    if not over:
+        return f"{history.violation:.3g}"
+    whose = f"agent {over[0]}" if len(over) == 1 else f"{len(over)} agents, as {over[0]}"
+    return f"[red]{history.violation:.3g}, of {whose}: their x is not feasible[/]"
 
 
 def _short(x: Any) -> str:

@@ -23,6 +23,24 @@ from crazychoir.swarm.graph import metropolis
 def agent(i, graph):
     return AsynchronousConsensus(i, [1.0 * i], metropolis(graph)[i])
 """
+SHARING = """
+import numpy as np
+from crazychoir.optimization.primal_decomposition import Allocated, PrimalDecomposition
+from crazychoir.swarm.graph import metropolis
+
+class Allocation:  # min (x - i)^2 + 100 rho, x <= y + rho, x >= 0
+    def __init__(self, i):
+        self.i = float(i)
+
+    def allocate(self, y):
+        x = max(0.0, min(self.i, y[0]))
+        over = max(0.0, x - y[0])
+        mu = 100.0 if over else 2 * max(self.i - x, 0.0)
+        return Allocated((x - self.i) ** 2 + 100 * over, np.array([x]), np.array([mu]), over)
+
+def agent(i, graph):
+    return PrimalDecomposition(i, metropolis(graph)[i], Allocation(i), np.array([SHARE]), 0.1, 20)
+"""
 
 
 @pytest.fixture
@@ -49,6 +67,25 @@ def test_it_prints_one_json_object(simulated):
     assert result["agents"]["3"]["x"] == pytest.approx([2.5, -2.5], abs=0.05)
     assert result["disagreement"]["x"] < 0.05
     assert result["lost"] == pytest.approx(0.3 * result["messages"], rel=0.3)
+
+
+def row(text, key):
+    """The value beside a figure of the table."""
+    found = [line.split("│")[2].strip() for line in text.splitlines() if line.startswith(f"│ {key} ")]
+    return found[0] if found else None
+
+
+def test_an_x_of_each_is_no_disagreement_and_what_is_infeasible_is_told(simulated):
+    code, out, err = simulated(SHARING.replace("SHARE", "9.0"), "--json")
+    result = json.loads(out)
+    assert code == 0, err
+    assert result["disagreement"] == {"x": None}
+    assert result["violation"] == 0.0
+    feasible, infeasible = (simulated(SHARING.replace("SHARE", share))[2] for share in ("9.0", "-1.0"))
+    assert (row(feasible, "disagreement"), row(feasible, "violation")) == (None, "0")
+    assert row(infeasible, "violation") == "1, of 10 agents, as 0: their x is not feasible"
+    assert row(simulated(AVERAGING)[2], "violation") is None
+    assert row(simulated(AVERAGING)[2], "lost") == "0"
 
 
 def test_its_table_says_how_many_agents_it_does_not_show(simulated):
