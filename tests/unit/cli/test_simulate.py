@@ -142,4 +142,13 @@ def test_what_a_users_step_raises_is_named_with_its_line(simulated):
     result = json.loads(out)
     assert code == 2
     assert result["kind"] == "AgentFailed"
-    assert result["error"].endswith("KeyError: 'x' (mine.py:10)")
+    assert result["error"].endswith("KeyError: 'x' (mine.py:10); it had heard float64 (2,) from 1, 9")
+
+
+def test_who_sent_what_a_step_fails_with_is_named(simulated):
+    text = AVERAGING + "\nclass Mute(Consensus):\n    def message(self):\n        if self.i != 3: return self.x\n"
+    text += "    def step(self, heard):\n        self.x = 0.5 * self.x + sum(heard.values()) / 4\n"
+    code, _, err = simulated(text.replace("return Consensus", "return Mute"), "--loss", 0.2)
+    assert code == 2
+    assert "agent 2 has failed" in err
+    assert "it had heard None from 3, float64 (2,) from 1" in " ".join(err.split())
