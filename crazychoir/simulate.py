@@ -1,11 +1,13 @@
 """Any distributed algorithm on simulated agents: all in this process, over the communicator and a simulated network."""
 
 import asyncio
+import contextlib
+import csv
 import json
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, is_dataclass
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
@@ -40,7 +42,8 @@ class History:
     list where the shape changes;  times: {agent: (K+1,) s} of virtual time;  cpu: {agent: (K,) s} a step;
     messages, lost, resent, bytes: of all agents;  simulated_s, wall_s: how long it took, in virtual and in real time;
     common: whether the agents are to agree on x, not `common = False`;  violations: {agent: the largest entry of its
-    `violation` at the end}, of those that have one: by how much it takes more than it is allowed.
+    `violation` at the end}, of those that have one: by how much it takes more than it is allowed;
+    results: {agent: its `result` at the end}, of those that have one.
     """
 
     values: dict[int, dict[str, Any]]
@@ -54,6 +57,7 @@ class History:
     wall_s: float
     common: bool = True
     violations: dict[int, float] = field(default_factory=dict)
+    results: dict[int, Any] = field(default_factory=dict)
 
     @property
     def violation(self) -> float | None:
@@ -106,6 +110,8 @@ class History:
         figures = ("rounds", "violation", *traffic, "simulated_s", "wall_s", "critical_path_s")
         names = next(iter(self.values.values()))
         last = {i: {name: series[-1] for name, series in values.items()} for i, values in self.values.items()}
+        for i, result in self.results.items():
+            last[i]["result"] = _told(parts_of(result) if is_dataclass(result) else result)
         ends = {"disagreement": {name: self.disagreement(name) for name in names}, "agents": last}
         counted: dict[str, Any] = plain({name: getattr(self, name) for name in figures} | ends)
         return counted
@@ -113,15 +119,17 @@ class History:
     def save(self, path: str | Path) -> None:
         """Write the histories, as the suffix says: .csv (a row an agent and round), .json, .npz (x_3, time_3, ...).
 
-        What an agent does not have, as where others have more entries, is an empty cell of a .csv. Raises ConfigError
-        for another suffix, and for a .npz of what changes its shape.
+        What an agent does not have, as where others have more entries, is an empty cell of a .csv. The results are in
+        the last row of each agent, or result_3, with a part each, result.x_3; what are no numbers as JSON. Raises
+        ConfigError for another suffix, and for a .npz of what changes its shape.
         """
         path = Path(path)
         if path.suffix not in SUFFIXES:
             raise ConfigError("history", path.name, f"a file that ends in {', '.join(SUFFIXES)}")
         path.parent.mkdir(parents=True, exist_ok=True)
         if path.suffix == ".csv":
-            path.write_text("\n".join(self._lines()) + "\n")
+            with path.open("w", newline="") as file:
+                csv.writer(file, lineterminator="\n").writerows(self._rows())
         elif path.suffix == ".json":
             path.write_text(json.dumps(plain(self.to_json() | {"values": self.values, "times": self.times})))
         else:
@@ -130,24 +138,50 @@ class History:
             if changing is not None:
                 raise ConfigError(f"history: {changing}", "a shape that changes", "one shape in .npz", "Save as .json.")
             times = {f"time_{i}": time for i, time in self.times.items()}
-            np.savez(path, allow_pickle=False, **{**series, **times})
+            results = {f"{name}_{i}": x for i in self.results for name, x in self._result(i).items()}
+            np.savez(path, allow_pickle=False, **{**series, **times, **results})
 
-    def _lines(self) -> list[str]:
+    def _rows(self) -> list[list[Any]]:
         """Head and rows; an array has a column an entry."""
         rows = {(i, k): self._entries(i, k) for i, times in self.times.items() for k in range(len(times))}
         found = dict.fromkeys(column for entries in rows.values() for column in entries)
-        names = list(next(iter(self.values.values())))
+        ends = dict.fromkeys(name for i in self.results for name in self._result(i))
+        names = [*next(iter(self.values.values())), *ends]
         columns = sorted(found, key=lambda column: (names.index(column[0]), column[1]))
-        lines = [",".join(["agent", "round", "time_s", *(name + _place(at) for name, at in columns)])]
-        for (i, k), entries in rows.items():
-            cells = [str(entries.get(column, "")) for column in columns]
-            lines.append(",".join([str(i), str(k), str(self.times[i][k]), *cells]))
-        return lines
+        head = ["agent", "round", "time_s", *(name + _place(at) for name, at in columns)]
+        cells = {row: [entries.get(column, "") for column in columns] for row, entries in rows.items()}
+        return [head, *([i, k, self.times[i][k], *cells[i, k]] for i, k in rows)]
 
     def _entries(self, i: int, k: int) -> dict[tuple[str, tuple[int, ...]], Any]:
         """Of agent i after k steps, by name and place in the array."""
         arrays = {name: np.array(series[k]) for name, series in self.values[i].items()}
+        if k == len(self.times[i]) - 1 and i in self.results:
+            arrays |= self._result(i)
         return {(name, at): x[at].item() for name, x in arrays.items() for at in np.ndindex(x.shape)}
+
+    def _result(self, i: int) -> dict[str, Any]:
+        """Of agent i, an array a part."""
+        parts = parts_of(self.results[i])
+        return {f"result.{name}" if name else "result": _array(part) for name, part in parts.items()}
+
+
+def parts_of(result: Any) -> dict[str, Any]:
+    """By name, as those of a dataclass; what has no parts is the one without a name."""
+    return {f.name: getattr(result, f.name) for f in fields(result)} if is_dataclass(result) else {"": result}
+
+
+def _told(value: Any) -> Any:
+    """As JSON has it; else its text."""
+    return json.loads(json.dumps(plain(value), default=str))
+
+
+def _array(value: Any) -> Any:
+    """Of numbers, or of a text; of what is neither, of its JSON."""
+    try:
+        array = np.array(value)
+    except ValueError:  # of several lengths
+        return np.array(json.dumps(_told(value)))
+    return array if array.dtype.kind in "biufU" else np.array(json.dumps(_told(value)))
 
 
 def _place(at: tuple[int, ...]) -> str:
@@ -162,7 +196,7 @@ def simulate(
     network: Mapping[str, float] | None = None,
     seed: int = 0,
     rounds: int | None = None,
-    record: Sequence[str] = ("x",),
+    record: Sequence[str] | None = None,
     sleep: Interval = (0.0, 0.02),
     compute: Interval = (0.0, 0.0),
     watch: Callable[[Mapping[int, A]], None] = lambda agents: None,
@@ -174,8 +208,8 @@ def simulate(
     Synchronous algorithms get the same messages whatever is lost; asynchronous ones (`asynchronous = True`) wake after
     a random `sleep`, take what has come, and compute for a random `compute`, both (shortest, longest) s.
     loss: share of messages that is lost;  network: more of it, as {"burst": 4, "delay": 0.01, "jitter": 0.02};
-    record: attributes to keep of each agent after each step;  watch: is shown the agents after each step;
-    run: run_virtual, or run_wall for real time.
+    record: attributes to keep of each agent after each step, else x, if all have one;  watch: is shown the agents after
+    each step;  run: run_virtual, or run_wall for real time.
     An agent has failed, with its name and the round, where a nan is in what it sends, or in what is recorded of it
     after a step. An infinity is let pass, for some algorithms mean it (the maximum of nothing, the price of what cannot
     be done); where one is an overflow the next difference makes a nan of it.
@@ -183,7 +217,8 @@ def simulate(
     """
     began = time.perf_counter()
     require_team(agents, graph)
-    followed = {i: _Followed(i, agents[i], record, rounds, lambda: watch(agents)) for i in graph.ids}
+    names = recorded(agents, record)
+    followed = {i: _Followed(i, agents[i], names, rounds, lambda: watch(agents)) for i in graph.ids}
     rule = Rule({"delay": DELAY, "loss": loss, **(network or {})})
     pace = Pace(sleep, compute, seed)
     errors: dict[int, CrazyChoirError] = {}
@@ -223,8 +258,16 @@ def simulate(
         simulated_s=simulated_s,
         wall_s=time.perf_counter() - began,
         common=all(getattr(agent, "common", True) for agent in agents.values()),
+        results={i: end for i in graph.ids if not callable(end := getattr(agents[i], "result", len))},
         violations={i: v for i in graph.ids if (v := _largest(getattr(agents[i], "violation", None))) is not None},
     )
+
+
+def recorded(agents: Mapping[int, Any], record: Sequence[str] | None = None) -> tuple[str, ...]:
+    """What is kept of each agent: what is asked for, else x, if all have one."""
+    if record is not None:
+        return tuple(record)
+    return ("x",) if all(hasattr(agent, "x") for agent in agents.values()) else ()
 
 
 class _Followed:
@@ -278,7 +321,9 @@ class _Followed:
             try:
                 series.append(np.array(getattr(self.agent, name)))
             except AttributeError:
-                raise ConfigError("record", name, f"attributes of agent {self.i}, a {kind}") from None
+                allowed = f"attributes of agent {self.i}, a {kind}, as {', '.join(_numbers(self.agent)) or 'x'}"
+                do = "A `result` is kept without it, at the end." if name == "result" else ""
+                raise ConfigError("record", name, allowed, do) from None
             except ValueError as error:
                 allowed = f"numbers, or arrays of one shape, of agent {self.i}, a {kind}"
                 raise ConfigError("record", name, allowed, "", str(error)) from None
@@ -289,6 +334,18 @@ class _Followed:
             name: np.stack(series) if len({x.shape for x in series}) == 1 else [x.tolist() for x in series]
             for name, series in self.kept.items()
         }
+
+
+def _numbers(agent: Any) -> list[str]:
+    """The attributes that are numbers, or arrays of them."""
+    names = {*dir(agent), *dir(getattr(agent, "algorithm", None))}  # of one that rides on another, also that one's
+    found = []
+    for name in sorted(name for name in names if not name.startswith("_")):
+        with contextlib.suppress(Exception):  # a property of something that is not there yet
+            value = getattr(agent, name)
+            if isinstance(value, float | int | np.ndarray | np.generic) and np.asarray(value).dtype.kind in "fiu":
+                found.append(name)
+    return found
 
 
 def _largest(violation: Any) -> float | None:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.console import Group
 from rich.table import Table
+from rich.text import Text
 
 from crazychoir.cli.show import STDERR, Progress, fail, prints_aside, require_drawable, set_up_logging, write_json
 from crazychoir.errors import ConfigError, CrazyChoirError
@@ -19,6 +20,8 @@ if TYPE_CHECKING:
 SHOWN_AGENTS = 20
 ENTRIES = 6
 """Of an array that a table shows."""
+WIDEST = 60
+"""Characters of what is no array."""
 SMALL = 1e-6
 """Of a violation: a solver's tolerance, which none that is meant is below."""
 
@@ -35,7 +38,9 @@ def simulate(
     seed: Annotated[int, typer.Option(help="Seed of the graph, the network and the agents' waking.")] = 0,
     sleep: Annotated[float, typer.Option(help="Asynchronous agents: longest s between two steps.")] = 0.02,
     compute: Annotated[float, typer.Option(help="Asynchronous agents: longest s that a step takes.")] = 0.0,
-    record: Annotated[str, typer.Option(help="Attributes of the agents to keep, as x,average.")] = "x",
+    record: Annotated[
+        str | None, typer.Option(help="Attributes of the agents to keep, as x,average; else x, if they have one.")
+    ] = None,
     save: Annotated[Path | None, typer.Option(help="Where to write the histories (.csv, .json, .npz).")] = None,
     picture: Annotated[Path | None, typer.Option(help="Where to draw the convergence (PNG).")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object, nothing else.")] = False,
@@ -43,16 +48,20 @@ def simulate(
     """Run a distributed algorithm on simulated agents, over a network that loses messages.
 
     The file defines agent(i, graph), which returns agent i: an object with `message()`, `step(heard)` and `done`, as
-    those of crazychoir.optimization. Its attribute x is what is recorded, unless --record names others.
+    those of crazychoir.optimization. Its attribute x, if it has one, is what is recorded, unless --record names others;
+    its `result` is shown at the end.
     """
     set_up_logging()
     from crazychoir import simulate as simulation  # numerics: 1 s that --help does not need
 
-    names = tuple(name.strip() for name in record.split(",") if name.strip())
+    asked = None if record is None else [name.strip() for name in record.split(",") if name.strip()]
     try:
         require_drawable(picture)
         with prints_aside():
             links, team = _team(file, agents, graph, seed, directed)
+            names = simulation.recorded(team, asked)
+            if picture is not None and not names:
+                raise ConfigError("--picture", "nothing recorded", "what --record names, to draw it")
             with Progress(_progress_table, enabled=not as_json) as progress:
                 history = simulation.simulate(
                     team, links, loss=loss, seed=seed, rounds=rounds, record=names, watch=progress,
@@ -98,10 +107,9 @@ def _draw(history: "History", names: tuple[str, ...], awake: bool, path: Path, t
     from crazychoir.optimization.picture import draw_convergence
 
     path.parent.mkdir(parents=True, exist_ok=True)
-    if names:
-        series = {i: values[names[0]] for i, values in history.values.items()}
-        common = history.common or names[0] != "x"
-        draw_convergence(series, path, names[0], title, history.times if awake else None, common)
+    series = {i: values[names[0]] for i, values in history.values.items()}
+    common = history.common or names[0] != "x"
+    draw_convergence(series, path, names[0], title, history.times if awake else None, common)
 
 
 def _progress_table(team: "Mapping[int, Any]") -> Table:
@@ -120,6 +128,8 @@ def _with_the_rest(table: Table, agents: int) -> Table:
 
 
 def _tables(history: "History", name: str) -> Group:
+    from crazychoir.simulate import parts_of
+
     figures = Table("figure", "value", title=name)
     result = history.to_json()
     for key in ("rounds", "disagreement", "violation", "messages", "lost", "resent", "bytes", "simulated_s", "wall_s"):
@@ -130,11 +140,19 @@ def _tables(history: "History", name: str) -> Group:
             value = _violation(history)
         if value not in ("", None):
             figures.add_row(key, f"{value:.4g}" if isinstance(value, float) else str(value))
-    names = list(next(iter(history.values.values())))
-    last = Table("agent", *names, title="at the end")
-    for i in list(history.values)[:SHOWN_AGENTS]:
-        last.add_row(str(i), *(_short(history.values[i][key][-1]) for key in names))
-    return Group(figures, _with_the_rest(last, len(history.values)))
+    last = {i: {name: series[-1] for name, series in values.items()} for i, values in history.values.items()}
+    results = {i: {name or "result": v for name, v in parts_of(part).items()} for i, part in history.results.items()}
+    tables = [_agents_table(rows, title) for title, rows in (("at the end", last), ("result", results))]
+    return Group(figures, *(table for table in tables if table is not None))
+
+
+def _agents_table(rows: "Mapping[int, Mapping[str, Any]]", title: str) -> Table | None:
+    """One row an agent, one column a name; None without any."""
+    names = dict.fromkeys(name for row in rows.values() for name in row)
+    table = Table("agent", *names, title=title)
+    for i, row in list(rows.items())[:SHOWN_AGENTS]:
+        table.add_row(str(i), *(Text(_short(row[name]) if name in row else "") for name in names))
+    return _with_the_rest(table, len(rows)) if names else None
 
 
 def _violation(history: "History") -> str:
@@ -151,8 +169,8 @@ def _violation(history: "History") -> str:
 def _short(x: Any) -> str:
     import numpy as np
 
-    if isinstance(x, str):
-        return x
-    entries = np.ravel(np.asarray(x)).tolist()
+    if not isinstance(x, float | int | list | tuple | np.ndarray | np.generic):
+        return str(x) if len(str(x)) <= WIDEST else f"{str(x)[: WIDEST - 3]}..."
+    entries = list(x) if isinstance(x, list | tuple) else np.ravel(x).tolist()
     text = ", ".join(f"{entry:.6g}" if isinstance(entry, float) else str(entry) for entry in entries[:ENTRIES])
     return text + (", ..." if len(entries) > ENTRIES else "")

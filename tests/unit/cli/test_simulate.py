@@ -1,5 +1,6 @@
 """crazychoir simulate: a user's file, its table, its picture, its errors."""
 
+import csv
 import json
 import warnings
 
@@ -40,6 +41,30 @@ class Allocation:  # min (x - i)^2 + 100 rho, x <= y + rho, x >= 0
 
 def agent(i, graph):
     return PrimalDecomposition(i, metropolis(graph)[i], Allocation(i), np.array([SHARE]), 0.1, 20)
+"""
+ENDING = """
+from dataclasses import dataclass
+import numpy as np
+from crazychoir.optimization.agreement import flood
+from crazychoir.optimization.program import Program
+
+@dataclass(frozen=True)
+class Found:
+    x: np.ndarray
+    cost: float
+    path: tuple
+
+class Finding(Program):
+    def __init__(self, i, diameter):
+        self.i, self.diameter = i, diameter
+        super().__init__()
+
+    def run(self):
+        known = yield from flood(self.i, self.i, self.diameter)
+        return Found(np.array([self.i, 0.5]), float(sum(known.values())), ((1, "a,b"), None))
+
+def agent(i, graph):
+    return Finding(i, graph.diameter())
 """
 
 
@@ -86,6 +111,40 @@ def test_an_x_of_each_is_no_disagreement_and_what_is_infeasible_is_told(simulate
     assert row(infeasible, "violation") == "1, of 10 agents, as 0: their x is not feasible"
     assert row(simulated(AVERAGING)[2], "violation") is None
     assert row(simulated(AVERAGING)[2], "lost") == "0"
+
+
+def test_without_an_x_its_result_is_the_answer(simulated, tmp_path):
+    for suffix in ("csv", "json", "npz"):
+        code, out, err = simulated(ENDING, "--agents", 4, "--save", f"h.{suffix}", "--json")
+        assert code == 0, err
+    told = {"x": [3.0, 0.5], "cost": 6.0, "path": [[1, "a,b"], None]}
+    assert json.loads(out)["agents"]["3"] == {"result": told}
+    assert json.loads((tmp_path / "h.json").read_text())["agents"]["3"] == {"result": told}
+    with np.load(tmp_path / "h.npz") as arrays:
+        assert arrays["result.x_3"].tolist() == [3.0, 0.5]
+        assert json.loads(str(arrays["result.path_3"])) == told["path"]
+    with (tmp_path / "h.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["result.cost"] for row in rows] == ["", "", "6.0"] * 4
+    assert (rows[-1]["result.x[0]"], json.loads(rows[-1]["result.path"])) == ("3.0", told["path"])
+    _, _, err = simulated(ENDING, "--agents", 4)
+    assert "at the end" not in err
+    assert [cell.strip() for cell in err.splitlines()[-2].split("│")[1:4]] == ["3", "3, 0.5", "6"]
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (("--record", "result"), "a Finding, as diameter, i, k. A `result` is kept without it, at the end."),
+        (("--record", "z"), "found z; allowed: attributes of agent 0, a Finding, as diameter, i, k."),
+        (("--picture", "p.png"), "--picture: found nothing recorded; allowed: what --record names, to draw it"),
+    ],
+)
+def test_what_can_be_recorded_is_listed(simulated, options, said):
+    code, _, err = simulated(ENDING, *options)
+    assert code == 2
+    assert said in " ".join(err.split())
+    assert simulated(ENDING, "--record", "k,i", "--picture", "p.png")[0] == 0
 
 
 def test_its_table_says_how_many_agents_it_does_not_show(simulated):
