@@ -165,6 +165,14 @@ class History:
         return {f"result.{name}" if name else "result": _array(part) for name, part in parts.items()}
 
 
+class Interrupted(KeyboardInterrupt):
+    """Ctrl-C has ended a simulation; history: until then, which need not be the same round at all agents."""
+
+    def __init__(self, history: History) -> None:
+        super().__init__()
+        self.history = history
+
+
 def parts_of(result: Any) -> dict[str, Any]:
     """By name, as those of a dataclass; what has no parts is the one without a name."""
     return {f.name: getattr(result, f.name) for f in fields(result)} if is_dataclass(result) else {"": result}
@@ -213,7 +221,8 @@ def simulate(
     An agent has failed, with its name and the round, where a nan is in what it sends, or in what is recorded of it
     after a step. An infinity is let pass, for some algorithms mean it (the maximum of nothing, the price of what cannot
     be done); where one is an overflow the next difference makes a nan of it.
-    Raises ConfigError where agents do not fit each other or the graph; what an agent raises, or AgentFailed.
+    Raises ConfigError where agents do not fit each other or the graph; what an agent raises, or AgentFailed; on Ctrl-C
+    Interrupted, a KeyboardInterrupt, with the history until then.
     """
     began = time.perf_counter()
     require_team(agents, graph)
@@ -222,6 +231,7 @@ def simulate(
     rule = Rule({"delay": DELAY, "loss": loss, **(network or {})})
     pace = Pace(sleep, compute, seed)
     errors: dict[int, CrazyChoirError] = {}
+    buses: list[Bus] = []
 
     async def part(communicator: Communicator, agent: _Followed) -> None:
         try:
@@ -233,21 +243,28 @@ def simulate(
         except CrazyChoirError as error:  # the others hear of it, and end too
             errors[communicator.id] = error
 
-    async def main(clock: Clock) -> tuple[Bus, float]:
+    async def main(clock: Clock) -> float:
         bus, start = Bus(clock, Impairment(seed, [rule])), clock.now()
         for agent in followed.values():
             agent.begin(clock)
+        buses.append(bus)
         communicators = {i: Communicator(bus.port(i), graph) for i in followed}
         async with asyncio.TaskGroup() as group:
             for i, agent in followed.items():
                 group.create_task(part(communicators[i], agent), name=f"agent {i}")
-        return bus, clock.now() - start
+        return clock.now() - start
 
-    bus, simulated_s = _unwrapped(run, main)
+    interrupted = False
+    try:
+        simulated_s = _unwrapped(run, main)
+    except KeyboardInterrupt:
+        if not buses:
+            raise
+        interrupted, simulated_s = True, max(agent.whole() for agent in followed.values())
     if errors:
         raise _origin(errors)
-    counters = [port.counters for port in bus.ports.values()]
-    return History(
+    counters = [port.counters for port in buses[0].ports.values()]
+    history = History(
         values={i: agent.values() for i, agent in followed.items()},
         times={i: np.array(agent.times) for i, agent in followed.items()},
         cpu={i: np.array(agent.cpu) for i, agent in followed.items()},
@@ -261,6 +278,9 @@ def simulate(
         results={i: end for i in graph.ids if not callable(end := getattr(agents[i], "result", len))},
         violations={i: v for i in graph.ids if (v := _largest(getattr(agents[i], "violation", None))) is not None},
     )
+    if interrupted:
+        raise Interrupted(history)
+    return history
 
 
 def recorded(agents: Mapping[int, Any], record: Sequence[str] | None = None) -> tuple[str, ...]:
@@ -307,6 +327,14 @@ class _Followed:
         for name, series in self.kept.items():
             self._require_numbers(series[-1], name, len(self.cpu) - 1)
         self.watch()
+
+    def whole(self) -> float:
+        """Forget the part of a step in which Ctrl-C came; returns when the last whole one was."""
+        steps = min(len(self.cpu), len(self.times) - 1, *(len(series) - 1 for series in self.kept.values()))
+        del self.cpu[steps:], self.times[steps + 1 :]
+        for series in self.kept.values():
+            del series[steps + 1 :]
+        return self.times[-1]
 
     def _require_numbers(self, value: Any, name: str, k: int) -> None:
         place = nan_in(value)

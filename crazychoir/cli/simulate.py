@@ -1,5 +1,6 @@
 """crazychoir simulate: a distributed algorithm on simulated agents, over a bad network, without flying."""
 
+import time
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -17,9 +18,14 @@ if TYPE_CHECKING:
     from crazychoir.swarm.graph import Graph
     from crazychoir.swarm.round import Round
 
+    Seen = tuple[str, Mapping[int, Any]]
+
 SHOWN_AGENTS = 20
 ENTRIES = 6
 """Of an array that a table shows."""
+QUIET = 10.0
+"""s without a word, where no live table can be; then twice as long, and so on."""
+INTERRUPTED = "Ctrl-C: the run ends here, with what there is"
 WIDEST = 60
 """Characters of what is no array."""
 SMALL = 1e-6
@@ -62,11 +68,15 @@ def simulate(
             names = simulation.recorded(team, asked)
             if picture is not None and not names:
                 raise ConfigError("--picture", "nothing recorded", "what --record names, to draw it")
-            with Progress(_progress_table, enabled=not as_json) as progress:
-                history = simulation.simulate(
-                    team, links, loss=loss, seed=seed, rounds=rounds, record=names, watch=progress,
-                    sleep=(0.0, sleep), compute=(0.0, compute),
-                )  # fmt: skip
+            ended = False
+            try:
+                with Progress(_progress_table, enabled=STDERR.is_terminal and not as_json) as progress:
+                    history = simulation.simulate(
+                        team, links, loss=loss, seed=seed, rounds=rounds, record=names, watch=_Watch(progress, rounds),
+                        sleep=(0.0, sleep), compute=(0.0, compute),
+                    )  # fmt: skip
+            except simulation.Interrupted as end:
+                history, ended = end.history, True
             if save is not None:
                 history.save(save)
             if picture is not None:
@@ -74,10 +84,35 @@ def simulate(
                 _draw(history, names, awake, picture, f"{file.stem}: {agents} agents, {graph}, {loss:.0%} lost")
     except CrazyChoirError as error:
         fail(error, as_json)
+    said = {"success": False, "error": INTERRUPTED, "kind": "KeyboardInterrupt"} if ended else {}
     if as_json:
-        write_json(history.to_json())
+        write_json(history.to_json() | said)
     else:
         STDERR.print(_tables(history, file.stem))
+    if ended:
+        STDERR.print(INTERRUPTED)
+        raise typer.Exit(130)
+
+
+class _Watch:
+    """Shows a simulation that is on its way: a live table on a terminal, else a line now and then, ever more rarely."""
+
+    def __init__(self, progress: "Progress[Seen]", rounds: int | None) -> None:
+        self.progress, self.steps = progress, 0
+        self.end = "--rounds limits them, Ctrl-C ends them here" if rounds is None else f"of at most {rounds}"
+        self.began, self.due = time.perf_counter(), QUIET
+
+    def __call__(self, team: "Mapping[int, Any]") -> None:
+        self.steps += 1
+        if self.progress.live is not None:
+            self.progress((self._now(team), team))
+        elif time.perf_counter() - self.began > self.due:
+            self.due *= 2
+            self.progress.say(self._now(team))
+
+    def _now(self, team: "Mapping[int, Any]") -> str:
+        """Asynchronous agents make different numbers of steps: of these, the mean."""
+        return f"round {self.steps // len(team)}, {self.end}"
 
 
 def _team(file: Path, agents: int, graph: str, seed: int, directed: bool) -> "tuple[Graph, dict[int, Round]]":
@@ -112,11 +147,12 @@ def _draw(history: "History", names: tuple[str, ...], awake: bool, path: Path, t
     draw_convergence(series, path, names[0], title, history.times if awake else None, common)
 
 
-def _progress_table(team: "Mapping[int, Any]") -> Table:
+def _progress_table(seen: "Seen") -> Table:
     """One row an agent."""
-    table = Table("agent", "x")
+    now, team = seen
+    table = Table("agent", "x", title=now)
     for i, agent in list(team.items())[:SHOWN_AGENTS]:
-        table.add_row(str(i), _short(getattr(agent, "x", "")))
+        table.add_row(str(i), Text(_short(getattr(agent, "x", ""))))
     return _with_the_rest(table, len(team))
 
 

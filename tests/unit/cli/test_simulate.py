@@ -2,12 +2,14 @@
 
 import csv
 import json
+import signal
 import warnings
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from crazychoir.cli import simulate as command
 from crazychoir.cli.crazychoir import app
 
 AVERAGING = """
@@ -211,3 +213,47 @@ def test_who_sent_what_a_step_fails_with_is_named(simulated):
     assert code == 2
     assert "agent 2 has failed" in err
     assert "it had heard None from 3, float64 (2,) from 1" in " ".join(err.split())
+
+
+FOR_EVER = AVERAGING.replace("rounds=30", "rounds=None").replace("return Consensus", "return Endless") + """
+import signal
+
+class Endless(Consensus):
+    def step(self, heard):
+        super().step(heard)
+        if (self.i, self.k) == (3, 50):
+            signal.raise_signal(signal.SIGINT)
+"""
+
+
+@pytest.mark.parametrize("asynchronous", [False, True])
+def test_on_ctrl_c_there_is_what_there_is(simulated, tmp_path, asynchronous):
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    text = FOR_EVER.replace("    def step", "    asynchronous = True\n    def step") if asynchronous else FOR_EVER
+    if asynchronous:
+        text = text.replace("super().step(heard)", "self.k += 1")
+    code, out, err = simulated(text, "--save", "h.csv", "--picture", "p.png", "--json")
+    result = json.loads(out)
+    assert code == 130, err
+    assert (result["success"], result["kind"]) == (False, "KeyboardInterrupt")
+    assert 49 <= result["rounds"] <= 51 + 50 * asynchronous
+    assert result["messages"] > 500
+    rows = (tmp_path / "h.csv").read_text().splitlines()[1:]
+    assert [row for row in rows if row.startswith("3,50,")]
+    assert (tmp_path / "p.png").read_bytes()[:4] == b"\x89PNG"
+    code, _, err = simulated(text)
+    assert code == 130
+    assert row(err, "rounds") == str(result["rounds"])
+    assert err.endswith("Ctrl-C: the run ends here, with what there is\n")
+
+
+def test_a_long_run_says_now_and_then_how_far_it_is(simulated, monkeypatch):
+    monkeypatch.setattr(command, "QUIET", 1e-3)
+    said = [line for line in simulated(AVERAGING, "--agents", 20)[2].splitlines() if line.startswith("round ")]
+    assert 1 <= len(said) < 15
+    assert said[-1].endswith(", --rounds limits them, Ctrl-C ends them here")
+    rounds = [int(line.split(",")[0].split()[1]) for line in said]
+    assert rounds == sorted(rounds)
+    assert rounds[-1] <= 30
+    assert ", of at most 30" in simulated(AVERAGING, "--agents", 20, "--rounds", 30)[2]
+    monkeypatch.undo()
