@@ -1,5 +1,6 @@
 """crazychoir simulate: a distributed algorithm on simulated agents, over a bad network, without flying."""
 
+import time
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -7,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.console import Group
 from rich.table import Table
+from rich.text import Text
 
 from crazychoir.cli.show import (
     STDERR,
@@ -25,9 +27,18 @@ if TYPE_CHECKING:
     from crazychoir.swarm.graph import Graph
     from crazychoir.swarm.round import Round
 
+    Seen = tuple[str, Mapping[int, Any]]
+
 SHOWN_AGENTS = 20
 ENTRIES = 6
 """Of an array that a table shows."""
+QUIET = 10.0
+"""s without a word, where no live table can be; then twice as long, and so on."""
+INTERRUPTED = "Ctrl-C: the run ends here, with what there is"
+WIDEST = 60
+"""Characters of what is no array."""
+SMALL = 1e-6
+"""Of a violation: a solver's tolerance, which none that is meant is below."""
 
 
 def simulate(
@@ -42,7 +53,9 @@ def simulate(
     seed: Annotated[int, typer.Option(help="Seed of the graph, the network and the agents' waking.")] = 0,
     sleep: Annotated[float, typer.Option(help="Asynchronous agents: longest s between two steps.")] = 0.02,
     compute: Annotated[float, typer.Option(help="Asynchronous agents: longest s that a step takes.")] = 0.0,
-    record: Annotated[str, typer.Option(help="Attributes of the agents to keep, as x,average.")] = "x",
+    record: Annotated[
+        str | None, typer.Option(help="Attributes of the agents to keep, as x,average; else x, if they have one.")
+    ] = None,
     save: Annotated[Path | None, typer.Option(help="Where to write the histories (.csv, .json, .npz).")] = None,
     picture: Annotated[Path | None, typer.Option(help="Where to draw the convergence (PNG).")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object, nothing else.")] = False,
@@ -50,22 +63,30 @@ def simulate(
     """Run a distributed algorithm on simulated agents, over a network that loses messages.
 
     The file defines agent(i, graph), which returns agent i: an object with `message()`, `step(heard)` and `done`, as
-    those of crazychoir.optimization. Its attribute x is what is recorded, unless --record names others.
+    those of crazychoir.optimization. Its attribute x, if it has one, is what is recorded, unless --record names others;
+    its `result` is shown at the end.
     """
     set_up_logging()
     from crazychoir import simulate as simulation  # numerics: 1 s that --help does not need
 
-    names = tuple(name.strip() for name in record.split(",") if name.strip())
+    asked = None if record is None else [name.strip() for name in record.split(",") if name.strip()]
     try:
         require_drawable(picture)
         require_folder(save, "--save")
         with prints_aside():
             links, team = _team(file, agents, graph, seed, directed)
-            with Progress(_progress_table, enabled=not as_json) as progress:
-                history = simulation.simulate(
-                    team, links, loss=loss, seed=seed, rounds=rounds, record=names, watch=progress,
-                    sleep=(0.0, sleep), compute=(0.0, compute),
-                )  # fmt: skip
+            names = simulation.recorded(team, asked)
+            if picture is not None and not names:
+                raise ConfigError("--picture", "nothing recorded", "what --record names, to draw it")
+            ended = False
+            try:
+                with Progress(_progress_table, enabled=STDERR.is_terminal and not as_json) as progress:
+                    history = simulation.simulate(
+                        team, links, loss=loss, seed=seed, rounds=rounds, record=names, watch=_Watch(progress, rounds),
+                        sleep=(0.0, sleep), compute=(0.0, compute),
+                    )  # fmt: skip
+            except simulation.Interrupted as end:
+                history, ended = end.history, True
             if save is not None:
                 history.save(save)
             if picture is not None:
@@ -73,10 +94,35 @@ def simulate(
                 _draw(history, names, awake, picture, f"{file.stem}: {agents} agents, {graph}, {loss:.0%} lost")
     except CrazyChoirError as error:
         fail(error, as_json)
+    said = {"success": False, "error": INTERRUPTED, "kind": "KeyboardInterrupt"} if ended else {}
     if as_json:
-        write_json(history.to_json())
+        write_json(history.to_json() | said)
     else:
         STDERR.print(_tables(history, file.stem))
+    if ended:
+        STDERR.print(INTERRUPTED)
+        raise typer.Exit(130)
+
+
+class _Watch:
+    """Shows a simulation that is on its way: a live table on a terminal, else a line now and then, ever more rarely."""
+
+    def __init__(self, progress: "Progress[Seen]", rounds: int | None) -> None:
+        self.progress, self.steps = progress, 0
+        self.end = "--rounds limits them, Ctrl-C ends them here" if rounds is None else f"of at most {rounds}"
+        self.began, self.due = time.perf_counter(), QUIET
+
+    def __call__(self, team: "Mapping[int, Any]") -> None:
+        self.steps += 1
+        if self.progress.live is not None:
+            self.progress((self._now(team), team))
+        elif time.perf_counter() - self.began > self.due:
+            self.due *= 2
+            self.progress.say(self._now(team))
+
+    def _now(self, team: "Mapping[int, Any]") -> str:
+        """Asynchronous agents make different numbers of steps: of these, the mean."""
+        return f"round {self.steps // len(team)}, {self.end}"
 
 
 def _team(file: Path, agents: int, graph: str, seed: int, directed: bool) -> "tuple[Graph, dict[int, Round]]":
@@ -107,16 +153,17 @@ def _draw(history: "History", names: tuple[str, ...], awake: bool, path: Path, t
     from crazychoir.optimization.picture import draw_convergence
 
     path.parent.mkdir(parents=True, exist_ok=True)
-    if names:
-        series = {i: values[names[0]] for i, values in history.values.items()}
-        draw_convergence(series, path, names[0], title, history.times if awake else None)
+    series = {i: values[names[0]] for i, values in history.values.items()}
+    common = history.common or names[0] != "x"
+    draw_convergence(series, path, names[0], title, history.times if awake else None, common)
 
 
-def _progress_table(team: "Mapping[int, Any]") -> Table:
+def _progress_table(seen: "Seen") -> Table:
     """One row an agent."""
-    table = Table("agent", "x")
+    now, team = seen
+    table = Table("agent", "x", title=now)
     for i, agent in list(team.items())[:SHOWN_AGENTS]:
-        table.add_row(str(i), _short(getattr(agent, "x", "")))
+        table.add_row(str(i), Text(_short(getattr(agent, "x", ""))))
     return _with_the_rest(table, len(team))
 
 
@@ -128,25 +175,49 @@ def _with_the_rest(table: Table, agents: int) -> Table:
 
 
 def _tables(history: "History", name: str) -> Group:
+    from crazychoir.simulate import parts_of
+
     figures = Table("figure", "value", title=name)
     result = history.to_json()
-    for key in ("rounds", "disagreement", "messages", "lost", "resent", "bytes", "simulated_s", "wall_s"):
+    for key in ("rounds", "disagreement", "violation", "messages", "lost", "resent", "bytes", "simulated_s", "wall_s"):
         value = result[key]
         if isinstance(value, dict):
             value = ", ".join(f"{name}: {v:.3g}" for name, v in value.items() if v is not None)
-        figures.add_row(key, f"{value:.4g}" if isinstance(value, float) else str(value))
-    names = list(next(iter(history.values.values())))
-    last = Table("agent", *names, title="at the end")
-    for i in list(history.values)[:SHOWN_AGENTS]:
-        last.add_row(str(i), *(_short(history.values[i][key][-1]) for key in names))
-    return Group(figures, _with_the_rest(last, len(history.values)))
+        if key == "violation":
+            value = _violation(history)
+        if value not in ("", None):
+            figures.add_row(key, f"{value:.4g}" if isinstance(value, float) else str(value))
+    last = {i: {name: series[-1] for name, series in values.items()} for i, values in history.values.items()}
+    results = {i: {name or "result": v for name, v in parts_of(part).items()} for i, part in history.results.items()}
+    tables = [_agents_table(rows, title) for title, rows in (("at the end", last), ("result", results))]
+    return Group(figures, *(table for table in tables if table is not None))
+
+
+def _agents_table(rows: "Mapping[int, Mapping[str, Any]]", title: str) -> Table | None:
+    """One row an agent, one column a name; None without any."""
+    names = dict.fromkeys(name for row in rows.values() for name in row)
+    table = Table("agent", *names, title=title)
+    for i, row in list(rows.items())[:SHOWN_AGENTS]:
+        table.add_row(str(i), *(Text(_short(row[name]) if name in row else "") for name in names))
+    return _with_the_rest(table, len(rows)) if names else None
+
+
+def _violation(history: "History") -> str:
+    """The largest, and whose they are if they are not small: the agents' x are then no answer. "" if there is none."""
+    if history.violation is None:
+        return ""
+    over = [i for i, violation in history.violations.items() if not violation <= SMALL]
+    if not over:
+        return f"{history.violation:.3g}"
+    whose = f"agent {over[0]}" if len(over) == 1 else f"{len(over)} agents, as {over[0]}"
+    return f"[red]{history.violation:.3g}, of {whose}: their x is not feasible[/]"
 
 
 def _short(x: Any) -> str:
     import numpy as np
 
-    if isinstance(x, str):
-        return x
-    entries = np.ravel(np.asarray(x)).tolist()
+    if not isinstance(x, float | int | list | tuple | np.ndarray | np.generic):
+        return str(x) if len(str(x)) <= WIDEST else f"{str(x)[: WIDEST - 3]}..."
+    entries = list(x) if isinstance(x, list | tuple) else np.ravel(x).tolist()
     text = ", ".join(f"{entry:.6g}" if isinstance(entry, float) else str(entry) for entry in entries[:ENTRIES])
     return text + (", ..." if len(entries) > ENTRIES else "")

@@ -21,12 +21,14 @@ MOST_ENTRIES = 4
 
 
 def draw_convergence(
-    series: Mapping[int, Any], path: str | Path, name: str, title: str = "", times: Mapping[int, Vec] | None = None
-) -> None:
+    series: Mapping[int, Any], path: str | Path, name: str, title: str = "", times: Mapping[int, Vec] | None = None,
+    common: bool = True,
+) -> None:  # fmt: skip
     """Write a PNG (or what the suffix of `path` says): above, each agent's entries of x; below, on a logarithmic axis,
     the distance of each agent from the team's mean at the end.
 
-    series: {agent: (K+1, ...)};  times: {agent: (K+1,) s}, which are the abscissa of agents that are not in step.
+    series: {agent: (K+1, ...)};  times: {agent: (K+1,) s}, which are the abscissa of agents that are not in step;
+    common: whether they are to agree; else below is the distance of each from its own end.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -37,7 +39,7 @@ def draw_convergence(
     FigureCanvasAgg(figure)
     above, below = figure.subplots(2, 1, sharex=True)
     _draw_entries(above, x, at, name)
-    _draw_distances(below, x, at, name)
+    _draw_distances(below, x, at, common)
     below.set_xlabel("time [s]" if times else "round")
     for axes in (above, below):
         axes.grid(color="#e6e6e6", linewidth=0.6)
@@ -63,10 +65,10 @@ def _draw_entries(axes: "Axes", x: Mapping[int, Vec], at: Mapping[int, Vec], nam
     axes.legend(frameon=False, fontsize=8, ncols=MOST_ENTRIES)
 
 
-def _draw_distances(axes: "Axes", x: Mapping[int, Vec], at: Mapping[int, Vec], name: str) -> None:
-    """From the mean of all agents' last values, if they are of one size; else each from its own last value."""
+def _draw_distances(axes: "Axes", x: Mapping[int, Vec], at: Mapping[int, Vec], common: bool) -> None:
+    """From the mean of all agents' last values, if they have it in common; else each from its own last value."""
     sizes = {values.shape[1] for values in x.values()}
-    mean = np.mean([values[-1] for values in x.values()], axis=0) if len(sizes) == 1 else None
+    mean = np.mean([values[-1] for values in x.values()], axis=0) if common and len(sizes) == 1 else None
     for i, values in x.items():
         distance = np.abs(values - (values[-1] if mean is None else mean)).max(axis=1)
         distance[distance == 0.0] = np.nan

@@ -15,6 +15,8 @@ from crazychoir.swarm.round import Round
 from crazychoir.types import Failure
 
 Interval = tuple[float, float]
+KINDS, SENDERS = 4, 4
+"""Of messages that are told of when a step has failed, the rarest first, and of their senders."""
 
 
 @dataclass(frozen=True)
@@ -97,7 +99,7 @@ async def _in_rounds(
             else:
                 algorithm.step(heard)
         except Exception as error:
-            raise _Ended.at(i, error) from error
+            raise _Ended.at(i, error, heard) from error
 
 
 async def _wake_and_sleep(communicator: Communicator, algorithm: Round, channel: str, pace: Pace) -> None:
@@ -121,6 +123,9 @@ async def _wake_and_sleep(communicator: Communicator, algorithm: Round, channel:
                 await clock.compute(algorithm.step, heard)
             else:
                 algorithm.step(heard)
+        except Exception as error:
+            raise _Ended.at(i, error, heard) from error
+        try:
             message = algorithm.message()
         except Exception as error:
             raise _Ended.at(i, error) from error
@@ -174,6 +179,31 @@ def _word(failed: AgentFailed) -> Failure:
     return Failure(failed.agent, failed.reason)
 
 
+def _heard(heard: Mapping[int, Any] | None) -> str:
+    """Of what kind it was, by sender: an agent may fail by what another has sent."""
+    if not heard:
+        return ""
+    senders: dict[str, list[int]] = {}
+    for j, message in heard.items():
+        senders.setdefault(_kind(message), []).append(j)
+    rarest = sorted(senders.items(), key=lambda kind: (len(kind[1]), kind[0] != "None"))[:KINDS]
+    return "; it had heard " + ", ".join(f"{kind} from {_some(ids)}" for kind, ids in rarest)
+
+
+def _some(ids: list[int]) -> str:
+    return ", ".join(map(str, ids[:SENDERS])) + (f" and {len(ids) - SENDERS} more" if len(ids) > SENDERS else "")
+
+
+def _kind(message: Any) -> str:
+    """The type, with shape or length."""
+    if message is None:
+        return "None"
+    if hasattr(message, "dtype"):
+        return f"{message.dtype} {message.shape}"
+    name = type(message).__name__
+    return f"{name} of {len(message)}" if isinstance(message, list | tuple | dict) else name
+
+
 class _Ended(Exception):
     """An algorithm has ended here by a failure, which the neighbours are to hear of: what they get, what we raise."""
 
@@ -181,15 +211,15 @@ class _Ended(Exception):
         self.failed, self.error = failed, error
 
     @classmethod
-    def at(cls, i: int, error: Exception) -> "_Ended":
-        """Our own algorithm has raised this, or is told by this that it has failed."""
+    def at(cls, i: int, error: Exception, heard: Mapping[int, Any] | None = None) -> "_Ended":
+        """Our own algorithm has raised this, or is told by this that it has failed, in a step that had heard this."""
         if isinstance(error, AgentFailed):
             return cls(error, error)
         reason = f"{type(error).__name__}: {error}"
         if isinstance(error, CrazyChoirError):
             return cls(AgentFailed(i, reason), error)
         place = traceback.extract_tb(error.__traceback__)[-1]
-        failed = AgentFailed(i, f"{reason} ({Path(place.filename).name}:{place.lineno})")
+        failed = AgentFailed(i, f"{reason} ({Path(place.filename).name}:{place.lineno}){_heard(heard)}")
         failed.__cause__ = error
         return cls(failed, failed)
 

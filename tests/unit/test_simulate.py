@@ -448,6 +448,25 @@ class Growing(Counting):
         self.one = np.arange(self.x)
 
 
+@pytest.mark.parametrize(
+    ("violations", "largest"),
+    [
+        ((0.5, 2.0), 2.0),
+        ((np.array([0.1, 3.0]), 0), 3.0),
+        ((None, 0.2), 0.2),
+        ((np.zeros(0), "no"), 0.0),
+        ((max, ""), None),
+    ],
+)
+def test_the_largest_violation_is_of_those_that_have_numbers(violations, largest):
+    agents = {i: Counting(1) for i in range(2)}
+    for i, violation in enumerate(violations):
+        agents[i].violation, agents[i].common = violation, False
+    history = simulate(agents, ring(2))
+    assert history.violation == largest
+    assert history.disagreement() is None
+
+
 def test_what_differs_in_shape_has_its_columns_and_no_npz(tmp_path):
     history = simulate({i: Growing(i) for i in range(2)}, ring(2), record=("one", "own"))
     history.save(tmp_path / "h.csv")

@@ -185,3 +185,31 @@ def test_a_cost_without_a_minimum_is_named_after_so_many_steps(monkeypatch):
     found, _ = endings(multipliers(graph, fall), graph)
     assert any(isinstance(error, SolverError) for error in found.values())
     assert all("epoch 0: |grad L| = " in str(error) and "steps, at x = [" in str(error) for error in found.values())
+
+
+class Hearing(Counting):
+    """Fails as soon as it hears all, if it sends such; each sends what it is told to."""
+
+    def __init__(self, sends, asynchronous):
+        super().__init__(99, asynchronous=asynchronous)
+        self.sends = sends
+
+    def message(self):
+        return self.sends
+
+    def step(self, heard):
+        if len(heard) == 7 and type(self.sends) in (int, list):
+            raise KeyError("x")
+
+
+@pytest.mark.parametrize("asynchronous", [False, True])
+def test_what_a_failing_step_had_heard_is_told_the_rarest_first(asynchronous):
+    sent = [0, np.zeros((2, 3)), np.zeros((2, 3)), *[np.zeros(2, bool)] * 3, None, 1.5]
+    found, _ = endings({i: Hearing(sends, asynchronous) for i, sends in enumerate(sent)}, complete(8))
+    said = "None from 6, float from 7, float64 (2, 3) from 1, 2, bool (2,) from 3, 4, 5"
+    assert any(str(error).endswith(f"); it had heard {said}") for error in found.values())
+
+
+def test_of_many_senders_some_are_told():
+    found, _ = endings({i: Hearing([[i]], False) for i in range(8)}, complete(8))
+    assert str(found[0]).endswith("; it had heard list of 1 from 1, 2, 3, 4 and 3 more")
