@@ -12,6 +12,7 @@ from rich.text import Text
 
 from crazychoir.cli.show import (
     STDERR,
+    STDOUT,
     Progress,
     fail,
     prints_aside,
@@ -98,7 +99,7 @@ def simulate(
     if as_json:
         write_json(history.to_json() | said)
     else:
-        STDERR.print(_tables(history, file.stem))
+        STDOUT.print(_tables(history, file.stem))
     if ended:
         STDERR.print(INTERRUPTED)
         raise typer.Exit(130)
