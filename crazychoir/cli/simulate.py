@@ -159,13 +159,13 @@ def _draw(history: "History", names: tuple[str, ...], awake: bool, path: Path, t
     draw_convergence(series, path, names[0], title, history.times if awake else None, common)
 
 
-def _progress_table(seen: "Seen") -> Table:
-    """One row an agent."""
+def _progress_table(seen: "Seen") -> Group:
+    """The round, and one row an agent."""
     now, team = seen
-    table = Table("agent", "x", title=now)
+    table = Table("agent", "x")
     for i, agent in list(team.items())[:SHOWN_AGENTS]:
         table.add_row(str(i), Text(_short(getattr(agent, "x", ""))))
-    return _with_the_rest(table, len(team))
+    return Group(Text(now), _with_the_rest(table, len(team)))
 
 
 def _with_the_rest(table: Table, agents: int) -> Table:
