@@ -53,14 +53,15 @@ class Program:
             self.process.send_signal(number)
 
     async def end(self, seconds: float) -> dict[str, Any]:
-        """Wait for its end; returns its JSON object, with the exit code."""
+        """Wait for its end; returns its JSON object, if that is what it answered, with the exit code and the answer."""
         try:
             async with asyncio.timeout(seconds):
                 out, _ = await asyncio.gather(*self._reading)
                 code = await self.process.wait()
         except TimeoutError:
             raise AssertionError(f"still running after {seconds:g} s; it said: {self.text}") from None
-        return {**(json.loads(out) if out.strip() else {}), "code": code}
+        told = json.loads(out) if out.startswith(b"{") else {}
+        return {**told, "code": code, "answer": out.decode()}
 
     async def says(self, text: str, seconds: float = 40.0) -> str:
         """Wait until a line of its standard error contains the text; returns the line."""

@@ -264,8 +264,9 @@ async def plan_and_fly_under_attack(folder: Path) -> None:
 
 async def stop(team: Team, *options: str) -> str:
     program = await Program.start(*CRAZYCHOIR, "stop", "--swarm", team.path, *options)
-    assert (await program.end(30.0))["code"] == 0, program.text
-    return program.text
+    ended = await program.end(30.0)
+    assert ended["code"] == 0, program.text
+    return str(ended["answer"])
 
 
 async def stop_restart_and_clear(folder: Path) -> None:
