@@ -118,7 +118,7 @@ async def test_a_drone_leaves_a_stop_when_more_than_half_know_of_it(clock):
         guidance.news.book.hear(Record(j, 1, 2, (0.0, 0.0), seen=((0, 1, news),)))
         await clock.sleep(0.1)
     assert serves.done()
-    assert guidance.served == [{"task": 1, "kind": PICK}]
+    assert guidance.served == [{"task": 1, "kind": PICK, "place": (0.0, -0.8)}]
 
 
 @virtual
