@@ -24,7 +24,7 @@ from crazychoir.cli.show import (
 from crazychoir.errors import ConfigError, CrazyChoirError
 
 if TYPE_CHECKING:
-    from crazychoir.simulate import History
+    from crazychoir.optimization.history import History
     from crazychoir.swarm.graph import Graph
     from crazychoir.swarm.round import Round
 
@@ -69,10 +69,13 @@ def simulate(
     """
     set_up_logging()
     from crazychoir import simulate as simulation  # numerics: 1 s that --help does not need
+    from crazychoir.optimization.history import require_suffix
 
     asked = None if record is None else [name.strip() for name in record.split(",") if name.strip()]
     try:
         require_drawable(picture)
+        if save is not None:
+            require_suffix(save, "--save")
         require_folder(save, "--save")
         with prints_aside():
             links, team = _team(file, agents, graph, seed, directed)
@@ -176,7 +179,7 @@ def _with_the_rest(table: Table, agents: int) -> Table:
 
 
 def _tables(history: "History", name: str) -> Group:
-    from crazychoir.simulate import parts_of
+    from crazychoir.optimization.history import parts_of
 
     figures = Table("figure", "value", title=name)
     result = history.to_json()

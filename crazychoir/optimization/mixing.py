@@ -69,13 +69,16 @@ def mix(i: int, row: Row, own: Vec, heard: Mapping[int, Vec]) -> Vec:
         except TypeError:  # no vector of floats
             fits = False
         if not fits:
-            raise ConfigError(f"agent {i}: message of agent {j}", shape_of(x), f"shape {own.shape}, as its own")
+            allowed = f"floats of shape {own.shape}, as its own"
+            raise ConfigError(f"agent {i}: message of agent {j}", shape_of(x), allowed)
     return mixed
 
 
 def shape_of(x: Any) -> str:
-    """For an error text."""
-    return f"shape {x.shape}" if hasattr(x, "shape") else type(x).__name__
+    """For an error text; what kind of numbers, if they are no floats."""
+    if not hasattr(x, "shape"):
+        return type(x).__name__
+    return f"shape {x.shape}" if x.dtype == "float64" else f"shape {x.shape} of {x.dtype}"
 
 
 def require_heard(i: int, row: Row, heard: Mapping[int, Any]) -> None:

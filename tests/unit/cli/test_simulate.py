@@ -187,7 +187,7 @@ def test_a_picture_of_agents_that_agree_from_the_start_is_drawn(simulated, tmp_p
         ("def agent(i, graph):\n    return {}[i]", (), "mine.py:2: agent(i, graph): found KeyError: 0"),
         (AVERAGING, ("--graph", "rink"), "graph: found rink"),
         (AVERAGING, ("--record", "y"), "record: found y; allowed: attributes of agent 0, a Consensus"),
-        (AVERAGING, ("--save", "h.txt"), "a file that ends in .csv, .json, .npz"),
+        (AVERAGING, ("--save", "h.txt"), "--save: found h.txt; allowed: a file that ends in .csv, .json, .npz"),
         (AVERAGING.replace("metropolis(graph)[i]", "{i: 0.5}"), (), "agent 0: weights = {0: 0.5}: they sum to 0.5"),
         (AVERAGING + "    ) + (\n", (), "a file that Python can import"),
     ],

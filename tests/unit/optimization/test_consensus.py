@@ -71,8 +71,10 @@ def test_who_hears_others_than_it_has_weights_for_says_so():
         agent.step({2: np.ones(1)})
     with pytest.raises(ConfigError, match=r"agent 0: weights: found of \[1\]; allowed: of those it hears, \[\]"):
         agent.step({})
-    with pytest.raises(ConfigError, match=r"agent 0: message of agent 1: found shape \(2,\); allowed: shape \(1,\)"):
+    with pytest.raises(ConfigError, match=r"agent 0: message of agent 1: found shape \(2,\); allowed: floats of shape"):
         agent.step({1: np.ones(2)})
+    with pytest.raises(ConfigError, match=r"found shape \(1,\) of int64; allowed: floats of shape \(1,\), as its own"):
+        agent.step({1: np.ones(1, np.int64)})
     with pytest.raises(ConfigError, match=r"agent 0: message of agent 1: found str"):
         agent.step({1: "x"})
 
