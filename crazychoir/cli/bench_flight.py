@@ -23,7 +23,7 @@ from crazychoir.errors import Refused
 from crazychoir.guidance.mission import load
 from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import Clock, run_virtual
-from crazychoir.safety.pilot import Mode
+from crazychoir.safety.modes import Mode
 from crazychoir.swarm.checks import LIGHTWEIGHT, MOTORS
 from crazychoir.swarm.config import SwarmConfig
 

@@ -27,7 +27,8 @@ from crazychoir.guidance.mission import Mission
 from crazychoir.routing.generate import random_instance
 from crazychoir.routing.instance import Instance
 from crazychoir.runtime.clock import SECOND, Clock, run_wall
-from crazychoir.safety.pilot import Mode, Pilot
+from crazychoir.safety.modes import Mode
+from crazychoir.safety.pilot import Pilot
 from crazychoir.simulation.owner import WorldOwner
 from crazychoir.solving import solve_here
 from crazychoir.swarm.config import SwarmConfig, default_swarm

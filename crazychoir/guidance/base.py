@@ -20,7 +20,8 @@ from crazychoir.planning.trajectory import Trajectory
 from crazychoir.runtime.clock import SECOND, Clock, wake
 from crazychoir.runtime.mailbox import Call
 from crazychoir.runtime.watchdog import Watchdog
-from crazychoir.safety.pilot import Mode, Pilot
+from crazychoir.safety.modes import Mode
+from crazychoir.safety.pilot import Pilot
 from crazychoir.swarm.communicator import Communicator
 from crazychoir.swarm.config import SwarmConfig
 from crazychoir.swarm.graph import Graph
@@ -48,6 +49,9 @@ PATIENCE = 300.0
 """s that a flight waits for a pilot that is held, or that the safety table has stopped; and for a first pose."""
 TOUCHDOWN = 5.0
 """s beyond the planned time of a landing that a mission waits for its end."""
+UNCOMMANDED = 1800.0
+"""s that a drone waits on the ground for an operator, in a run that has one."""
+GATES = {"take-off": "waits for its operator: take-off", "start": "waits for its operator: start"}
 LAW = "feedback law"
 """The task that a status names while a CFDistributedFeedback runs."""
 
@@ -67,6 +71,10 @@ class Member:
     announce: Callable[[], None] = lambda: None  # publishes the status now, not at its next tick
     ended: str = ""
     """Why the mission is over; from then on it flies no more, whatever it catches and goes on with."""
+    gate: str = ""
+    """The command of its operator, of GATES, that the mission waits for."""
+    rise: float | None = None
+    """m, the height of the take-off that it waits for; None: that of the swarm file."""
 
 
 class Verb(Generic[P, R]):
@@ -144,20 +152,30 @@ class CFGuidance:
             await communicator.close(channel)
 
     async def rendezvous(self, channel: str = "rendezvous") -> None:
-        """Go on only when the whole team is here: as many empty rounds as the graph's diameter."""
+        """Go on only when the whole team is here: as many empty rounds as the graph's diameter.
+
+        In a run with an operator it waits for those whom he starts later, at most PATIENCE s.
+        """
+        deadline = PATIENCE if self.member.config.flight.operator else None
         for _ in range(max(1, self.graph.diameter())):
-            await self.neighbors_exchange(None, channel=channel)
+            await self.neighbors_exchange(None, channel=channel, deadline=deadline)
 
     # Flying ---------------------------------------------------------------------------------------------------
 
     async def take_off(self, height: float | None = None) -> None:
         """Rise to `height` m above the ground (None: that of the swarm file), inside the fence, and be there.
 
+        In a run with an operator it waits, the first time, for his take-off, at most UNCOMMANDED s on the ground, and
+        then in the air for his start, at most PATIENCE s.
         A drone that is held, or not seen yet, waits on the ground; a rise that the safety table or an operator has
         stopped goes on as in `go_to`, which is also how a drone in the air gets to the height.
         Raises Interrupted when it may not rise, and as `go_to`.
         """
         pilot, limits = self.member.pilot, self.member.config.flight
+        if pilot.awaits_start:
+            self.member.rise = height
+            await self._told("take-off", UNCOMMANDED, lambda: not pilot.airborne)
+            await self._told("start", PATIENCE, lambda: pilot.awaits_start and pilot.airborne)
         ends = self.member.clock.now() + PATIENCE
         while (pilot.state is None or pilot.held) and self.member.clock.now() < ends:
             await self.sleep(SETTLE)
@@ -172,11 +190,36 @@ class CFGuidance:
             await self.go_to(goal)
         await self._settle(goal)
 
+    async def wait_for_start(self) -> None:
+        """In a run with an operator, wait on the ground for his start, and for the team's; else go on at once.
+
+        For missions that take off by themselves, each drone at its time or not at all: they call it before.
+        """
+        pilot = self.member.pilot
+        if pilot.awaits_start:
+            await self._told("start", UNCOMMANDED, lambda: pilot.awaits_start)
+            await self.rendezvous("started")
+
+    async def _told(self, gate: str, seconds: float, waits: Callable[[], bool]) -> None:
+        """Wait for a command of the operator, as long as `waits` says so; Interrupted after so many s without it."""
+        member, pilot = self.member, self.member.pilot
+        ends, report = member.clock.now() + seconds, member.report
+        member.gate, member.report = gate, lambda: {"task": GATES[gate]}
+        member.announce()
+        while waits() and member.clock.now() < ends and not member.ended:
+            await self.sleep(SETTLE)
+        member.gate, member.report = "", report
+        self._may_fly()
+        if waits():
+            raise Interrupted(f"drone {self.id}: no {gate} by its operator within {seconds:g} s")
+        if pilot.mode is Mode.CUT:
+            raise Interrupted(f"drone {self.id}: {pilot.mode.value}: {pilot.note}")
+
     async def _settle(self, goal: Vec) -> None:
         """Wait, at most PATIENT s, until it has stood still at goal: then it has learnt its thrust and its trim."""
         clock, pilot, stood = self.member.clock, self.member.pilot, 0
         ends = clock.now() + PATIENT
-        while pilot.mode in (TAKEOFF, Mode.HOVER) and clock.now() < ends and stood * SETTLE < STOOD:
+        while pilot.mode in FLYING and clock.now() < ends and stood * SETTLE < STOOD:
             state = self.state
             there = np.linalg.norm(state.p - goal) < THERE and np.linalg.norm(state.v) < STILL
             stood = stood + 1 if there else 0
@@ -276,8 +319,12 @@ class CFGuidance:
 async def touch_down(pilot: Pilot, grace: float) -> None:
     """Wait until a pilot's motors are off; at most `grace` s beyond the flight that it has planned, whenever it did."""
     clock = pilot.clock
-    ends = clock.now() + grace
+    ends, patient = clock.now() + grace, clock.now() + PATIENCE
     while pilot.airborne and clock.now() < ends:
+        if pilot.held and pilot.mode is Mode.HOVER:  # on its way home
+            ends = clock.now() + grace
+            if clock.now() > patient:
+                pilot.land(f"held for {PATIENCE:g} s, with its mission over: landing")
         if pilot.remaining() > 0.0:
             ends = clock.now() + pilot.remaining() + grace
         await clock.sleep(SETTLE, drone=pilot.drone)

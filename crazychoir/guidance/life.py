@@ -12,7 +12,7 @@ from crazychoir.guidance.base import Member, raisable, touch_down
 from crazychoir.guidance.drone import Drone
 from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.watchdog import Watchdog
-from crazychoir.safety.pilot import Mode
+from crazychoir.safety.modes import Mode
 from crazychoir.swarm.config import SwarmConfig
 from crazychoir.types import Failure
 

@@ -7,7 +7,6 @@ table allows. A pose triggers the tick; if none comes in time, the clock does.
 import asyncio
 import logging
 import math
-from enum import Enum
 from typing import Any, Protocol
 
 import numpy as np
@@ -30,7 +29,21 @@ from crazychoir.runtime.clock import SECOND
 from crazychoir.runtime.mailbox import Call
 from crazychoir.safety.flights import Flights, braking
 from crazychoir.safety.guard import EDGE, Action, Fence, Guard, Throttle, Verdict
+from crazychoir.safety.homecoming import Homecoming
 from crazychoir.safety.limits import ReferenceLimits
+from crazychoir.safety.modes import (
+    DOWN,
+    FOLLOW,
+    GROUND,
+    GUIDED,
+    HOVER,
+    LAND,
+    RETURN,
+    TAKEOFF,
+    Event,
+    after,
+    refusal,
+)
 from crazychoir.swarm.tables import Flight
 from crazychoir.types import Acceleration, Command, FullState, Goto, Point, Pose, Reference, State
 
@@ -55,21 +68,9 @@ BLIND = 2.0
 """s, how far it predicts its own motion without a pose: as long as the safety table lets it fly so."""
 
 
-class Mode(Enum):
-    """What the pilot is doing."""
-
-    GROUND = "on ground"
-    TAKEOFF = "taking off"
-    HOVER = "hovering"
-    FOLLOW = "mission"
-    LAND = "landing"
-    CUT = "stopped"
-
-
-# Members of an enumeration are slow to look up, in Python 3.11 above all; a tick needs these.
-HOVER, FOLLOW, LAND, NOMINAL = Mode.HOVER, Mode.FOLLOW, Mode.LAND, Action.NOMINAL
-DOWN = (Mode.GROUND, Mode.CUT)
-GUIDED = (Mode.FOLLOW, Mode.HOVER, Mode.TAKEOFF)
+NOMINAL = Action.NOMINAL  # members of an enumeration are slow to look up
+LOW = (TAKEOFF, LAND)
+"""Modes in which it leaves the fence downwards."""
 
 
 class Link(Protocol):
@@ -134,12 +135,17 @@ class Pilot(Actor):
         self.reference_limits = ReferenceLimits(limits, self.controls.gains)
         self.clock, self._stages = port.bus.clock, port.bus.stages
         self.drone = port.address
-        self.mode = Mode.GROUND
+        self.mode = GROUND
         self.state: State | None = None
         self.note = ""
         self.brought_down = ""
         """Why the safety table has first ended a flight by landing it; empty if it never did."""
         self.held = False
+        self.awaits_start = limits.operator
+        """Whether its mission waits for an operator's start: until then guidance moves nothing."""
+        self.started_at: Point | None = None
+        """(3,) m, where it stood when it took off first."""
+        self._way: Homecoming | None = None
         self._models = isinstance(self.controls.sender, FPQRSender)
         self.filter = filter_of("kalman", self.controls, limits.ground, rate) if state_filter is None else state_filter
         self._reference: Reference | None = None
@@ -199,22 +205,16 @@ class Pilot(Actor):
         """Whatever made a tick fail is forgotten: it comes to rest and hovers, or goes on landing, from where it is."""
         self._reference = self._flown = None
         self.flights.clear()
-        if self.mode is Mode.LAND:
+        if self.mode is LAND:
             self._descend()
         elif self.mode in GUIDED:
-            self.mode = Mode.HOVER
+            self._change(Event.HOLD)
 
     def set_parameter(self, name: str, value: Any) -> Any:
         """Change a parameter, from the next tick on, and return it; ConfigError if it may not be."""
         found = self.parameters.set(name, value)
         self.reference_limits = ReferenceLimits(self.limits, self.controls.gains)
         return found
-
-    def hold(self, on: bool = True) -> None:
-        """An operator holds the drone where it is, whatever guidance wants, or lets it go on."""
-        self.held = on
-        if on:
-            self.hover()
 
     def nudge(self, now_ns: int) -> None:
         """The clock's turn: when no pose has come for one and a half periods, tick without."""
@@ -299,7 +299,7 @@ class Pilot(Actor):
         if self.held:
             self._say("held", "held by its operator: no take-off until it is let go")
             return 0.0
-        if self.mode is not Mode.GROUND or self.state is None:
+        if refusal(self.mode, Event.TAKE_OFF) or self.state is None:
             return 0.0
         goal = self.state.p.copy()
         goal[2] = self.limits.ground + rise
@@ -308,16 +308,18 @@ class Pilot(Actor):
         duration = self.flights.go_to(start, goal, start.yaw, 0.0, self.clock.now())
         self._flown = start
         self._lift_off = self.state.p[2] + LIFTED
-        self.mode = Mode.TAKEOFF
+        if self.started_at is None:
+            self.started_at = start.p
+        self._change(Event.TAKE_OFF)
         return duration
 
     def go_to(self, p: Point, yaw: float | None = None, duration: float = 0.0) -> float:
         """Fly to p (3,) m, world, inside the fence; returns the time it will take.
 
-        0: it may not, as it is not in the air, is held, or brakes because the safety table says so. Missing references
-        are no hindrance: this flight needs none.
+        0: it may not, as it is not in the air, is held, waits for its operator's start, or brakes because the safety
+        table says so. Missing references are no hindrance: this flight needs none.
         """
-        if self.mode not in GUIDED or self.held:
+        if not self.obeys:
             return 0.0
         self.guard.excuse("reference")
         if self.guard.acts:
@@ -325,8 +327,8 @@ class Pilot(Actor):
         start, now = self._departure(), self.clock.now()
         goal = self.fence.nearest(np.asarray(p, dtype=float), inset=EDGE)
         seconds = self.flights.go_to(start, goal, start.yaw if yaw is None else yaw, duration, now)
-        self._flown = start
-        self.mode, self._obeyed = Mode.HOVER, NOMINAL
+        self._flown, self._reference, self._obeyed = start, None, NOMINAL
+        self._change(Event.FLY)
         return seconds
 
     def fly(self, trajectory: Trajectory) -> float:
@@ -334,13 +336,13 @@ class Pilot(Actor):
 
         Whoever calls has looked that it begins where the drone is, inside the fence and within its limits.
         """
-        if self.mode not in GUIDED or self.held:
+        if not self.obeys:
             return 0.0
         self.guard.excuse("reference")
         if self.guard.acts:
             return 0.0
-        self._flown = trajectory.sample(0.0)
-        self.mode, self._obeyed = Mode.HOVER, NOMINAL
+        self._flown, self._reference, self._obeyed = trajectory.sample(0.0), None, NOMINAL
+        self._change(Event.FLY)
         return self.flights.fly(trajectory, self.clock.now())
 
     def follow(self, reference: Reference) -> bool:
@@ -351,7 +353,7 @@ class Pilot(Actor):
         follows nothing.
         """
         state = self.state
-        if state is None or self.mode not in GUIDED or self.held:
+        if state is None or not self.obeys:
             return True
         if isinstance(reference, Acceleration):
             wanted: Reference | None = self.reference_limits.acceleration(reference, state, self.filter.speed)
@@ -367,7 +369,8 @@ class Pilot(Actor):
             self._fly_goto(wanted)
         else:
             self._reference, self._reference_ns = wanted, self.clock.now_ns()
-            self.mode = FOLLOW
+            if self.mode is not FOLLOW:
+                self._change(Event.FLY)
         return True
 
     def unflown(self, reference: object) -> str:
@@ -380,7 +383,7 @@ class Pilot(Actor):
         """Begin the flight that a Goto wants, unless it has begun: a law may want the same in each of its steps."""
         asked = (*np.asarray(wanted.p, dtype=float).tolist(), wanted.yaw, wanted.duration)
         plan = self.flights.plan
-        begun = self.mode is not FOLLOW and plan is self._goto_plan and plan is not None
+        begun = self._reference is None and plan is self._goto_plan and plan is not None
         if begun and asked == self._goto:
             return
         if self.go_to(wanted.p, wanted.yaw, wanted.duration):
@@ -388,18 +391,21 @@ class Pilot(Actor):
 
     def hover(self) -> None:
         """Come to rest, at the shortest distance that the limits allow, and stay; one that does stays where it is."""
-        if self.mode not in GUIDED:
-            return
-        if self.mode is FOLLOW or self.remaining() > 0.0:
+        if self.mode in GUIDED:
+            self._rest()
+
+    def _rest(self) -> None:
+        if self._reference is not None or self.remaining() > 0.0:
             self._brake()
-        self.mode = Mode.HOVER
+        self._reference = None
+        self._change(Event.HOLD)
 
     def land(self, reason: str = "") -> float:
         """Come to rest, then straight down, inside the fence, and stop the motors; returns the time it will take.
 
-        Without a reason it is guidance that wants it: a held drone stays where it is, and 0 is returned.
+        Without a reason it is guidance that wants it: one that is held or returns goes on so, and 0 is returned.
         """
-        if self.mode not in GUIDED or self.state is None or (self.held and not reason):
+        if self.mode in (*DOWN, LAND) or self.state is None or (not reason and (self.held or self.mode is RETURN)):
             return 0.0
         if reason:
             self._say("land", reason)
@@ -411,7 +417,7 @@ class Pilot(Actor):
 
     def cut(self, reason: str) -> None:
         """Stop the motors, for good."""
-        self.mode = Mode.CUT
+        self._change(Event.STOP)
         self._cut_for = self._cut_for or reason
         self.link.cut()
         self._say("cut", reason)
@@ -433,25 +439,77 @@ class Pilot(Actor):
     @property
     def airborne(self) -> bool:
         """Whether its motors may be running."""
-        return self.mode not in (Mode.GROUND, Mode.CUT)
+        return self.mode not in DOWN
+
+    @property
+    def obeys(self) -> bool:
+        """Whether it flies where guidance wants: it is in the air, and neither held nor waits for its operator."""
+        return self.mode in GUIDED and not (self.held or self.awaits_start)
+
+    # What its operator commands ---------------------------------------------------------------------------------
+
+    def refuses(self, command: Event) -> str:
+        """Why it cannot do what its operator commands, in this mode; empty if it can."""
+        return refusal(self.mode, command)
+
+    def start(self) -> None:
+        """Its mission may fly it."""
+        self.awaits_start = False
+
+    def hold(self, on: bool = True) -> None:
+        """Stay where it is, whatever guidance wants, or go on. One that lands cannot be held."""
+        if self.refuses(Event.HOLD if on else Event.GO):
+            return
+        self.held = on
+        if on and self.airborne:
+            self._rest()
+        elif not on and self.mode is HOVER and self._way is not None:
+            self._change(Event.HOME)
+
+    def go_home(self, home: Point, level: float) -> None:
+        """Rise to `level` m, fly to above where it took off, else home (3,) m, and land there."""
+        if self.refuses(Event.HOME) or self.state is None:
+            return
+        inside = self.fence.nearest(np.array([*self.state.p[:2], level]), inset=EDGE)
+        self._way = Homecoming(inside, home if self.started_at is None else self.started_at, inside[2])
+        self.held, self._reference = False, None
+        self._brake()
+        self._change(Event.HOME)
+
+    def _go_on_home(self, state: State, now: float) -> None:
+        """The next leg of the way home; at its end, or where it does not get on, it lands."""
+        way = self._way
+        leg = None if way is None else way.leg(state.p)
+        if leg is None:
+            self.land("does not get home: lands where it is" if way is not None and way.stuck else "home: landing")
+            return
+        start = self._departure()
+        self._flown = start
+        self.flights.go_to(start, self.fence.nearest(leg, inset=EDGE), start.yaw, 0.0, now)
+
+    def _change(self, event: Event) -> None:
+        self.mode = after(self.mode, event)
 
     # The chain ------------------------------------------------------------------------------------------------
 
     def _command(self, state: State, now: float) -> Command | None:
-        if self._takes_over and self.mode is Mode.GROUND:
-            self._takes_over, self.mode = False, HOVER
+        if self._takes_over and self.mode is GROUND:
+            self._takes_over = False
+            self._change(Event.FOUND)
             self.land("found in the air, where another agent has flown it: landing")
         mode = self.mode
-        if mode is FOLLOW:
-            verdict = self.guard.check(now, state, state.age, (self._ticked_ns - self._reference_ns) / SECOND)
-        elif mode in DOWN:
+        if mode in DOWN:
             return self._idle
+        if self._reference is not None:
+            verdict = self.guard.check(now, state, state.age, (self._ticked_ns - self._reference_ns) / SECOND)
         else:
-            verdict = self.guard.check(now, state, state.age, None, mode is not HOVER)
+            verdict = self.guard.check(now, state, state.age, None, mode in LOW)
         if verdict.action is not NOMINAL or self._obeyed is not NOMINAL:
             self._obey(verdict)
             if not self.airborne:
                 return self._idle
+        if self.mode is RETURN and self._obeyed is NOMINAL and self.flights.done(now):
+            self._go_on_home(state, now)
         if self.mode is LAND and self._is_down(state, now):
             self._landed()
             return self._idle
@@ -482,9 +540,9 @@ class Pilot(Actor):
         if flights.plan is None:
             self._brake()
         self._flown = flights.sample(now)
-        if self.mode is Mode.TAKEOFF and flights.done(now):
-            self.mode = Mode.HOVER
-        low = self.mode is Mode.TAKEOFF and state.flat[2] < self._lift_off
+        if self.mode in (TAKEOFF, FOLLOW) and self._reference is None and flights.done(now):
+            self._change(Event.ARRIVED)
+        low = self.mode is TAKEOFF and state.flat[2] < self._lift_off
         chosen.trim.frozen = low or state.age > SEEN
         return chosen.tracker.command(state, self._flown, now)
 
@@ -501,7 +559,7 @@ class Pilot(Actor):
         elif verdict.action is Action.LAND:
             if self.land(verdict.reason) > 0.0:
                 self.brought_down = self.brought_down or verdict.reason
-        elif verdict.action is Action.BRAKE and self.mode is not Mode.LAND:
+        elif verdict.action is Action.BRAKE and self.mode is not LAND:
             self._brake()
 
     def _brake(self) -> None:
@@ -513,7 +571,8 @@ class Pilot(Actor):
         if self.mode is not LAND:
             self.controls.trim.keep()
         self._flown = start = self._departure()
-        self.mode = LAND
+        self._reference = self._way = None
+        self._change(Event.ARRIVED if self.mode is RETURN else Event.LAND)
         return self.flights.descend(start, self.clock.now(), self.limits.ground + ON_THE_FLOOR)
 
     def _departure(self) -> FullState:
@@ -522,7 +581,7 @@ class Pilot(Actor):
         return self.flights.departure(self.state, self.clock.now())
 
     def _landed(self) -> None:
-        self.mode = Mode.GROUND
+        self._change(Event.DOWN)
         self._flown = None
         self.flights.clear()
         self.controls.trim.frozen = True

@@ -148,13 +148,16 @@ class Fence(Table, frozen=True, kw_only=True):
 
 
 class Flight(Table, frozen=True, kw_only=True):
-    """[flight]: ground: height of the floor, world frame; takeoff_height: above it; limits of references."""
+    """[flight]: ground: height of the floor, world frame; takeoff_height: above it; limits of references;
+    operator: drones wait for an operator's take-off, and their missions for his start.
+    """
 
     ground: Level = 0.0
     takeoff_height: Height = 1.0
     speed_limit: Speed = 1.0
     acceleration_limit: Acceleration = 2.0
     landing_speed: Speed = 0.3
+    operator: Flag = False
 
 
 class Mocap(Table, frozen=True, kw_only=True):

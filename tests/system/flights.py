@@ -14,7 +14,7 @@ from crazychoir.guidance.mission import load
 from crazychoir.math3d import wrap, yaw_of
 from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import run_virtual
-from crazychoir.safety.pilot import Mode
+from crazychoir.safety.modes import Mode
 from crazychoir.swarm.config import SwarmConfig
 
 TICK = 0.01

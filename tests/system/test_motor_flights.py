@@ -8,7 +8,7 @@ from system.flights import TICK, fly, mission_of, swarm_of
 
 from crazychoir.guidance.mission import load
 from crazychoir.math3d import wrap
-from crazychoir.safety.pilot import Mode
+from crazychoir.safety.modes import Mode
 
 pytestmark = pytest.mark.system
 SENDERS = ("fpqr", "frpy", "vel", "xyz")

@@ -17,7 +17,7 @@ from crazychoir.guidance.mission import load, mission_hash
 from crazychoir.runtime.clock import SECOND, run_virtual
 from crazychoir.runtime.mailbox import Call
 from crazychoir.safety.guard import Fence, Guard
-from crazychoir.safety.pilot import Mode
+from crazychoir.safety.modes import Mode
 from crazychoir.simulation.trace import Trace
 from crazychoir.swarm.config import default_swarm
 from crazychoir.types import Acceleration
@@ -403,7 +403,7 @@ def test_who_was_landed_on_command_does_not_take_off_again_whatever_it_catches(p
 
     results, _, phases = ended(stubborn, 2.0, land)
     assert results[0] == {"success": False, "reason": "landed on command"}
-    assert phases == [Mode.GROUND, Mode.TAKEOFF, Mode.HOVER, Mode.LAND, Mode.GROUND]
+    assert phases == [Mode.GROUND, Mode.TAKEOFF, Mode.HOVER, Mode.FOLLOW, Mode.HOVER, Mode.LAND, Mode.GROUND]
 
 
 def test_what_a_mission_leaves_behind_flies_nothing():

@@ -18,7 +18,8 @@ from crazychoir.optimization.consensus import Consensus
 from crazychoir.optimization.gradient_tracking import GradientTracking
 from crazychoir.runtime.clock import SECOND
 from crazychoir.safety.guard import Fence
-from crazychoir.safety.pilot import Mode, Pilot
+from crazychoir.safety.modes import Mode
+from crazychoir.safety.pilot import Pilot
 from crazychoir.simulation.integrator import CFIntegrator
 from crazychoir.simulation.links import SimulatedLink
 from crazychoir.swarm import graph as graphs

@@ -13,7 +13,8 @@ from crazychoir.filters.velocity import VelocityFilter
 from crazychoir.guidance.base import CFDistributedFeedback, Interrupted, Member
 from crazychoir.runtime.clock import run_virtual
 from crazychoir.safety.guard import Fence
-from crazychoir.safety.pilot import Mode, Pilot
+from crazychoir.safety.modes import Mode
+from crazychoir.safety.pilot import Pilot
 from crazychoir.simulation.integrator import CFIntegrator
 from crazychoir.simulation.links import SimulatedLink
 from crazychoir.swarm import graph as graphs

@@ -19,7 +19,8 @@ from crazychoir.runtime.mailbox import DropOldest
 from crazychoir.runtime.supervisor import Supervisor
 from crazychoir.safety.guard import INSET, Action, Fence
 from crazychoir.safety.limits import ReferenceLimits
-from crazychoir.safety.pilot import GIVE_UP_HOVER, TOUCHDOWN_LATE, Mode, Pilot
+from crazychoir.safety.modes import Mode
+from crazychoir.safety.pilot import GIVE_UP_HOVER, TOUCHDOWN_LATE, Pilot
 from crazychoir.simulation.integrator import CFIntegrator
 from crazychoir.simulation.links import SimulatedLink
 from crazychoir.swarm.tables import Flight
