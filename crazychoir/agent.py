@@ -17,6 +17,8 @@ from crazychoir.errors import Refused
 from crazychoir.guidance.drone import Drone
 from crazychoir.guidance.life import GuidanceActor
 from crazychoir.guidance.mission import Mission, mission_hash
+from crazychoir.guidance.orders import VERBS as ORDERS
+from crazychoir.guidance.orders import Orders
 from crazychoir.platforms import platform
 from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import Clock
@@ -36,7 +38,7 @@ from crazychoir.worlds import owners
 
 log = logging.getLogger(__name__)
 VERSION = version("crazychoir")
-VERBS = ("land", "hold", "go", "impair", "param_get", "param_set", "task_add", "task_cancel", "ping")
+VERBS = (*ORDERS, "impair", "param_get", "param_set", "task_add", "task_cancel", "ping")
 """What operators may ask of a drone."""
 
 
@@ -111,6 +113,7 @@ class Agent:
         self.supervisor = Supervisor(clock, f"process {process}", self._shared_failed)
         self.services: list[Actor] = []
         self._guidances: dict[int, GuidanceActor] = {}
+        self._orders = {i: self._orders_of(drone) for i, drone in self.drones.items()}
 
     def _drone(self, i: int) -> Drone:
         config, port = self.config, self.bus.ports[i]
@@ -182,6 +185,12 @@ class Agent:
         actor = self._guidances[drone.id] = GuidanceActor(drone, self.config, self.watchdog)
         await supervisor.run([actor])
 
+    def _orders_of(self, drone: Drone) -> Orders:
+        i = drone.id
+        return Orders(
+            drone, self.config, lambda why: self._guidances[i].abort(why), lambda: self._guidances[i].over
+        )
+
     def land_all(self, reason: str) -> None:
         """Somebody wants an end: every drone lands, every mission is over."""
         for drone in self.drones.values():
@@ -230,12 +239,9 @@ class Agent:
 
     async def _execute(self, drone: Drone, verb: str, arguments: dict[str, Any]) -> Any:
         """What operators may ask of a drone."""
+        if verb in ORDERS:
+            return await self._orders[drone.id].execute(verb)
         match verb:
-            case "land":
-                drone.pilot.land("landing on command")
-                self._guidances[drone.id].abort("landed on command")
-            case "hold" | "go":
-                drone.pilot.hold(verb == "hold")
             case "impair":
                 self.bus.impairment.update(arguments)
                 return self.bus.impairment.describe()
@@ -251,7 +257,6 @@ class Agent:
                 return drone.pilot.mode.value
             case _:
                 raise Refused(f"drone {drone.id}", f"no command {verb!r}; there are {', '.join(VERBS)}")
-        return None
 
     def _stop(self, drone: Drone, on: bool) -> None:
         if on:

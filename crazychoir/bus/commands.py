@@ -15,6 +15,10 @@ from crazychoir.bus.topics import ANSWER, ESTOP, REQUEST
 from crazychoir.errors import CodecError, ConfigError, Refused
 
 RESEND = 0.1
+AGAIN = 0.5
+"""s between repeats of a request that was accepted."""
+ALONE = "alone"
+"""What a stop says that is meant for its targets alone: it does not keep the others on the ground."""
 REMEMBERED = 256
 ACCEPTED, REFUSED, DONE = "accepted", "refused", "done"
 _ACCEPTED = encode([ACCEPTED, None])
@@ -27,7 +31,7 @@ Execute = Callable[[str, dict[str, Any]], Awaitable[Any]]
 
 @dataclass(frozen=True)
 class Answer:
-    """How a request ended: kind is DONE or REFUSED."""
+    """How a request ended: kind is DONE or REFUSED; ACCEPTED if it was not done by the deadline."""
 
     target: int
     kind: str
@@ -41,6 +45,7 @@ class Commander:
         self.port = port
         self._count = 0
         self._waiting: dict[int, asyncio.Future[Answer]] = {}
+        self._accepted: dict[int, None] = {}
         self._acknowledged: dict[int, dict[int, None]] = {}
         port.handlers[ANSWER.number] = self._answered
 
@@ -59,16 +64,24 @@ class Commander:
                     body = encode([verb, arguments, ends - clock.now()])
                     self.port.send(REQUEST, (target,), body, number, f"{self.port.incarnation:x}", 0, attempt)
                     attempt += 1
-                    await asyncio.wait([future], timeout=RESEND)
+                    await asyncio.wait([future], timeout=AGAIN if number in self._accepted else RESEND)
                 return future.result()
         except TimeoutError:
+            if number in self._accepted:
+                return Answer(target, ACCEPTED, f"not done within {deadline:g} s")
             text = f"drone {target}: no answer to {verb!r} within {deadline:g} s; is its agent running?"
             raise TimeoutError(text) from None
         finally:
             del self._waiting[number]
+            self._accepted.pop(number, None)
 
-    async def emergency_stop(self, targets: list[int], clear: bool = False, deadline: float = 10.0) -> list[int]:
-        """Stop (or clear the stop of) all targets, resent until each acknowledges; returns those that did not."""
+    async def emergency_stop(
+        self, targets: list[int], clear: bool = False, deadline: float = 10.0, alone: bool = False
+    ) -> list[int]:
+        """Stop (or clear the stop of) all targets, resent until each acknowledges; returns those that did not.
+
+        alone: the stop is not one of the swarm: the motors of these stop, and it need not be cleared.
+        """
         self._count += 1
         number = self._count
         answered = self._acknowledged[number] = {}
@@ -78,7 +91,8 @@ class Commander:
             while missing := [j for j in targets if j not in answered]:
                 if clock.now() > ends:
                     break
-                self.port.send(ESTOP, tuple(missing), encode(clear), number, f"{self.port.incarnation:x}")
+                body = encode(ALONE if alone else clear)
+                self.port.send(ESTOP, tuple(missing), body, number, f"{self.port.incarnation:x}")
                 await clock.sleep(RESEND)
             return missing
         finally:
@@ -95,7 +109,11 @@ class Commander:
         except (CodecError, TypeError, ValueError):
             self.port.counters.malformed += 1
             return
-        if future is not None and not future.done() and kind != ACCEPTED:
+        if future is None or future.done():
+            return
+        if kind == ACCEPTED:
+            self._accepted[number] = None
+        else:
             future.set_result(Answer(source, kind, detail))
 
 
@@ -162,9 +180,11 @@ class CommandServer:
         key = (source, channel, number)
         if key not in self._answers:
             try:
-                clear = decode(payload) is True
+                said = decode(payload)
             except CodecError:
-                clear = False
-            self.port.bus.stopped = not clear
+                said = None
+            clear = said is True
+            if said != ALONE:
+                self.port.bus.stopped = not clear
             self.on_stop(not clear)
         self._answer(key, DONE, None)

@@ -4,6 +4,8 @@ import json
 from pathlib import Path
 from typing import Any
 
+import msgspec
+
 from crazychoir.cli.show import require_drawable
 from crazychoir.errors import ConfigError, Refused
 from crazychoir.guidance.mission import Mission, has, load
@@ -125,6 +127,15 @@ def _check_only(only: str, what: str, own_file: bool, given: dict[str, Any]) -> 
     for option, value in given.items():
         if value:
             raise ConfigError("--only", f"{option} beside it", f"no {option}: it is for a whole swarm on this machine")
+
+
+def with_operator(config: SwarmConfig, wait: bool, fast: bool) -> SwarmConfig:
+    """The swarm whose drones wait for an operator, if `--wait` or its file says so; nobody commands virtual time."""
+    waits = wait or config.flight.operator
+    if waits and fast:
+        found = "--wait" if wait else "[flight] operator = true"
+        raise ConfigError("--fast", found, "virtual time, which no operator can command", "Leave one of them out.")
+    return config.replace(flight={**msgspec.to_builtins(config.flight), "operator": True}) if waits else config
 
 
 def to_start(only: str | None, config: SwarmConfig) -> tuple[int, ...]:

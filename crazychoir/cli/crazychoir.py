@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from crazychoir.cli import ending, look, param, plot, simulate, solve, task
+from crazychoir.cli import ending, look, orders, param, plot, simulate, solve, task
 from crazychoir.cli.show import (
     STDOUT,
     Progress,
@@ -27,9 +27,10 @@ app = typer.Typer(add_completion=False, no_args_is_help=True, help="Swarms that 
 app.command()(solve.solve)
 app.command()(simulate.simulate)
 app.command()(plot.plot)
-for command in (look.topics, look.echo, look.hz, look.status, look.impair, look.stop):
+for command in (look.topics, look.echo, look.hz, look.status, look.impair, orders.stop):
     app.command()(command)
-
+for verb in orders.TEXTS:
+    app.command(name=verb)(orders.order(verb, orders.LONGEST[verb]))
 
 app.add_typer(param.app, name="param")
 app.add_typer(task.app, name="task")
@@ -56,6 +57,9 @@ def run(
     seed: Annotated[int | None, typer.Option(help="Seed, instead of the swarm file's.")] = None,
     swarm: Annotated[str | None, typer.Option(help="Swarm file for a mission.")] = None,
     force: Annotated[bool, typer.Option(help="Fly a formation that is very slow.")] = False,
+    wait: Annotated[
+        bool, typer.Option("--wait", help="Wait for an operator: `crazychoir take-off`, then `start`.")
+    ] = False,
     picture: Annotated[Path | None, typer.Option(help="Where to draw the picture (PNG).")] = None,
     record: Annotated[Path | None, typer.Option(help="New file to record the flight into (.mcap).")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object, nothing else.")] = False,
@@ -68,6 +72,7 @@ def run(
         named_file,
         to_run,
         to_start,
+        with_operator,
     )
     from crazychoir.guidance.mission import has
     from crazychoir.launch.flight import fly_fast, fly_real
@@ -80,6 +85,7 @@ def run(
         check_options(what, swarm, only, given)
         with prints_aside():
             config, mission = to_run(what, drones, swarm, loss, seed)
+            config = with_operator(config, wait, fast)
             check_picture(mission, picture)
             started = to_start(only, config)
             warned = mission.check(config, force) if has(mission, "check") else []
@@ -93,7 +99,7 @@ def run(
                     else:
                         source = named_file(what, swarm)
                         with swarm_file(config) as path, recorded(Run(config.name, what, source, str(path))):
-                            progress.say(f"Look into it (or echo, hz, impair, stop): crazychoir status --swarm {path}")
+                            progress.say(f"Look into it (or echo, hz, land, stop): crazychoir status --swarm {path}")
                             flags = ["--force"] if force else []
                             result = fly_real(path, config, mission, flags, progress, progress.say, started, file)
             result["picture"] = _drawn(mission, config, result, picture)

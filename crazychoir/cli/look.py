@@ -1,4 +1,4 @@
-"""Look into a running swarm, and change its simulated network: topics, echo, hz, status, impair, stop."""
+"""Look into a running swarm, and change its simulated network: topics, echo, hz, status, impair."""
 
 import signal
 from functools import partial
@@ -157,20 +157,6 @@ def impair(
     answers = looking(swarm, work, as_json)
     shown = answers if as_json else {i: (done, _in_words(said)) for i, (done, said) in answers.items()}
     _conclude(shown, ("drone", "simulated network"), as_json)
-
-
-def stop(
-    swarm: SwarmOption = None,
-    land: Annotated[bool, typer.Option(help="Land instead of cutting the motors.")] = False,
-    clear: Annotated[bool, typer.Option(help="Clear an emergency stop.")] = False,
-    as_json: JsonOption = False,
-) -> None:
-    """Emergency stop of all drones: motors off, until cleared; or --land. Exit code 0 only if all have obeyed."""
-
-    async def work(window: "Window") -> "Answers":
-        return await (window.request("land") if land else window.emergency_stop(clear))
-
-    _conclude(looking(swarm, work, as_json), ("drone", "answer"), as_json)
 
 
 def _conclude(answers: "Answers", heads: tuple[str, str], as_json: bool) -> None:

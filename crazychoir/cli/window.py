@@ -4,7 +4,7 @@ import asyncio
 from collections.abc import Awaitable, Callable, Iterable, Mapping
 from typing import Any
 
-from crazychoir.bus.commands import DONE, Answer, Commander
+from crazychoir.bus.commands import ACCEPTED, DONE, REFUSED, Answer, Commander
 from crazychoir.bus.local import BODIES, OBSERVER
 from crazychoir.bus.topics import Topic
 from crazychoir.bus.zenoh import ZenohLink
@@ -20,7 +20,7 @@ from crazychoir.swarm.graph import span
 
 DISCOVERY = 4.0
 """s to find the swarm's processes."""
-ABSENT = "absent"
+ABSENT, SILENT = "absent", "silent"
 
 Work = Callable[["Window"], Awaitable[Any]]
 Answers = dict[int, tuple[bool, Any]]
@@ -71,19 +71,36 @@ class Window:
         """Ask these drones; None: every drone of the swarm."""
         return await self._ask(lambda i: self._request(i, verb, arguments), drones)
 
-    async def emergency_stop(self, clear: bool) -> Answers:
-        """Stop every drone of the swarm, or clear the stop; and every body that a world's owner has, by itself.
+    async def order(self, verb: str, drones: Iterable[int] | None, seconds: float) -> Answers:
+        """Command these drones in flight, None: all; a command that takes longer than so many s is left ACCEPTED.
+
+        Says of each its answer and its words, as "refused" and the reason.
+        """
+        return await self._ask(lambda i: self._order(i, verb, seconds), drones)
+
+    async def _order(self, i: int, verb: str, seconds: float) -> tuple[bool, Any]:
+        try:
+            answer = await self.commander.request(i, verb, seconds)
+        except TimeoutError:
+            return False, (SILENT, f"no answer within {seconds:g} s; is its agent running?")
+        return answer.kind == DONE, (answer.kind, str(answer.detail or ""))
+
+    async def emergency_stop(self, clear: bool, drones: Iterable[int] | None = None) -> Answers:
+        """Stop these drones, None: the swarm; or clear the stop. Every body that a world's owner has is stopped too.
 
         So a drone falls whose agent is gone, or hangs: it has not obeyed, and it is said that its body has.
+        A stop of some drones is theirs alone; one of the swarm keeps all on the ground until it is cleared.
         """
-        targets = [BODIES + i for i in self.config.owned]
-        bodies = asyncio.ensure_future(self.commander.emergency_stop(targets, clear, DISCOVERY))
+        meant = tuple(self.config.ids if drones is None else drones)
+        owned, alone = [i for i in self.config.owned if i in meant], drones is not None and not clear
+        targets = [BODIES + i for i in owned]
+        bodies = asyncio.ensure_future(self.commander.emergency_stop(targets, clear, DISCOVERY, alone))
         try:
-            answers = await self._ask(lambda i: self._stop(i, clear))
+            answers = await self._ask(lambda i: self._stop(i, clear, alone), meant)
             missing = await bodies
         finally:
             bodies.cancel()
-        for i in self.config.owned:
+        for i in owned:
             obeyed, said = answers[i]
             silent = BODIES + i in missing
             if silent or not obeyed:
@@ -96,12 +113,14 @@ class Window:
             answer: Answer = await self.commander.request(i, verb, **arguments)
         except TimeoutError as error:
             return False, str(error)
-        if answer.kind != DONE:
+        if answer.kind == ACCEPTED:
+            return False, f"accepted, {answer.detail}"
+        if answer.kind == REFUSED:
             return False, f"refused: {answer.detail}"
         return True, "acknowledged" if answer.detail is None else answer.detail
 
-    async def _stop(self, i: int, clear: bool) -> tuple[bool, Any]:
-        missing = await self.commander.emergency_stop([i], clear=clear)
+    async def _stop(self, i: int, clear: bool, alone: bool) -> tuple[bool, Any]:
+        missing = await self.commander.emergency_stop([i], clear=clear, alone=alone)
         return not missing, "no acknowledgement" if missing else "acknowledged"
 
     async def _ask(

@@ -199,6 +199,7 @@ class CFGuidance:
         if pilot.awaits_start:
             await self._told("start", UNCOMMANDED, lambda: pilot.awaits_start)
             await self.rendezvous("started")
+            await self.member.communicator.close("started")
 
     async def _told(self, gate: str, seconds: float, waits: Callable[[], bool]) -> None:
         """Wait for a command of the operator, as long as `waits` says so; Interrupted after so many s without it."""

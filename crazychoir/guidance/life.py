@@ -79,6 +79,12 @@ class GuidanceActor(Actor):
             self._life.cancel()
 
     @property
+    def over(self) -> str:
+        """Why the mission is over; empty if it is not."""
+        ended = self._life is not None and self._life.done()
+        return self._aborted or ("it has ended" if ended else "")
+
+    @property
     def _aborted(self) -> str:
         """Why the mission was aborted; empty if it was not."""
         return self._abort.result() if self._abort.done() else ""

@@ -105,6 +105,7 @@ class OnlinePDVRPGuidance(CFGuidance):
 
     async def mission(self) -> dict[str, Any]:
         """Fly, gossip, hear and plan, until the team agrees that nothing is left to do."""
+        await self.wait_for_start()
         try:
             async with asyncio.TaskGroup() as group:
                 work = self.news.gossip(), self.source.hear(), self._fly()

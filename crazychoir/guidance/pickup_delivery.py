@@ -36,6 +36,7 @@ class PDVRPGuidance(CFGuidance):
         route = solution.routes[0] if solution.routes else Route(self.id, (), 0.0)
         self.member.report = lambda: {"task": "agreeing on start times", "cost": solution.cost}
         delays = await self.agree_on_start(route)
+        await self.wait_for_start()
         if route.stops:
             await self.fly_route(route, delays[self.id], solution)
         else:

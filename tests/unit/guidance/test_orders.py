@@ -1,0 +1,236 @@
+"""What operators command in flight, in virtual time: whole drones, and an operator at an address of an observer."""
+
+import asyncio
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from crazychoir.agent import Agent
+from crazychoir.bus.commands import ACCEPTED, DONE, REFUSED, Commander
+from crazychoir.bus.local import OBSERVER
+from crazychoir.guidance import base
+from crazychoir.guidance.base import CFDistributedFeedback, CFGuidance
+from crazychoir.runtime.clock import run_virtual
+from crazychoir.safety.modes import Mode
+from crazychoir.swarm.config import SwarmConfig
+from crazychoir.types import Acceleration
+
+FLIGHT = {"takeoff_height": 0.4, "speed_limit": 2.0, "acceleration_limit": 4.0, "landing_speed": 0.6, "operator": True}
+
+
+class Stay(CFDistributedFeedback):
+    duration = 1.5
+
+    def height(self):
+        return 0.3 + 0.1 * self.id
+
+    def step(self, me, heard):
+        return Acceleration(-2.0 * me.v)
+
+
+class There(CFGuidance):
+    """To a place beside its home, and to another one for long."""
+
+    async def mission(self):
+        home = np.array(self.member.config.drone(self.id).home)
+        await self.take_off()
+        await self.go_to(home + np.array([0.0, 1.5, 0.8]))
+        await self.sleep(30.0)
+        await self.land()
+        return {"there": True}
+
+
+class Itself(CFGuidance):
+    """Takes off by itself, and only drone 0 does."""
+
+    async def mission(self):
+        await self.wait_for_start()
+        began = self.member.clock.now()
+        if self.id == 0:
+            await self.take_off()
+            await self.land()
+        return {"began": began}
+
+
+def config_of(n=3, **flight):
+    drones = [{"id": i, "home": [1.0 * i, 0.0, 0.0]} for i in range(n)]
+    fence = {"min": [-2.0, -2.0, 0.0], "max": [4.0, 4.0, 3.0]}
+    return SwarmConfig.of({"name": "a", "drones": drones, "flight": {**FLIGHT, **flight}, "fence": fence})
+
+
+class Operator:
+    """Commands, and what came of them."""
+
+    def __init__(self, agent):
+        self.agent, self.clock = agent, agent.clock
+        self.commander = Commander(agent.bus.port(OBSERVER, 0xF1))
+        self.highest = {}
+
+    async def order(self, verb, *drones, deadline=60.0):
+        """What each drone answers: kind and words; of one drone, its alone."""
+        ids = drones or self.agent.ids
+        answers = await asyncio.gather(*(self.commander.request(i, verb, deadline) for i in ids))
+        said = {i: (answer.kind, answer.detail) for i, answer in zip(ids, answers, strict=True)}
+        return said[drones[0]] if len(drones) == 1 else said
+
+    def pilot(self, i):
+        return self.agent.drones[i].pilot
+
+    def modes(self):
+        return [drone.pilot.mode for drone in self.agent.drones.values()]
+
+
+def play(guidance, scene, config=None):
+    """The scene beside a flight; the results of the flight."""
+    config = config_of() if config is None else config
+
+    async def main(clock):
+        agent = Agent(clock, config, SimpleNamespace(guidance=lambda i, config: guidance()), config.ids)
+        operator = Operator(agent)
+        flying = asyncio.create_task(agent.run())
+        await clock.sleep(1.0)
+        await scene(operator)
+        async with asyncio.timeout(200.0):
+            return await flying
+
+    return run_virtual(main)
+
+
+def test_a_run_waits_on_the_ground_for_its_take_off_and_in_the_air_for_its_start():
+    async def scene(operator):
+        refused = await operator.order("start")
+        assert refused[0] == (REFUSED, "it waits for its operator: take-off")
+        await operator.clock.sleep(5.0)
+        assert operator.modes() == [Mode.GROUND] * 3
+        assert await operator.order("take-off") == dict.fromkeys(range(3), (DONE, "hovering"))
+        assert await operator.order("take-off", 1) == (REFUSED, "it is in the air already")
+        await operator.clock.sleep(5.0)
+        assert operator.modes() == [Mode.HOVER] * 3
+        assert [operator.pilot(i).state.p[2] for i in range(3)] == pytest.approx([0.3, 0.4, 0.5], abs=0.02)
+        assert await operator.order("start") == dict.fromkeys(range(3), (DONE, "its mission goes on"))
+        await operator.clock.sleep(1.0)
+        assert operator.modes() == [Mode.FOLLOW] * 3
+        assert await operator.order("start", 0) == (REFUSED, "its mission has started")
+
+    results = play(Stay, scene)
+    assert all(result["success"] and result["references"] > 100 for result in results.values()), results
+
+
+def test_those_who_are_told_later_join():
+    async def scene(operator):
+        await operator.order("take-off", 0)
+        await operator.order("start", 0)
+        await operator.clock.sleep(61.0)
+        assert operator.modes() == [Mode.HOVER, Mode.GROUND]
+        await operator.order("take-off", 1)
+        assert await operator.order("start", 1) == (DONE, "its mission goes on")
+
+    assert all(result["success"] for result in play(Stay, scene, config_of(2)).values())
+
+
+def test_a_mission_that_takes_off_by_itself_waits_on_the_ground_for_its_start():
+    async def scene(operator):
+        assert await operator.order("take-off", 0) == (REFUSED, "it waits for its operator: start")
+        await operator.clock.sleep(10.0)
+        await operator.order("start", 0)
+        await operator.clock.sleep(5.0)
+        assert operator.modes() == [Mode.GROUND] * 3
+        await operator.order("start", 1, 2)
+
+    results = play(Itself, scene)
+    assert all(result["success"] and 15.9 < result["began"] < 16.5 for result in results.values()), results
+
+
+def test_an_operator_who_never_comes_ends_the_run_on_the_ground_or_lands_it(monkeypatch):
+    monkeypatch.setattr(base, "UNCOMMANDED", 5.0)
+    monkeypatch.setattr(base, "PATIENCE", 8.0)
+
+    async def take_off_one(operator):
+        await operator.order("take-off", 1)
+
+    results = play(Stay, take_off_one, config_of(2))
+    assert results[0]["reason"] == "drone 0: no take-off by its operator within 5 s"
+    assert results[1]["reason"] == "drone 1: no start by its operator within 8 s"
+
+
+def test_hold_freezes_and_go_frees():
+    async def scene(operator):
+        await operator.order("take-off")
+        await operator.order("start")
+        await operator.clock.sleep(0.7)
+        assert operator.modes() == [Mode.FOLLOW] * 3
+        assert await operator.order("hold", 0) == (DONE, "held")
+        await operator.clock.sleep(5.0)
+        assert operator.pilot(0).state.p[1] < 1.0
+        assert operator.pilot(1).state.p[1] == pytest.approx(1.5, abs=0.05)
+        said = {0: (DONE, "goes on"), 1: (DONE, "was not held"), 2: (DONE, "was not held")}
+        assert await operator.order("go") == said
+        await operator.clock.sleep(5.0)
+        assert operator.pilot(0).state.p[1] == pytest.approx(1.5, abs=0.05)
+        assert await operator.order("land", 0, deadline=0.5) == (ACCEPTED, "not done within 0.5 s")
+        assert await operator.order("hold", 0) == (REFUSED, "it is landing")
+
+    results = play(There, scene)
+    assert results[0] == {"success": False, "reason": "landed on command"}
+    assert results[1] == {"success": True, "there": True}
+
+
+def test_home_is_above_the_others_each_at_its_level_and_lands_where_it_took_off():
+    async def scene(operator):
+        await operator.order("take-off")
+        await operator.order("start")
+        await operator.clock.sleep(6.0)
+        returning = asyncio.create_task(operator.order("home"))
+        highest = dict.fromkeys(range(3), 0.0)
+        while not returning.done():
+            await operator.clock.sleep(0.05)
+            for i in highest:
+                highest[i] = max(highest[i], operator.pilot(i).state.p[2])
+        assert await returning == dict.fromkeys(range(3), (DONE, "on ground"))
+        assert list(highest.values()) == pytest.approx([0.8, 1.4, 2.0], abs=0.05)
+        places = [operator.pilot(i).state.p for i in range(3)]
+        assert np.array(places) == pytest.approx(np.array([[i, 0.0, 0.0] for i in range(3)]), abs=0.05)
+        assert await operator.order("home", 0) == (REFUSED, "it is on the ground")
+
+    assert {r["reason"] for r in play(There, scene).values()} == {"sent home on command"}
+
+
+def test_a_return_may_be_held_and_goes_on():
+    async def scene(operator):
+        await operator.order("take-off", 0)
+        await operator.order("start", 0)
+        await operator.clock.sleep(6.0)
+        returning = asyncio.create_task(operator.order("home", 0))
+        await operator.clock.sleep(0.9)
+        assert operator.modes()[0] is Mode.RETURN
+        await operator.order("hold", 0)
+        await operator.clock.sleep(35.0)
+        assert operator.modes()[0] is Mode.HOVER, "longer than a landing may take"
+        assert operator.pilot(0).state.p[1] > 0.2
+        await operator.order("go", 0)
+        assert operator.modes()[0] is Mode.RETURN
+        assert await returning == (DONE, "on ground")
+        assert operator.pilot(0).state.p == pytest.approx(np.zeros(3), abs=0.05)
+
+    play(There, scene, config_of(1))
+
+
+def test_without_an_operator_missions_fly_by_themselves_and_say_so():
+    async def scene(operator):
+        for verb in ("take-off", "start"):
+            kind, why = await operator.order(verb, 0)
+            assert kind == REFUSED
+            assert "it is in the air already" in why or "crazychoir run --wait" in why
+        await operator.order("land")
+
+    play(There, scene, config_of(1, operator=False))
+
+
+def test_what_is_over_does_not_begin_again():
+    async def scene(operator):
+        assert (await operator.order("land", 0)) == (DONE, "on ground")
+        assert await operator.order("take-off", 0) == (REFUSED, "its mission is over: landed on command")
+        await operator.order("land")
+
+    assert play(Stay, scene)[0] == {"success": False, "reason": "landed on command"}
