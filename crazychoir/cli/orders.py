@@ -71,7 +71,8 @@ def stop(
 def _row(said: "tuple[str, str] | list[str] | str") -> dict[str, str]:
     if not isinstance(said, str):
         return {"answer": said[0], "says": said[1]}
-    return {"answer": ABSENT, "says": ""} if said == ABSENT else {"answer": SILENT, "says": said}
+    absent = said.startswith(ABSENT)
+    return {"answer": ABSENT if absent else SILENT, "says": said.removeprefix(ABSENT).lstrip("; ")}
 
 
 def _conclude(rows: Rows, as_json: bool) -> None:

@@ -129,7 +129,7 @@ class Orders:
         await touch_down(pilot, LANDING_DEADLINE + PATIENCE)
         if pilot.mode is not Mode.GROUND:
             self._refuse(f"{pilot.mode.value}: {pilot.note}")
-        return pilot.mode.value
+        return str(pilot.mode.value)
 
 
 class _Others:

@@ -41,6 +41,7 @@ from crazychoir.safety.modes import (
     RETURN,
     TAKEOFF,
     Event,
+    Mode,
     after,
     refusal,
 )
@@ -135,7 +136,7 @@ class Pilot(Actor):
         self.reference_limits = ReferenceLimits(limits, self.controls.gains)
         self.clock, self._stages = port.bus.clock, port.bus.stages
         self.drone = port.address
-        self.mode = GROUND
+        self.mode: Mode = GROUND
         self.state: State | None = None
         self.note = ""
         self.brought_down = ""

@@ -119,6 +119,10 @@ class Team:
         self._read = len(said)
         return [status for status in self._statuses if drone in (None, status["drone"])]
 
+    def newest(self) -> list[dict[str, Any]]:
+        """The last status of every drone; of one that has not been heard of, an empty one."""
+        return [(self.statuses(i) or [{"phase": "", "task": ""}])[-1] for i in self.config.ids]
+
     def planning_round(self) -> int:
         """The highest round that was seen in planning; -1 as soon as somebody goes on."""
         seen = self.statuses()

@@ -213,7 +213,7 @@ def test_who_is_absent_at_the_start_is_named(four):
 
 @pytest.mark.parametrize(
     "words",
-    [["echo", "state", "--seconds", "1"], ["hz", "state"], ["status"], ["impair", "--loss", "0.3"], ["stop", "--land"]],
+    [["echo", "state", "--seconds", "1"], ["hz", "state"], ["status"], ["impair", "--loss", "0.3"], ["land"], ["stop"]],
 )
 def test_looking_into_a_swarm_that_does_not_run(here, four, monkeypatch, words):
     monkeypatch.setattr(window, "DISCOVERY", 0.1)
@@ -239,11 +239,14 @@ def look_here(here):
 
 
 @contextlib.asynccontextmanager
-async def flown_by(program, path, config, folder):
-    """All drones in the air, flown by `crazychoir run` or by one `crazychoir-agent`; the program and its observer."""
+async def flown_by(program, path, config, folder, command=None):
+    """All drones in the air, flown by `crazychoir run` or by one `crazychoir-agent`; the program and its observer.
+
+    command: an operator's part in it, awaited with the observer.
+    """
     ids = [word for i in config.ids for word in ("--id", str(i))]
-    command = (*AGENT, "--swarm", path, "--json", *ids) if program == "agent" else (*CRAZYCHOIR, "run", path, "--json")
-    flying = await Program.start(*command)
+    words = (*AGENT, "--swarm", path, "--json", *ids) if program == "agent" else (*CRAZYCHOIR, "run", path, "--json")
+    flying = await Program.start(*words)
     team = None
     try:
         if program == "run":
@@ -251,6 +254,8 @@ async def flown_by(program, path, config, folder):
             config = SwarmConfig.load(said.rsplit(" ", 1)[1])
         team = Team(config, folder, lambda i: [])
         await team.look()
+        if command is not None:
+            await command(team)
         await team.phase("mission", "hovering", seconds=60.0)
         yield flying, team
     finally:
@@ -260,9 +265,16 @@ async def flown_by(program, path, config, folder):
 
 
 @pytest.mark.timeout(240)
-async def test_looking_into_a_swarm_that_runs_then_landing_it(look_here, four, tmp_path, compiled):
-    path, config = four
-    async with flown_by("agent", path, config, tmp_path) as (agent, team):
+async def test_operating_and_looking_into_a_swarm_that_runs_then_landing_it(look_here, four, tmp_path, compiled):
+    path, config = written(four[0], four[1].replace(flight={**BRISK, "operator": True}))
+
+    async def command(team):
+        for verb, says in (("take-off", "hovering"), ("start", "its mission goes on")):
+            await until(lambda: all(s["task"].endswith(verb) for s in team.newest()), 40.0)
+            said = await look_here(verb, "--json", "--swarm", path)
+            assert (said.code, said.json) == (0, dict.fromkeys("0123", {"answer": "done", "says": says}))
+
+    async with flown_by("agent", path, config, tmp_path, command) as (agent, team):
         await until(lambda: all(team.statuses(i)[-1]["phase"] == "mission" for i in (2, 3)), 20.0)
         said = await look_here("status", "--swarm", path, "--json")
         phases = {i: row["phase"] for i, row in said.json.items()}
@@ -284,8 +296,12 @@ async def test_looking_into_a_swarm_that_runs_then_landing_it(look_here, four, t
         said = await look_here("param", "get", "control.kr", "--json", "--swarm", path)
         kept = {"control.kr": [8.0, 8.0, 4.0]}
         assert said.json == {"0": kept, "1": kept, "2": {"control.kr": [7.0, 7.0, 4.0]}, "3": kept}
-        said = await look_here("stop", "--land", "--json", "--swarm", path)
-        assert (said.code, said.json) == (0, dict.fromkeys("0123", "acknowledged"))
+        said = await look_here("hold", "--drones", "2-3", "--json", "--swarm", path)
+        assert (said.code, said.json) == (0, dict.fromkeys("23", {"answer": "done", "says": "held"}))
+        said = await look_here("start", "--drones", "2", "--json", "--swarm", path)
+        assert (said.code, said.json) == (1, {"2": {"answer": "refused", "says": "its mission has started"}})
+        said = await look_here("land", "--json", "--swarm", path)
+        assert (said.code, said.json) == (0, dict.fromkeys("0123", {"answer": "done", "says": "on ground"}))
         ended = await agent.end(40.0)
         assert ended["code"] == 1
         assert "land" in ended["results"]["2"]["reason"]
@@ -305,7 +321,8 @@ async def test_beside_an_agent_that_waits(look_here, four, compiled):
         assert "Traceback" not in second.text
         assert "flies drone(s) 0 too" in second.text
         said = await look_here("stop", "--json", "--swarm", path)
-        expected = {"0": "acknowledged", "1": "acknowledged", "2": "absent", "3": "absent"}
+        off, gone = {"answer": "done", "says": "motors off"}, {"answer": "absent", "says": ""}
+        expected = {"0": off, "1": off, "2": gone, "3": gone}
         assert (said.code, said.json) == (1, expected), said
     finally:
         await agent.kill()

@@ -274,7 +274,7 @@ async def stop_restart_and_clear(folder: Path) -> None:
     config = apart(standing(folder, 60.0, drones=2), None)
     async with flying(config, folder) as team:
         await team.law()
-        assert (await stop(team)).count("acknowledged") == 2
+        assert (await stop(team)).count("motors off") == 2
         await until(lambda: all(team.statuses(i)[-1]["phase"] == "stopped" for i in config.ids), 3.0)
         team.agents[1].signal(signal.SIGKILL)
         await team.agents[1].process.wait()
@@ -284,7 +284,7 @@ async def stop_restart_and_clear(folder: Path) -> None:
         await until(lambda: len(team.statuses(1)) > before + 8, 10.0)
         assert {status["phase"] for status in team.statuses(1)[before:]} == {"on ground"}
         assert team.agents[0].process.returncode is None
-        assert (await stop(team, "--clear")).count("acknowledged") == 2
+        assert (await stop(team, "--clear")).count("cleared") == 2
         first = await team.agents[0].end(10.0)
         assert first["code"] == 1
         assert "emergency stop" in first["results"]["0"]["reason"]
