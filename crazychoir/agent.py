@@ -10,7 +10,7 @@ from typing import Any
 
 from crazychoir.bus.commands import CommandServer
 from crazychoir.bus.local import Bus
-from crazychoir.bus.topics import LOG, POSE, RESULT, STATUS
+from crazychoir.bus.topics import LOG, POSE, RESULT, STATUS, TELEMETRY
 from crazychoir.control.choice import Controls, controls
 from crazychoir.control.margin import Plant as PlantKind
 from crazychoir.errors import Refused
@@ -19,6 +19,7 @@ from crazychoir.guidance.life import GuidanceActor
 from crazychoir.guidance.mission import Mission, mission_hash
 from crazychoir.guidance.orders import VERBS as ORDERS
 from crazychoir.guidance.orders import Orders
+from crazychoir.guidance.sensors import Sensors
 from crazychoir.platforms import platform
 from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import Clock
@@ -27,6 +28,7 @@ from crazychoir.runtime.watchdog import Stall, Watchdog
 from crazychoir.safety.guard import Fence
 from crazychoir.safety.pilot import Pilot, filter_of
 from crazychoir.simulation.remote import OwnerWatch, RemoteLink
+from crazychoir.simulation.telemetry import names_of
 from crazychoir.simulation.trace import Trace
 from crazychoir.simulation.world import Link
 from crazychoir.swarm.checks import LIGHTWEIGHT
@@ -133,7 +135,7 @@ class Agent:
             self._remotes[i].found_flying = pilot.take_over
         supervisor = self._supervisor(i)
         guidance = self.mission.guidance(i, config)
-        drone = Drone(i, port, barrier, communicator, pilot, guidance, supervisor, harm)
+        drone = Drone(i, port, barrier, communicator, pilot, guidance, supervisor, harm, self._sensors(i))
         CommandServer(port, partial(self._execute, drone), partial(self._stop, drone))
         return drone
 
@@ -153,6 +155,11 @@ class Agent:
             return self._remotes[i], self._remotes[i].harm
         owner = self._owner_of[i]
         return owner.link(i, kind), partial(owner.world.harm, i)
+
+    def _sensors(self, i: int) -> Sensors:
+        ask = self._remotes[i].ask if i in self._remotes else partial(self._owner_of[i].telemetry.ask, i)
+        body = self.config.source(TELEMETRY, i) if i in self.owned else i
+        return Sensors(self.bus.ports[i], body, names_of(self.config.drone(i).uri), ask)
 
     def _supervisor(self, i: int) -> Supervisor:
         return Supervisor(self.clock, f"drone {i}", lambda actor, error, again: self._failed(i, actor, error, again))

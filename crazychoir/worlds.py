@@ -4,6 +4,7 @@ import logging
 import math
 from collections import deque
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -86,9 +87,12 @@ class WorldProcess(Actor):
         note, flight = Latency(owner, self.latencies_ns).note, self._config.flight
         kinds = {i: self._config.control_of(i).sender for i in owner.world.ids}
         return [
-            RemoteBody(self.bus.ports[BODIES + i], owner.world, owner.link(i, kind), kind, note, flight)
+            RemoteBody(
+                self.bus.ports[BODIES + i], owner.world, owner.link(i, kind), kind, note, flight,
+                partial(owner.telemetry.ask, i),
+            )
             for i, kind in kinds.items()
-        ]
+        ]  # fmt: skip
 
     async def serve(self, *services: Actor) -> None:
         """Until its end."""

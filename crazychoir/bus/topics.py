@@ -74,6 +74,7 @@ STATUS = Topic(6, "status", Status, 4, 2.0, 0, Class.CONTROL, latched=True, impa
 RESULT = Topic(7, "result", dict, 0, NEVER_STALE, 0, Class.BULK, latched=True, impaired=False)
 LOG = Topic(8, "log", str, 0, NEVER_STALE, 256, Class.BULK, impaired=False)
 BODY = Topic(9, "body", Body, 4, 1.0, 0, Class.CONTROL, latched=True, impaired=False, of_body=True)
+TELEMETRY = Topic(11, "telemetry", dict, 100, 0.25, 0, Class.CONTROL, impaired=False, of_body=True)
 # From a drone to its body, where that is in another process: COMMAND, and instead of it from the cut on
 CUT = Topic(10, "cut", None, 0, NEVER_STALE, 0, Class.CONTROL, impaired=False, wire="edge")
 # Along the edges of the graph.
@@ -89,7 +90,7 @@ ESTOP = Topic(26, "estop", None, 0, NEVER_STALE, 0, Class.ESTOP, impaired=False,
 HELLO = Topic(32, "hello", None, 1, NEVER_STALE, 0, Class.ROUNDS, impaired=False, wire="process")
 
 TOPICS = (
-    POSE, STATE, REFERENCE, COMMAND, TRUTH, STATUS, RESULT, LOG, BODY, CUT,
+    POSE, STATE, REFERENCE, COMMAND, TRUTH, STATUS, RESULT, LOG, BODY, TELEMETRY, CUT,
     ROUND, HEARTBEAT, ROSTER, ACK, REQUEST, ANSWER, ESTOP, HELLO,
 )  # fmt: skip
 BY_NAME = {topic.name: topic for topic in TOPICS}

@@ -14,6 +14,7 @@ from crazychoir.bus.topics import STATE
 from crazychoir.control.position import HEADROOM
 from crazychoir.errors import ConfigError, CrazyChoirError, Refused
 from crazychoir.guidance.hearing import Hearing, VelocitySum
+from crazychoir.guidance.sensors import Readings, Sensors
 from crazychoir.optimization.checks import require_graph
 from crazychoir.planning.feasibility import Limits, check
 from crazychoir.planning.trajectory import Trajectory
@@ -71,6 +72,7 @@ class Member:
     announce: Callable[[], None] = lambda: None  # publishes the status now, not at its next tick
     ended: str = ""
     """Why the mission is over; from then on it flies no more, whatever it catches and goes on with."""
+    sensors: Sensors | None = None
     gate: str = ""
     """The command of its operator, of GATES, that the mission waits for."""
     rise: float | None = None
@@ -126,6 +128,18 @@ class CFGuidance:
         """The newest estimate of this drone's own state."""
         state = self.member.pilot.state
         return State.at(self.member.config.drone(self.id).home) if state is None else state
+
+    def log(self, *names: str, period: float = 0.1) -> Readings:
+        """What this drone's sensors say, by the firmware's names: `self.log("pm.vbat", period=0.5)["pm.vbat"]`, V.
+
+        A new value comes every `period` s, a multiple of 0.01 s up to 2.55 s, and `age(name)` says how old it is. None
+        before the first, and when three are missing. The same call again returns the same readings.
+        On the radio 26 bytes, as six floats, fit into one packet: ask for few, and seldom.
+        Raises ConfigError for names that its platform does not have, with the nearest that it has.
+        """
+        if self.member.sensors is None:
+            raise ConfigError(f"drone {self.id}: log", ", ".join(names), "nothing: this drone has no sensors")
+        return self.member.sensors.log(names, period)
 
     # Talking --------------------------------------------------------------------------------------------------
 

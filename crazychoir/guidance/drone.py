@@ -7,6 +7,7 @@ from typing import Any
 from crazychoir.bus.local import Port
 from crazychoir.bus.presence import Presence
 from crazychoir.guidance.base import CFGuidance
+from crazychoir.guidance.sensors import Sensors
 from crazychoir.runtime.supervisor import Supervisor
 from crazychoir.safety.pilot import Pilot
 from crazychoir.swarm.communicator import Communicator
@@ -30,6 +31,7 @@ class Drone:
     supervisor: Supervisor
     harm: Callable[[], str] = str
     """Says what has happened to its body; empty if nothing has, or nobody knows."""
+    sensors: Sensors | None = None
     result: dict[str, Any] = field(default_factory=dict)
     waits: str = ""
     """What it waits for now that its mission is over."""

@@ -104,6 +104,7 @@ class GuidanceActor(Actor):
         if drone.port.bus.stopped:
             raise Refused(f"drone {drone.id}", STOPPED)
         member = Member(drone.id, self.config, drone.port.bus.clock, drone.communicator, drone.pilot, self.watchdog)
+        member.sensors = drone.sensors
         member.announce = lambda: drone.port.publish(STATUS, drone.status())
         self._member = member
         drone.guidance.bind(member)

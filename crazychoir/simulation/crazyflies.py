@@ -1,6 +1,6 @@
 """Whole Crazyflies: the motor-level world with the firmware on board of each drone, one compiled pass a step."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,7 @@ from crazychoir.simulation.floor import stand
 from crazychoir.simulation.imu import measure
 from crazychoir.simulation.motor_control import CONTROLS, CrazyflieLink
 from crazychoir.simulation.motors import H, MotorWorld, keys, whole
+from crazychoir.simulation.onboard.logs import TABLE, read
 from crazychoir.simulation.onboard.loop import stabilize
 from crazychoir.simulation.onboard.onboard import Onboard
 from crazychoir.simulation.onboard.record import OUT_OF_TREE, Fleet, fleet, rows
@@ -121,6 +122,15 @@ class CrazyflieWorld(MotorWorld):
         told = self._told[i] = self._told[i] + 1
         if told % self._told_every[i] == 0:
             self.onboard[i].external_pose(pose.p, pose.q)
+
+    @property
+    def variables(self) -> Iterable[str]:
+        """What its drones log."""
+        return TABLE
+
+    def log(self, i: int, name: str) -> float:
+        """A log variable of drone i now, in the firmware's unit."""
+        return read(self._firmware, self.row[i], name)
 
     def command(self, i: int, u: Vec | Sequence[float]) -> None:
         """A set-point for drone i: u (4,) = thrust N, body rates rad/s; its firmware must be in rate mode."""

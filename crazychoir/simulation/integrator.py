@@ -1,7 +1,7 @@
 """The lightweight world: the paper's quadrotor model, integrated by an explicit Runge-Kutta method of order 4."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Literal
 
 import numpy as np
@@ -9,6 +9,7 @@ import numpy as np
 from crazychoir.math3d import GRAVITY, Mat, Triple, Vec, clip, columns, dot, kernel, matrix, memory, real, table, vector
 from crazychoir.platforms import PAPER, Platform
 from crazychoir.simulation.links import EulerRatesLink, SimulatedLink
+from crazychoir.simulation.logs import LIGHT
 from crazychoir.simulation.truth import Truth
 from crazychoir.simulation.world import not_flown
 
@@ -225,6 +226,15 @@ class CFIntegrator(Truth):
     def cut(self, i: int) -> None:
         """Stop the motors of drone i for good."""
         self._alive[self.row[i]] = 0.0
+
+    @property
+    def variables(self) -> Iterable[str]:
+        """What its drones log."""
+        return LIGHT
+
+    def log(self, i: int, name: str) -> float:
+        """A log variable of drone i now, in the firmware's unit."""
+        return LIGHT[name](self.state(i))
 
     def step(self) -> None:
         """Advance every drone by dt."""

@@ -9,6 +9,7 @@ from crazychoir.math3d import Mat
 from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import SECOND, WORLD
 from crazychoir.simulation.delay import DelayedLink
+from crazychoir.simulation.telemetry import Telemetry
 from crazychoir.simulation.world import Link, World
 from crazychoir.types import Body, Pose
 
@@ -47,6 +48,7 @@ class WorldOwner(Actor):
         self.bus, self.world, self.cameras, self.trace = bus, world, cameras, trace
         self.ticks = bus.clock.ticks(1.0 / world.dt, WORLD)
         self._ports = {i: bus.ports[base + i] for i in world.ids}
+        self.telemetry = Telemetry(world, self._ports)
         self._delay, self._delayed = delay, dict[int, DelayedLink]()
         self._look_every = max(1, round(1.0 / (world.dt * rate)))
         self._truth_every = max(1, round(1.0 / (world.dt * TRUTH.rate)))
@@ -91,6 +93,8 @@ class WorldOwner(Actor):
         if self._tick % self._truth_every == 0:
             for i, port in self._ports.items():
                 port.publish(TRUTH, world.state(i), late)
+        if self.telemetry.every:
+            self.telemetry.step(self._tick, late)
         if self._tick % self._body_every == 0:
             for i, port in self._ports.items():
                 port.publish(BODY, Body(world.harm(i), self.flying(i)), late)

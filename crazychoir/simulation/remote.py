@@ -1,5 +1,6 @@
 """A drone and its body in two processes: the link at the drone's end, and what obeys it at the other."""
 
+import asyncio
 import logging
 import math
 from collections.abc import Callable, Mapping
@@ -8,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from crazychoir.bus.codec import encode
-from crazychoir.bus.commands import CommandServer
+from crazychoir.bus.commands import DONE, Commander, CommandServer
 from crazychoir.bus.local import BODIES, Port
 from crazychoir.bus.topics import BODY, COMMAND, CUT
 from crazychoir.errors import CodecError, Refused
@@ -28,6 +29,8 @@ GONE = 3.0
 """s of silence after which a world's owner does not come back: all its drones have stopped their motors by then."""
 LANDS = 1.0
 """s without a command after which a drone whose planner is on board, which would fly on for good, is told to land."""
+ASKS = 30.0
+"""s for which a drone asks for log variables until its world's owner answers."""
 PATIENT = 5.0
 """s after which a drone that waits for its world says so."""
 _NOTHING = encode(None)
@@ -43,6 +46,7 @@ class RemoteLink:
     def __init__(self, port: Port) -> None:
         self.port, self._body = port, BODIES + port.address
         self._cut = self._heard = False
+        self._commander, self._asking = Commander(port), list[asyncio.Task[None]]()
         self.found_flying: Callable[[], None] = lambda: None
         """Called once if the body is in the air before this link has sent anything: an agent before us flew it."""
         self._condition: Latest[Body] = Latest(port.bus.clock, f"drone {port.address} body", BODY.max_age)
@@ -62,6 +66,20 @@ class RemoteLink:
             self.cut()
         elif self._heard:
             self.port.send(COMMAND, (self._body,), encode(command))
+
+    def ask(self, names: tuple[str, ...], period: float) -> None:
+        """Let the body say these log variables; what it does not have is said in the log."""
+        asking = asyncio.get_running_loop().create_task(self._ask(names, period))
+        self._asking.append(asking)
+
+    async def _ask(self, names: tuple[str, ...], period: float) -> None:
+        try:
+            answer = await self._commander.request(self._body, "log", ASKS, names=list(names), period=period)
+        except TimeoutError:
+            log.error("drone %d: log: no answer of its world's owner within %g s", self.port.address, ASKS)
+            return
+        if answer.kind != DONE:
+            log.error("%s", answer.detail)
 
     def cut(self) -> None:
         """Stop the motors for good."""
@@ -113,14 +131,15 @@ class RemoteBody:
     But an emergency stop counts from any operator, whether the drone's agent is there or not.
 
     link: of the world, for commands of this kind;  obeyed: called after each command that was;  flight: how one that is
-    left alone lands.
+    left alone lands;  ask: lets the world's owner publish these log variables, every so many s.
     """
 
     def __init__(
         self, port: Port, world: World, link: Link, kind: str, obeyed: Callable[[], None] = lambda: None,
-        flight: Flight | None = None,
+        flight: Flight | None = None, ask: Callable[[list[str], float], None] | None = None,
     ) -> None:  # fmt: skip
         self.port, self.world, self.link, self.kind, self.obeyed = port, world, link, kind, obeyed
+        self._ask = ask
         self.flight = Flight() if flight is None else flight
         self.drone = port.address - BODIES
         self.refused = 0
@@ -195,6 +214,9 @@ class RemoteBody:
             self.link.cut()
 
     async def _execute(self, verb: str, arguments: dict[str, Any]) -> Any:
+        if verb == "log" and self._ask is not None:
+            self._ask(arguments["names"], arguments["period"])
+            return
         raise Refused(f"body of drone {self.drone}", f"{verb!r} is its agent's; only an emergency stop counts here")
 
 

@@ -238,6 +238,11 @@ def look_here(here):
     return partial(asyncio.to_thread, here, "crazychoir")
 
 
+def answers(drones, answer, says):
+    """What a command prints in JSON when each of these drones says the same."""
+    return {i: {"answer": answer, "says": says} for i in drones}
+
+
 @contextlib.asynccontextmanager
 async def flown_by(program, path, config, folder, command=None):
     """All drones in the air, flown by `crazychoir run` or by one `crazychoir-agent`; the program and its observer.
@@ -270,9 +275,9 @@ async def test_operating_and_looking_into_a_swarm_that_runs_then_landing_it(look
 
     async def command(team):
         for verb, says in (("take-off", "hovering"), ("start", "its mission goes on")):
-            await until(lambda: all(s["task"].endswith(verb) for s in team.newest()), 40.0)
+            await until(lambda verb=verb: all(s["task"].endswith(verb) for s in team.newest()), 40.0)
             said = await look_here(verb, "--json", "--swarm", path)
-            assert (said.code, said.json) == (0, dict.fromkeys("0123", {"answer": "done", "says": says}))
+            assert (said.code, said.json) == (0, answers("0123", "done", says))
 
     async with flown_by("agent", path, config, tmp_path, command) as (agent, team):
         await until(lambda: all(team.statuses(i)[-1]["phase"] == "mission" for i in (2, 3)), 20.0)
@@ -297,11 +302,11 @@ async def test_operating_and_looking_into_a_swarm_that_runs_then_landing_it(look
         kept = {"control.kr": [8.0, 8.0, 4.0]}
         assert said.json == {"0": kept, "1": kept, "2": {"control.kr": [7.0, 7.0, 4.0]}, "3": kept}
         said = await look_here("hold", "--drones", "2-3", "--json", "--swarm", path)
-        assert (said.code, said.json) == (0, dict.fromkeys("23", {"answer": "done", "says": "held"}))
+        assert (said.code, said.json) == (0, answers("23", "done", "held"))
         said = await look_here("start", "--drones", "2", "--json", "--swarm", path)
-        assert (said.code, said.json) == (1, {"2": {"answer": "refused", "says": "its mission has started"}})
+        assert (said.code, said.json) == (1, answers("2", "refused", "its mission has started"))
         said = await look_here("land", "--json", "--swarm", path)
-        assert (said.code, said.json) == (0, dict.fromkeys("0123", {"answer": "done", "says": "on ground"}))
+        assert (said.code, said.json) == (0, answers("0123", "done", "on ground"))
         ended = await agent.end(40.0)
         assert ended["code"] == 1
         assert "land" in ended["results"]["2"]["reason"]

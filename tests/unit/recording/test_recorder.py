@@ -11,7 +11,20 @@ from virtual_time import virtual
 
 from crazychoir.bus.codec import encode
 from crazychoir.bus.local import OBSERVER, Bus
-from crazychoir.bus.topics import BODY, COMMAND, LOG, OBSERVABLE, POSE, REFERENCE, RESULT, ROUND, STATE, STATUS, TRUTH
+from crazychoir.bus.topics import (
+    BODY,
+    COMMAND,
+    LOG,
+    OBSERVABLE,
+    POSE,
+    REFERENCE,
+    RESULT,
+    ROUND,
+    STATE,
+    STATUS,
+    TELEMETRY,
+    TRUTH,
+)
 from crazychoir.recording import recorder as module
 from crazychoir.recording.file import RecordingFile
 from crazychoir.recording.recorder import Recorder
@@ -46,7 +59,7 @@ VALUES = {
     POSE: Pose(np.arange(7.0), 0.25), STATE: State.at((1, 2, 3), (4, 5, 6)), REFERENCE: FullState(np.arange(14.0)),
     COMMAND: FPQR(np.arange(4.0)), TRUTH: State.at((7, 8, 9)), STATUS: Status("hovering", suspect=[1], cost=0.5),
     RESULT: {"success": True, "place": np.ones(3)}, LOG: "drone 1: a line",
-    BODY: Body("crashed"),
+    BODY: Body("crashed"), TELEMETRY: {"pm.vbat": [3.9, 0.05]},
 }  # fmt: skip
 
 
@@ -59,7 +72,7 @@ def test_every_observable_topic_arrives_as_it_was_sent(tmp_path, observer):
 
     assert [topic.name for topic in VALUES] == list(OBSERVABLE)
     path = tmp_path / "a.mcap"
-    assert recorded(path, work, observer) == {"file": str(path), "messages": 9, "lost": 0, "error": ""}
+    assert recorded(path, work, observer) == {"file": str(path), "messages": 10, "lost": 0, "error": ""}
     found = by_mcap_ros2(path)
     assert found == by_rosbags(path)
     assert [name for name, *_ in found] == [f"/drone1/{topic.name}" for topic in VALUES]
@@ -73,6 +86,7 @@ def test_every_observable_topic_arrives_as_it_was_sent(tmp_path, observer):
     assert by_topic["result"]["json"] == '{"success": true, "place": [1.0, 1.0, 1.0]}'
     assert by_topic["log"] == {"data": "drone 1: a line"}
     assert by_topic["body"]["harm"] == "crashed"
+    assert by_topic["telemetry"]["json"] == '{"pm.vbat": [3.9, 0.05]}'
 
 
 def test_ages_make_times_of_birth(tmp_path):

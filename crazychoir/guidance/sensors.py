@@ -1,0 +1,80 @@
+"""What a drone's own sensors say, for its guidance: log variables by the firmware's names, with their ages."""
+
+import logging
+from collections.abc import Callable, Iterable
+
+from crazychoir.bus.local import Port
+from crazychoir.bus.topics import TELEMETRY
+from crazychoir.runtime.clock import SECOND, Clock
+from crazychoir.runtime.mailbox import Call
+from crazychoir.simulation.telemetry import check, check_period
+
+log = logging.getLogger(__name__)
+MISSED = 3.0
+"""Periods without a value after which the last one is stale."""
+Ask = Callable[[tuple[str, ...], float], None]
+
+
+class Readings:
+    """The newest values of some log variables: `readings["pm.vbat"]`, None before the first and when it is stale."""
+
+    def __init__(self, clock: Clock, names: tuple[str, ...], max_age: float) -> None:
+        self.clock, self.names, self.max_age = clock, names, max_age
+        self._born_ns: dict[str, int] = {}
+        self._values: dict[str, float] = {}
+
+    def put(self, said: dict[str, list[float]], age: float) -> None:
+        """Take what has come; older values than those that are there do not count."""
+        now_ns = self.clock.now_ns()
+        for name in self.names:
+            if name in said:
+                value, old = said[name]
+                born_ns = now_ns - round((age + old) * SECOND)
+                if born_ns >= self._born_ns.get(name, born_ns):
+                    self._values[name], self._born_ns[name] = value, born_ns
+
+    def __getitem__(self, name: str) -> float | None:
+        if name not in self.names:
+            raise KeyError(f"{name!r} was not asked for; there are {', '.join(self.names)}")
+        return self._values[name] if self.age(name) <= self.max_age else None
+
+    def age(self, name: str) -> float:
+        """s since the value was measured; infinite before the first."""
+        born_ns = self._born_ns.get(name)
+        return float("inf") if born_ns is None else (self.clock.now_ns() - born_ns) / SECOND
+
+    def fresh(self) -> dict[str, float]:
+        """All that are not stale."""
+        return {name: value for name in self.names if (value := self[name]) is not None}
+
+
+class Sensors:
+    """The log variables of one drone.
+
+    body: the address that says them;  known: their names, None if only the body knows;  ask: lets it say some, every
+    so many s; raises ConfigError, or says later in the log what it does not have.
+    """
+
+    def __init__(self, port: Port, body: int, known: Iterable[str] | None, ask: Ask) -> None:
+        self.port, self.known, self.ask = port, known, ask
+        self._readings: dict[tuple[tuple[str, ...], float], Readings] = {}
+        self._body = body
+
+    def log(self, names: tuple[str, ...], period: float) -> Readings:
+        """The newest values of these, one every `period` s; ConfigError for names that there are not."""
+        if (names, period) in self._readings:
+            return self._readings[names, period]
+        where, clock = f"drone {self.port.address}: log", self.port.bus.clock
+        check_period(period, where)
+        if self.known is not None:
+            check(names, self.known, where)
+        self.ask(names, period)
+        if not self._readings:
+            told = Call(clock, self._told, f"drone {self.port.address} telemetry")
+            self.port.bus.subscribe(TELEMETRY, self._body, self.port.address, told)
+        readings = self._readings[names, period] = Readings(clock, names, MISSED * period + TELEMETRY.max_age)
+        return readings
+
+    def _told(self, said: dict[str, list[float]], age: float) -> None:
+        for readings in self._readings.values():
+            readings.put(said, age)

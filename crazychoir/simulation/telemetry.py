@@ -1,0 +1,83 @@
+"""Log variables of simulated drones, by the firmware's names: published as far as they are asked for."""
+
+import difflib
+from collections.abc import Iterable, Mapping
+
+from crazychoir.bus.local import Port
+from crazychoir.bus.topics import TELEMETRY
+from crazychoir.errors import ConfigError
+from crazychoir.simulation.logs import LIGHT
+from crazychoir.simulation.world import World
+from crazychoir.swarm.checks import LIGHTWEIGHT, MOTORS
+
+TICK, LONGEST = 0.01, 2.55
+"""s: periods of the firmware's log blocks are multiples of the first, at most the second."""
+
+
+def names_of(uri: str) -> Iterable[str] | None:
+    """The variables of drones with this uri; None: only their world knows."""
+    if uri == MOTORS:
+        from crazychoir.simulation.onboard.logs import TABLE  # kernels that a lightweight world does not need
+
+        return TABLE
+    return LIGHT if uri == LIGHTWEIGHT else None
+
+
+def check(names: Iterable[str], known: Iterable[str], where: str) -> None:
+    """Raise ConfigError for a name that is not there, with the nearest that are."""
+    there = tuple(known)
+    for name in names:
+        if name not in there:
+            near = difflib.get_close_matches(name, there, n=3, cutoff=0.4) or sorted(there)[:3]
+            allowed = f"the {len(there)} variables that it has, such as {', '.join(near)}"
+            raise ConfigError(where, name, allowed if there else "none: its world says no log variables")
+
+
+def check_period(period: float, where: str) -> None:
+    """Raise ConfigError for a period that no log block can have."""
+    ticks = period / TICK
+    if not (TICK <= period <= LONGEST and abs(ticks - round(ticks)) < 1e-6):
+        allowed = f"multiples of {TICK:g} s up to {LONGEST:g} s, as the firmware's log blocks have"
+        raise ConfigError(where, period, allowed)
+
+
+class Telemetry:
+    """The log variables that are asked of the drones of one world.
+
+    In each message of a drone: {name: [value, s of age]} of all that are asked; one is sent when one of them is due.
+    """
+
+    def __init__(self, world: World, ports: Mapping[int, Port]) -> None:
+        self.world, self.ports = world, ports
+        self.every: dict[int, dict[str, int]] = {}
+        """By drone and name: how many steps of the world from one value to the next."""
+        self._found: dict[int, dict[str, tuple[float, int]]] = {}
+
+    def ask(self, i: int, names: Iterable[str], period: float) -> None:
+        """From now on values of drone i every `period` s; the shortest that is asked counts. Raises ConfigError."""
+        where, wanted = f"drone {i}: log", tuple(names)
+        check(wanted, names_of_world(self.world), where)
+        check_period(period, where)
+        steps, every = max(1, round(period / self.world.dt)), self.every.setdefault(i, {})
+        for name in wanted:
+            every[name] = min(steps, every.get(name, steps))
+
+    def step(self, tick: int, late: float) -> None:
+        """Publish what is due at this step; `late` s is how much older the world is than now."""
+        for i, every in self.every.items():
+            due = [name for name, steps in every.items() if tick % steps == 0]
+            if not due:
+                continue
+            found = self._found.setdefault(i, {})
+            found.update({name: (self.world.log(i, name), tick) for name in due})  # type: ignore[attr-defined]
+            dt = self.world.dt
+            self.ports[i].publish(TELEMETRY, {n: [x, (tick - at) * dt] for n, (x, at) in found.items()}, late)
+
+
+def names_of_world(world: World) -> Iterable[str]:
+    """The variables of a world's drones; none of an engine that does not say them.
+
+    An engine that does has `variables`, names, and `log(i, name)`, the value of drone i now.
+    """
+    names: Iterable[str] = getattr(world, "variables", ())
+    return names
