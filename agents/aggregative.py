@@ -12,7 +12,6 @@ team];  step_size;  round_rate: Hz;  duration: s;  leg: s of an intruder from it
 
 from typing import Any
 
-import matplotlib.pyplot as plt
 import msgspec
 import numpy as np
 
@@ -25,7 +24,6 @@ from crazychoir.planning.feasibility import Limits
 from crazychoir.planning.goal import timed_goals
 from crazychoir.planning.piecewise import Piecewise
 from crazychoir.swarm.graph import Graph, metropolis
-from crazychoir.swarm.reading import read
 from crazychoir.types import FullState
 
 Results = dict[int, dict[str, Any]]

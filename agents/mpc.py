@@ -118,7 +118,8 @@ def _require_possible(config: SwarmConfig, drone: Drone, options: Options) -> No
         raise ConfigError(f"{where}: goal", place.tolist(), allowed, "Change mission_options.shift, or widen [fence].")
     speed, most = motion(options, drone).speed, config.flight.speed_limit / 2**0.5
     if not 0.0 < speed <= most:
-        raise ConfigError(f"{where}: speed", speed, f"above 0, at most {most:.2f} m/s: flight.speed_limit on a diagonal")
+        allowed = f"above 0, at most {most:.2f} m/s: flight.speed_limit on a diagonal"
+        raise ConfigError(f"{where}: speed", speed, allowed)
 
 
 def _require_near(config: SwarmConfig, reach: float) -> None:

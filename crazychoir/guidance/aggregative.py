@@ -68,6 +68,9 @@ class AggregativeGuidance(CFDistributedFeedback):
     Result: rounds;  x: (d,) m, the last;  way, of `Way`.
     """
 
+    agent: AggregativeTracking
+    smoother: Smoother
+
     def __init__(self, mates: tuple[int, ...], round_rate: float = 20.0) -> None:
         self.mates, self.round_rate, self.way = mates, round_rate, Way()
 
@@ -78,21 +81,23 @@ class AggregativeGuidance(CFDistributedFeedback):
     def bind(self, member: Member) -> None:
         """Meet the drone."""
         super().bind(member)
-        flight = member.config.flight
-        self._limits = SPEED_SHARE * flight.speed_limit, ACCELERATION_SHARE * flight.acceleration_limit
+        self._place = np.zeros(3)
+        self._last = 0.0
 
     def step(self, me: State, heard: Heard) -> FullState:
         """One period on the way to x_i."""
         now, x = self.member.clock.now(), self.agent.x
         self.way.note(now, me.p)
         seconds, self._last = now - self._last, now
-        return self.smoother.step(np.array([*x, *self._height[: 3 - len(x)]]), seconds)
+        return self.smoother.step(np.array([*x, *self._place[len(x) :]]), seconds)
 
     async def run_law(self) -> None:
         """The law, and the rounds beside it as long as it lasts."""
-        place, self._last = self.state.p, self.member.clock.now()
-        self.agent, self._height = self.algorithm(place), place[2:]
-        self.smoother = Smoother(place, *self._limits, 1.0 / self.rate)
+        flight, place = self.member.config.flight, self.state.p.copy()
+        self._place, self._last = place, self.member.clock.now()
+        self.agent = self.algorithm(place)
+        v_max, a_max = SPEED_SHARE * flight.speed_limit, ACCELERATION_SHARE * flight.acceleration_limit
+        self.smoother = Smoother(place, v_max, a_max, 1.0 / self.rate)
         rounds = asyncio.create_task(self._rounds(), name=f"drone {self.id} rounds")
         try:
             await super().run_law()

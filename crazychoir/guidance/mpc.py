@@ -68,7 +68,9 @@ class MPCGuidance(CFDistributedFeedback):
     Source: Richards & How 2007, see SequentialMPC; Mayne, Seron & Rakovic 2005, Automatica 41(2), for the tube.
     """
 
-    def __init__(self, goal: Vec, motion: Motion, low: Vec, high: Vec, reach: float, neighbors: tuple[int, ...]) -> None:
+    def __init__(
+        self, goal: Vec, motion: Motion, low: Vec, high: Vec, reach: float, neighbors: tuple[int, ...]
+    ) -> None:
         self.goal, self.motion, self.way = np.asarray(goal, float), motion, Way()
         self.control = PredictiveControl(motion.prediction(low, high), reach if neighbors else None)
         self.mates = neighbors

@@ -1,11 +1,14 @@
 """Laws for places that are known before the flight: a trajectory in its time, and a list of targets one by one."""
 
-from collections.abc import Sequence
+import asyncio
+import contextlib
+from collections.abc import AsyncIterator, Sequence
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
-from crazychoir.guidance.base import CFDistributedFeedback
+from crazychoir.guidance.base import CFDistributedFeedback, CFGuidance
 from crazychoir.planning.point_to_point import duration_for
 from crazychoir.planning.trajectory import Trajectory
 from crazychoir.swarm.tables import Flight
@@ -35,6 +38,28 @@ class Way:
         if not self.rows or t >= self.rows[-1][0] + NOTED - 1e-6:
             self.rows.append([round(t, 4), *np.round(p, 4).tolist()])
         return t
+
+
+@contextlib.asynccontextmanager
+async def noted(guidance: CFGuidance, way: Way) -> AsyncIterator[None]:
+    """Where a drone is gets noted as long as the block lasts.
+
+        async with noted(self, way):
+            await self.fly(...)
+    """
+
+    async def note() -> None:
+        while True:
+            way.note(guidance.member.clock.now(), guidance.state.p)
+            await guidance.sleep(NOTED)
+
+    task = asyncio.create_task(note(), name=f"drone {guidance.id} way")
+    try:
+        yield
+    finally:
+        task.cancel()
+        with contextlib.suppress(asyncio.CancelledError):
+            await task
 
 
 class TimedFlight(CFDistributedFeedback):
@@ -94,11 +119,11 @@ class TargetList(CFDistributedFeedback):
 
     async def mission(self) -> dict[str, Any]:
         """The law, with when it was where."""
-        return {**await super().mission(), "reached_s": self._reached, "way": self.way.rows}
+        return {**await super().mission(), "reached_s": [round(t, 2) for t in self._reached], "way": self.way.rows}
 
 
 def planned_s(places: Sequence[Vec], flight: Flight) -> float:
     """s from each place to the next, as fast as the limits allow, at rest at each."""
     v, a = flight.speed_limit, flight.acceleration_limit
-    pairs = zip(places, places[1:], strict=False)
+    pairs = pairwise(places)
     return sum(duration_for(FullState.at(start), goal, 0.0, v, a) for start, goal in pairs)

@@ -1,4 +1,4 @@
-"""Model predictive control by quadratic programs: one robot's problem, and how a team solves theirs one after another."""
+"""Model predictive control by quadratic programs: one robot's, and how the robots of a team solve theirs in turn."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -162,7 +162,7 @@ class SequentialMPC:
         of = self.control.of
         self.inputs: Mat = np.zeros((of.T, of.B.shape[1]))
         self.decided = False
-        self._told = [-1, self._outputs()]
+        self._k, self._y = -1, self._outputs()
         self._told_of: dict[int, tuple[int, Mat]] = {}
 
     @property
@@ -173,14 +173,14 @@ class SequentialMPC:
 
     def message(self) -> list[Any]:
         """[k, y (T + 2, d)]: the newest step that it has decided, and its outputs from then on."""
-        return self._told
+        return [self._k, self._y]
 
     def step(self, heard: Mapping[int, Any]) -> None:
         """Take what neighbours say, and decide if that is enough."""
         parts(self.i, self.k, heard, INTEGER, np.ndarray)
         for j, (k, y) in heard.items():
-            if y.shape != self._told[1].shape:
-                raise malformed(f"agent {self.i}", j, k, y, f"outputs of shape {self._told[1].shape}, as its own")
+            if y.shape != self._y.shape:
+                raise malformed(f"agent {self.i}", j, k, y, f"outputs of shape {self._y.shape}, as its own")
             self._told_of[j] = (int(k), y)
         if not self.decided and all(self._knows(j) for j in self.neighbors):
             self._solve()
@@ -223,7 +223,7 @@ class SequentialMPC:
 
     def _decide(self, inputs: Mat) -> None:
         self.inputs, self.decided = inputs, True
-        self._told = [self.k, self._outputs()]
+        self._k, self._y = self.k, self._outputs()
 
     def _outputs(self) -> Mat:
         """(T + 2, d): y of the plan, with one step more: what it is told to be when the next step begins."""

@@ -25,7 +25,7 @@ NEAR = 0.1
 
 
 def engine(setup: WorldSetup) -> "ReplayWorld":
-    """The world of these drones; raises ConfigError for a file that cannot be read, or begins elsewhere than at home."""
+    """The world of these drones; raises ConfigError for a file that cannot be read, or does not begin at home."""
     tables = []
     for i, uri, home in zip(setup.ids, setup.uris, setup.homes, strict=True):
         tables.append(states_of(uri, i, setup.dt))
