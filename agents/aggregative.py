@@ -19,6 +19,7 @@ from crazychoir import CFGuidance, SwarmConfig
 from crazychoir.errors import ConfigError
 from crazychoir.guidance.aggregative import Defence, Defender
 from crazychoir.guidance.timed import SETTLE, TimedFlight
+from crazychoir.guidance.way_picture import draw_ways
 from crazychoir.math3d import Mat, Vec
 from crazychoir.planning.feasibility import Limits
 from crazychoir.planning.goal import timed_goals
@@ -233,3 +234,19 @@ def lag(t: Vec, flown: Mat, wanted: Mat, most: float = 3.0) -> float:
         return float(np.sum((flown.reshape(len(t), -1)[inner] - moved) ** 2))
 
     return float(shifts[np.argmin([misfit(shift) for shift in shifts])])
+
+
+def picture(config: SwarmConfig, results: Results, path: str) -> None:
+    """The ways of the defenders, of their intruders, and how far the defenders were from the optimum."""
+    team = defenders(config)
+    t, flown, wanted = ways(config, results)
+    far = np.linalg.norm(flown - wanted, axis=2).T
+    draw_ways(
+        path,
+        {i: results[i]["way"][: len(t)] for i in team},
+        dict(zip(team, far, strict=True)),
+        "distance from the optimum [m]",
+        dict(zip(team, wanted[-1], strict=True)),
+        {i: results[i]["intruder_way"] for i in team},
+        given(config).target,
+    )

@@ -135,13 +135,15 @@ def written(config: SwarmConfig, i: int, result: dict[str, Any]) -> float:
 
 
 def picture(config: SwarmConfig, results: Results, path: str) -> None:
-    """What was drawn, and the path that is flown."""
+    """What is to be flown, broad, and what was flown."""
     shown, axes = plt.subplots(figsize=(7.0, 3.5))
     for i in config.ids:
-        flown = drawn(config, i).path
-        x, y, _ = np.array([flown.sample(t).p for t in np.arange(0.0, flown.duration, 0.02)]).T
-        axes.plot(x, y, linewidth=1.2, label=f"drone {i}")
+        wanted = drawn(config, i).path
+        x, y, _ = wanted.samples(np.arange(0.0, wanted.duration, 0.02))[:, 0:3].T
+        axes.plot(x, y, color="#cccccc", linewidth=4.0)
+        if way := results.get(i, {}).get("way"):
+            axes.plot(*np.array(way)[:, 1:3].T, linewidth=1.2, label=f"drone {i}")
     axes.set(xlabel="x in m", ylabel="y in m", aspect="equal")
     axes.legend(fontsize=7)
-    shown.savefig(path, dpi=200, bbox_inches="tight")
+    shown.savefig(path, dpi=150, bbox_inches="tight")
     plt.close(shown)

@@ -15,6 +15,7 @@ import numpy as np
 from crazychoir import CFGuidance, SwarmConfig
 from crazychoir.errors import ConfigError
 from crazychoir.guidance.timed import TimedFlight
+from crazychoir.guidance.way_picture import draw_ways
 from crazychoir.math3d import Vec
 from crazychoir.planning.feasibility import Limits
 from crazychoir.planning.goal import timed_goals
@@ -148,3 +149,9 @@ def _late(errors: list[float], rows: tuple[tuple[float, float, float, float], ..
     if errors[worst] <= TOLERANCE:
         return ""
     return f"{errors[worst]:.3f} m from its goal at {rows[worst][0]:g} s, allowed {TOLERANCE} m"
+
+
+def picture(config: SwarmConfig, results: Results, path: str) -> None:
+    """The ways from above, and their heights."""
+    heights = {i: np.array(results[i]["way"])[:, 3] for i in config.ids}
+    draw_ways(path, {i: results[i]["way"] for i in config.ids}, heights, "z [m]", goal(config))

@@ -38,4 +38,4 @@ def swarm(drones: int | None = None) -> SwarmConfig:
     )
 
 
-check, goal, report = goto.check, goto.goal, goto.report
+check, goal, report, picture = goto.check, goto.goal, goto.report, goto.picture

@@ -18,6 +18,7 @@ import numpy as np
 from crazychoir import CFGuidance, SwarmConfig
 from crazychoir.errors import ConfigError
 from crazychoir.guidance.mpc import Motion, MPCGuidance
+from crazychoir.guidance.way_picture import draw_ways
 from crazychoir.math3d import Vec
 from crazychoir.safety.guard import EDGE
 from crazychoir.swarm.tables import Drone
@@ -166,3 +167,10 @@ def most_ahead(config: SwarmConfig, results: Results) -> tuple[float, tuple[int,
         if j in graph.neighbors(i):
             worst = max(worst, (float(np.abs(left[i] - left[j]).max()), (i, j)))
     return worst
+
+
+def picture(config: SwarmConfig, results: Results, path: str) -> None:
+    """The ways, and how far each still had to go."""
+    shown = {i: np.array(results[i]["way"]) for i in config.ids}
+    left = {i: np.linalg.norm(rows[:, 1:3] - goal_of(config, config.drone(i)), axis=1) for i, rows in shown.items()}
+    draw_ways(path, {i: results[i]["way"] for i in config.ids}, left, "still to go [m]", goal(config))

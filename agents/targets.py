@@ -14,6 +14,7 @@ import numpy as np
 from crazychoir import CFGuidance, SwarmConfig
 from crazychoir.errors import ConfigError
 from crazychoir.guidance.timed import TargetList
+from crazychoir.guidance.way_picture import draw_ways
 from crazychoir.math3d import Mat, Vec
 
 Results = dict[int, dict[str, Any]]
@@ -84,3 +85,9 @@ def report(config: SwarmConfig, results: Results) -> dict[str, Any]:
         i: f"reached {len(times)} of {many} targets" for i, times in reached.items() if len(times) < many
     }  # fmt: skip
     return {"success": not reasons, "reasons": reasons, "targets": many, "reached_s": reached}
+
+
+def picture(config: SwarmConfig, results: Results, path: str) -> None:
+    """The ways from above, and their heights."""
+    heights = {i: np.array(results[i]["way"])[:, 3] for i in config.ids}
+    draw_ways(path, {i: results[i]["way"] for i in config.ids}, heights, "z [m]", goal(config))
