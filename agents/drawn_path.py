@@ -11,16 +11,21 @@ from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.spatial import cKDTree
 
 from crazychoir import CFGuidance, SwarmConfig
 from crazychoir.control.gains import STANDARD
 from crazychoir.errors import ConfigError
+from crazychoir.guidance.timed import Way, noted
 from crazychoir.planning.drawing import Drawing, Pen, drawing
 from crazychoir.planning.feasibility import Limits
 from crazychoir.planning.stroke import read_strokes
 
 Results = dict[int, dict[str, Any]]
 WORD = Path(__file__).parent / "data" / "casy.csv"
+TOLERANCE = 0.03
+"""m between what is flown and the path that was drawn, at most."""
 DEFAULTS: dict[str, Any] = {"drawing": str(WORD), "scale": 1.0, "yaw": 0.0, "timing": "even", "lift": 0.1}
 
 
@@ -28,17 +33,19 @@ class Writer(CFGuidance):
     """Flies a drawing."""
 
     def __init__(self, drawn: Drawing) -> None:
-        self.drawn = drawn
+        self.drawn, self.way = drawn, Way()
 
     async def mission(self) -> dict[str, Any]:
         """Up, along the drawing, home, down."""
         await self.take_off()
         await self.rendezvous()
         home = self.state.p.copy()
-        await self.fly(self.drawn.path)
+        await self.go_to(self.drawn.path.sample(0.0).p)
+        async with noted(self, self.way):
+            await self.fly(self.drawn.path)
         await self.go_to(home)
         await self.land()
-        return {"place": self.state.p.tolist()}
+        return {"place": self.state.p.tolist(), "way": self.way.rows}
 
 
 def drawn(config: SwarmConfig, i: int) -> Drawing:
@@ -99,9 +106,16 @@ def _checked(config: SwarmConfig, i: int) -> Drawing:
 
 
 def report(config: SwarmConfig, results: Results) -> dict[str, Any]:
-    """How the drawing is flown."""
-    flown = drawn(config, config.ids[0])
+    """How the drawing is flown, and whether what was flown is the drawing."""
+    flown, off = drawn(config, config.ids[0]), {i: written(config, i, results.get(i, {})) for i in config.ids}
+    reasons = {
+        i: f"{1e3 * far:.0f} mm from its drawing, allowed {1e3 * TOLERANCE:.0f} mm"
+        for i, far in off.items() if not far <= TOLERANCE
+    }  # fmt: skip
     return {
+        "success": not reasons,
+        "reasons": reasons,
+        "written_mm": {i: 1e3 * far for i, far in off.items()},
         "drawing_s": flown.path.duration,
         "speed_m_s": flown.speed,
         "acceleration_m_s2": flown.acceleration,
@@ -109,14 +123,27 @@ def report(config: SwarmConfig, results: Results) -> dict[str, Any]:
     }
 
 
+def written(config: SwarmConfig, i: int, result: dict[str, Any]) -> float:
+    """m, the Hausdorff distance of what drone i has flown and its path: no place is off, and none is left out."""
+    way, path = np.array(result.get("way", [])), drawn(config, i).path
+    if len(way) < 2:
+        return float("inf")
+    wanted = path.samples(np.arange(0.0, path.duration, 0.02))[:, 0:3]
+    t = np.arange(0.0, way[-1, 0], 0.02)
+    flown = CubicSpline(way[:, 0], way[:, 1:4])(t)
+    return float(max(cKDTree(wanted).query(flown)[0].max(), cKDTree(flown).query(wanted)[0].max()))
+
+
 def picture(config: SwarmConfig, results: Results, path: str) -> None:
-    """What was drawn, and the path that is flown."""
+    """What is to be flown, broad, and what was flown."""
     shown, axes = plt.subplots(figsize=(7.0, 3.5))
     for i in config.ids:
-        flown = drawn(config, i).path
-        x, y, _ = np.array([flown.sample(t).p for t in np.arange(0.0, flown.duration, 0.02)]).T
-        axes.plot(x, y, linewidth=1.2, label=f"drone {i}")
+        wanted = drawn(config, i).path
+        x, y, _ = wanted.samples(np.arange(0.0, wanted.duration, 0.02))[:, 0:3].T
+        axes.plot(x, y, color="#cccccc", linewidth=4.0)
+        if way := results.get(i, {}).get("way"):
+            axes.plot(*np.array(way)[:, 1:3].T, linewidth=1.2, label=f"drone {i}")
     axes.set(xlabel="x in m", ylabel="y in m", aspect="equal")
     axes.legend(fontsize=7)
-    shown.savefig(path, dpi=200, bbox_inches="tight")
+    shown.savefig(path, dpi=150, bbox_inches="tight")
     plt.close(shown)

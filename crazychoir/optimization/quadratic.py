@@ -75,6 +75,25 @@ class QuadraticProgram:
         return x if steps >= 0 else WORDS[steps]
 
 
+@dataclass
+class MovingProgram(QuadraticProgram):
+    """min 1/2 x'Px + q'x + p'x  s.t.  A x <= b, E x = e, for many p, b and e.
+
+        k = (I + K P) E^+ e,   so that the right-hand sides alone move
+
+    The rows of A are of length one, those of E independent.
+    """
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.lift = (np.eye(len(self.P)) + self.inverse @ self.P) @ np.linalg.pinv(self.over.E)
+
+    def move(self, b: Vec, e: Vec) -> None:
+        """Other right-hand sides b (m,) and e (l,); the next solution starts from the last one all the same."""
+        self.origin = self.lift @ e
+        self.slack = b - self.over.A @ self.origin
+
+
 def affine_hull(E: Mat, e: Vec) -> tuple[Vec, Mat]:
     """A point x_0 (n,) with E x_0 = e, and N (n, n - rank E) with E N = 0, N'N = I."""
     if not len(e):

@@ -14,7 +14,7 @@ from crazychoir.platforms import platform
 from crazychoir.simulation.integrator import CFIntegrator
 from crazychoir.simulation.mismatch import built, scaled
 from crazychoir.simulation.world import World, WorldSetup
-from crazychoir.swarm.checks import LIGHTWEIGHT, MOTORS, WORLD_STEP, WORLDS
+from crazychoir.swarm.checks import LIGHTWEIGHT, MOTORS, REPLAY, WORLD_STEP, WORLDS
 from crazychoir.swarm.config import SwarmConfig
 from crazychoir.swarm.tables import Drone
 
@@ -23,6 +23,7 @@ Engine = Callable[[WorldSetup], World]
 OURS = {
     LIGHTWEIGHT: EntryPoint(LIGHTWEIGHT, "crazychoir.simulation.engines:lightweight", WORLDS),
     MOTORS: EntryPoint(MOTORS, "crazychoir.simulation.engines:motors", WORLDS),
+    REPLAY: EntryPoint(REPLAY, "crazychoir.recording.replay:engine", WORLDS),
 }
 
 
@@ -70,6 +71,7 @@ def delay_steps(config: SwarmConfig, world: World) -> int:
 
 def _entry_point(uri: str) -> EntryPoint:
     """Of the engine of a uri that the swarm file may have."""
+    uri = REPLAY if uri.startswith(REPLAY) else uri
     return OURS[uri] if uri in OURS else entry_points(group=WORLDS)[uri.partition("://")[0]]
 
 

@@ -15,6 +15,8 @@ from crazychoir.swarm.tables import Position, Swarm
 LIGHTWEIGHT, MOTORS = "sim://", "sim://motors"
 """Uris of the worlds that are ours: each drone for itself in its agent's process, unless a world's owner is named; and
 all drones together in that owner, as every other world."""
+REPLAY = "replay://"
+"""Begin of the uri of a drone that others fly, or have flown: the file of its recording follows."""
 WORLDS = "crazychoir.worlds"
 """Group of entry points: the worlds of other packages, by the scheme of their uris."""
 WORLD_STEP = 0.01
@@ -141,13 +143,13 @@ def _ids(swarm: Swarm, where: str) -> None:
 
 def _uris(swarm: Swarm, where: str) -> None:
     for n, drone in enumerate(swarm.drones):
-        if drone.uri in (LIGHTWEIGHT, MOTORS):
+        if drone.uri in (LIGHTWEIGHT, MOTORS) or drone.uri.startswith(REPLAY):
             continue
         key, (scheme, mark, _) = f"{where}: drones[{n}].uri", drone.uri.partition("://")
         is_foreign = bool(mark) and scheme != "sim"
         if is_foreign and scheme in engines_of_others():
             continue
-        flown = ", ".join((LIGHTWEIGHT, MOTORS, *(f"{name}://" for name in engines_of_others())))
+        flown = ", ".join((LIGHTWEIGHT, MOTORS, f"{REPLAY}FILE", *(f"{name}://" for name in engines_of_others())))
         do = f'Write uri = "sim://", or install a package with the entry point {scheme} in {WORLDS}.'
         if is_foreign and scheme in PLANNED:
             problem = f"this version does not fly {scheme}:// drones"

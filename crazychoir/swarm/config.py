@@ -11,7 +11,7 @@ import msgspec
 from crazychoir.bus.local import BODIES
 from crazychoir.bus.topics import Topic
 from crazychoir.errors import ConfigError
-from crazychoir.swarm.checks import check, graph_of, owned
+from crazychoir.swarm.checks import REPLAY, check, graph_of, owned
 from crazychoir.swarm.graph import Graph, span
 from crazychoir.swarm.reading import parse, read, require_plain
 from crazychoir.swarm.tables import Control, Drone, Swarm, Table
@@ -76,7 +76,8 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
     def _with_files_from(self, folder: Path) -> Self:
         named = {key: value for key, value in self.mission_options.items() if key in FILES and isinstance(value, str)}
         found = {key: str((folder / value).resolve()) for key, value in named.items()}
-        return msgspec.structs.replace(self, mission_options=self.mission_options | found) if found else self
+        drones = tuple(_replaying(drone, folder) for drone in self.drones)
+        return msgspec.structs.replace(self, mission_options=self.mission_options | found, drones=drones)
 
     def digest(self) -> str:
         """16 hex digits that all hosts of one mission share, the same on every host, Python and hash seed.
@@ -87,6 +88,9 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
         agreed = {key: value for key, value in msgspec.to_builtins(self).items() if key not in OWN_TO_A_HOST}
         agreed["mission"] = Path(self.mission or "").name
         agreed["mission_options"] = {key: _content(value) for key, value in self.mission_options.items()}
+        for drone in agreed["drones"]:
+            name, mark, number = drone["uri"].removeprefix(REPLAY).partition("?")
+            drone["uri"] = drone["uri"] if name == drone["uri"] else f"{REPLAY}{_content(name)}{mark}{number}"
         return hashlib.blake2b(msgspec.json.encode(agreed, order="sorted"), digest_size=8).hexdigest()
 
     @property
@@ -155,6 +159,12 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
         """The groups, and one more of the drones that they do not name."""
         rest = [i for i in self.ids if not any(i in group for group in groups)]
         return [list(group) for group in groups] + ([rest] if rest else [])
+
+
+def _replaying(drone: Drone, folder: Path) -> Drone:
+    """The drone, with the recording that it replays, if it does, found from a folder."""
+    name = drone.uri.removeprefix(REPLAY)
+    return drone if name == drone.uri else msgspec.structs.replace(drone, uri=f"{REPLAY}{(folder / name).resolve()}")
 
 
 def _content(value: Any) -> Any:

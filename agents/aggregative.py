@@ -1,0 +1,252 @@
+"""Surveillance: each defender stays between its intruder and the target of all, and the team around the target.
+
+crazychoir run aggregative --fast
+crazychoir run deploy/aggregative_moving.toml --fast      three intruders that fly, three defenders that follow
+crazychoir run deploy/aggregative_replayed.toml --fast    the same intruders from recordings, as real ones
+
+Each knows its own intruder alone; what the team has in common, its mean, it tracks by aggregative tracking. The drones
+with role = "intruder" are the intruders, of the other drones in their order; without such drones they stand still.
+[mission_options]: target: [x, y] m;  intruders: [[x, y], ...] m, those that stand still;  weights: [intruder, target,
+team];  step_size;  round_rate: Hz;  duration: s;  leg: s of an intruder from its home to the next one's;  legs.
+"""
+
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from crazychoir import CFGuidance, SwarmConfig
+from crazychoir.errors import ConfigError
+from crazychoir.guidance.aggregative import Defence, Defender
+from crazychoir.guidance.timed import SETTLE, TimedFlight
+from crazychoir.guidance.way_picture import draw_ways
+from crazychoir.math3d import Mat, Vec
+from crazychoir.planning.feasibility import Limits
+from crazychoir.planning.goal import timed_goals
+from crazychoir.planning.piecewise import Piecewise
+from crazychoir.swarm.graph import Graph, metropolis
+from crazychoir.types import FullState
+
+Results = dict[int, dict[str, Any]]
+INTRUDER = "intruder"
+STILL = ((-1.0, 1.0), (-1.0, -1.0), (1.0, 0.0))
+HOMES = ((0.2, 1.2), (-1.2, -1.0), (1.2, -0.8))
+TOLERANCE = 0.02
+"""m from its place at the end, when the intruders stand."""
+LATEST = 1.5
+"""s that a defender may be behind what moves."""
+TRANSIENT = 8.0
+"""s of the law in which the team comes together: not counted as lag."""
+
+
+class Options(msgspec.Struct, frozen=True, kw_only=True):
+    """[mission_options]."""
+
+    target: tuple[float, float] = (0.0, 0.0)
+    intruders: tuple[tuple[float, float], ...] = STILL
+    weights: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    step_size: float = 0.05
+    round_rate: float = 20.0
+    duration: float = 12.0
+    leg: float = 15.0
+    legs: int = 3
+
+
+class Observed(CFGuidance):
+    """A drone that somebody else flies, or has flown: it is seen, and does nothing."""
+
+    def __init__(self, duration: float) -> None:
+        self.duration = duration
+
+    async def mission(self) -> dict[str, Any]:
+        """Wait until the others are done."""
+        await self.rendezvous()
+        await self.sleep(self.duration)
+        return {}
+
+
+def given(config: SwarmConfig) -> Options:
+    """[mission_options]; raises ConfigError that names the key."""
+    try:
+        return msgspec.convert(config.mission_options, Options, strict=False)
+    except msgspec.ValidationError as error:
+        raise ConfigError(f"swarm {config.name}: mission_options", str(error), "see agents/aggregative.py") from error
+
+
+def guidance(i: int, config: SwarmConfig) -> CFGuidance:
+    """A defender, or an intruder that flies or is observed."""
+    options, drone = given(config), config.drone(i)
+    if drone.role != INTRUDER:
+        law = defender(i, config, options)
+        law.duration = duration(config)
+        return law
+    if drone.uri.startswith("replay://"):
+        return Observed(duration(config))
+    return TimedFlight(round_of(i, config))
+
+
+def defender(i: int, config: SwarmConfig, options: Options) -> Defender:
+    """Drone i, with its own intruder and the weights of the team's graph."""
+    team = mates(config)
+    defence, flying = Defence(np.array(options.target), *options.weights), intruders(config)
+    k = team.ids.index(i)
+    intruder = flying[k] if flying else np.array(options.intruders[k])
+    return Defender(team.neighbors(i), defence, intruder, metropolis(team)[i], options.step_size, options.round_rate)
+
+
+def defenders(config: SwarmConfig) -> list[int]:
+    """All but the intruders."""
+    return [i for i in config.ids if config.drone(i).role != INTRUDER]
+
+
+def intruders(config: SwarmConfig) -> list[int]:
+    """Those that fly."""
+    return [i for i in config.ids if config.drone(i).role == INTRUDER]
+
+
+def mates(config: SwarmConfig) -> Graph:
+    """The graph of the defenders alone."""
+    team = defenders(config)
+    return Graph.from_edges(team, [(a, b) for a, b in config.graph().edges() if a in team and b in team])
+
+
+def duration(config: SwarmConfig) -> float:
+    """s of the law: until the intruders have stood for a while."""
+    options = given(config)
+    return options.legs * options.leg + 4.0 + SETTLE if intruders(config) else options.duration
+
+
+def round_of(i: int, config: SwarmConfig) -> Piecewise:
+    """An intruder's legs, from its home to the next one's, and on."""
+    options, flight, team = given(config), config.flight, intruders(config)
+    z, k = flight.ground + flight.takeoff_height, team.index(i)
+    places = [[*config.drone(team[(k + n) % len(team)]).home[:2], z] for n in range(options.legs + 1)]
+    goals = [[options.leg * n, *places[n], 0.0] for n in range(1, options.legs + 1)]
+    limits = Limits(
+        v_max=flight.speed_limit, a_max=flight.acceleration_limit, low=config.fence.min, high=config.fence.max
+    )
+    return timed_goals(FullState.at(places[0]), np.array(goals), limits)
+
+
+def swarm(drones: int | None = None) -> SwarmConfig:
+    """Three defenders in a path, three intruders that stand still."""
+    return SwarmConfig.of(
+        {
+            "name": "defence",
+            "mission": "aggregative",
+            "graph": "path",
+            "drones": [{"id": i, "home": [*home, 0.0]} for i, home in enumerate(HOMES)],
+        }
+    )
+
+
+def check(config: SwarmConfig, force: bool = False) -> list[str]:
+    """Each defender has an intruder, which it hears if it flies; the defenders are connected without the intruders."""
+    options, team, flying = given(config), defenders(config), intruders(config)
+    where, graph = f"swarm {config.name}", config.graph()
+    many = len(flying) if flying else len(options.intruders)
+    if many != len(team):
+        what = 'drones with role = "intruder"' if flying else "places in mission_options.intruders"
+        raise ConfigError(f"{where}: intruders", f"{many} {what}", f"{len(team)}: one for each defender")
+    if not graph.is_undirected or not mates(config).is_connected:
+        found = "a directed graph" if not graph.is_undirected else f"defenders {team} are not connected by themselves"
+        raise ConfigError(f"{where}: graph", found, "an undirected graph that joins all defenders", "Add an edge.")
+    for i, j in zip(team, flying, strict=False):
+        if j not in graph.in_neighbors(i):
+            do = f"Add the edge [{i}, {j}]."
+            raise ConfigError(f"{where}: graph", f"no edge {i}-{j}", "defenders hear their intruders", do)
+    for name in ("step_size", "round_rate", "duration", "leg"):
+        if not getattr(options, name) > 0.0:
+            raise ConfigError(f"{where}: mission_options.{name}", getattr(options, name), "a positive number")
+    if min(options.weights) < 0.0 or options.weights[0] + options.weights[2] <= 0.0:
+        raise ConfigError(f"{where}: mission_options.weights", list(options.weights), "0 or more, not all of them 0")
+    for j in flying:
+        round_of(j, config)
+    if not flying:
+        _require_inside(config, goal(config))
+    return []
+
+
+def _require_inside(config: SwarmConfig, places: dict[int, Vec]) -> None:
+    low, high = config.fence.min, config.fence.max
+    for i, p in places.items():
+        if not (np.all(p >= low) and np.all(p <= high)):
+            found = f"drone {i} would end at {np.round(p, 2).tolist()}"
+            do = "Move target or intruders, or widen [fence]."
+            raise ConfigError(f"swarm {config.name}: mission_options", found, "places inside [fence]", do)
+
+
+def goal(config: SwarmConfig) -> dict[int, Vec]:
+    """Where the defenders are at the optimum, if the intruders stand still; else nothing."""
+    options, team = given(config), defenders(config)
+    if intruders(config) or len(options.intruders) != len(team):
+        return {}
+    best = Defence(np.array(options.target), *options.weights).optimum(np.array(options.intruders))
+    height = config.flight.ground + config.flight.takeoff_height
+    return {i: np.array([*p, height]) for i, p in zip(team, best, strict=True)}
+
+
+def report(config: SwarmConfig, results: Results) -> dict[str, Any]:
+    """How far the defenders were from the optimum, at the end and on the way, and how late they followed it."""
+    team = defenders(config)
+    if away := [i for i in team if "way" not in results.get(i, {})]:
+        return {"success": False, "reasons": dict.fromkeys(away, "it has not defended to the end")}
+    t, flown, wanted = ways(config, results)
+    far = np.linalg.norm(flown - wanted, axis=2)
+    moving = t > TRANSIENT
+    moves = float(np.ptp(wanted[moving], axis=0).max()) > TOLERANCE
+    late = lag(t[moving], flown[moving], wanted[moving]) if moves else 0.0
+    reasons = {
+        i: f"{end:.3f} m from its place between intruder and target at the end, allowed {TOLERANCE} m"
+        for i, end in zip(team, far[-1].tolist(), strict=True) if end > TOLERANCE
+    }  # fmt: skip
+    if late > LATEST:
+        reasons[team[0]] = f"the defenders follow {late:.2f} s late, allowed {LATEST} s"
+    return {
+        "success": not reasons,
+        "reasons": reasons,
+        "places": {i: np.round(p, 3).tolist() for i, p in zip(team, flown[-1], strict=True)},
+        "optimum": {i: np.round(p, 3).tolist() for i, p in zip(team, wanted[-1], strict=True)},
+        "final_error_m": float(far[-1].max()),
+        "rounds_made": min(results[i]["rounds"] for i in team),
+        **({"lag_s": late, "following_rms_m": float(np.sqrt(np.mean(far[moving] ** 2)))} if moves else {}),
+    }
+
+
+def ways(config: SwarmConfig, results: Results) -> tuple[Vec, Mat, Mat]:
+    """Times (T,) s of the law; where the defenders were and where they were to be then, (T, N, 2) m each."""
+    options, team = given(config), defenders(config)
+    rows = min(min(len(results[i]["way"]), len(results[i]["intruder_way"])) for i in team)
+    flown = np.array([np.array(results[i]["way"])[:rows, 1:3] for i in team])
+    seen = np.array([np.array(results[i]["intruder_way"])[:rows, 1:3] for i in team])
+    defence = Defence(np.array(options.target), *options.weights)
+    wanted = np.array([defence.optimum(seen[:, k]) for k in range(rows)])
+    return np.array(results[team[0]]["way"])[:rows, 0], flown.swapaxes(0, 1), wanted
+
+
+def lag(t: Vec, flown: Mat, wanted: Mat, most: float = 3.0) -> float:
+    """s by which `flown` is late: the shift of `wanted` (T, N, 2), known at t (T,), that fits it best."""
+    shifts, inner = np.arange(0.0, most, 0.02), t >= t[0] + most
+    series = wanted.reshape(len(t), -1).T
+
+    def misfit(shift: float) -> float:
+        moved = np.array([np.interp(t[inner] - shift, t, row) for row in series]).T
+        return float(np.sum((flown.reshape(len(t), -1)[inner] - moved) ** 2))
+
+    return float(shifts[np.argmin([misfit(shift) for shift in shifts])])
+
+
+def picture(config: SwarmConfig, results: Results, path: str) -> None:
+    """The ways of the defenders, of their intruders, and how far the defenders were from the optimum."""
+    team = defenders(config)
+    t, flown, wanted = ways(config, results)
+    far = np.linalg.norm(flown - wanted, axis=2).T
+    draw_ways(
+        path,
+        {i: results[i]["way"][: len(t)] for i in team},
+        dict(zip(team, far, strict=True)),
+        "distance from the optimum [m]",
+        dict(zip(team, wanted[-1], strict=True)),
+        {i: results[i]["intruder_way"] for i in team},
+        given(config).target,
+    )

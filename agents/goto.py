@@ -1,0 +1,157 @@
+"""Timed goals: each drone is at its corners at its times; by default four drones cross a square by its diagonals.
+
+crazychoir run goto --fast --picture out/goto.png
+
+[mission_options]: goals: {"0": [[t, x, y, z], ...], ...}, s of the law and m, of each drone, instead of the crossing;
+levels: m between the heights of two drones in the crossing, that keeps them apart while they cross.
+"""
+
+from itertools import combinations
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from crazychoir import CFGuidance, SwarmConfig
+from crazychoir.errors import ConfigError
+from crazychoir.guidance.timed import TimedFlight
+from crazychoir.guidance.way_picture import draw_ways
+from crazychoir.math3d import Vec
+from crazychoir.planning.feasibility import Limits
+from crazychoir.planning.goal import timed_goals
+from crazychoir.planning.piecewise import Piecewise
+from crazychoir.swarm.graph import span
+from crazychoir.types import FullState
+
+Results = dict[int, dict[str, Any]]
+CORNERS = ((1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0))
+TIMES, HEIGHT = (5.0, 25.0, 45.0), 1.0
+"""s, at which a drone is at its own corner, at the opposite one, and at the next; m, the middle height."""
+INSIDE = 0.8
+"""Of the corners, where the drones stand at the start."""
+TOLERANCE = 0.05
+"""m from a goal at its time."""
+NEAR = 0.25
+"""m between two planned flights, below which something else must keep the drones apart."""
+
+
+class Options(msgspec.Struct, frozen=True, kw_only=True):
+    """[mission_options]."""
+
+    goals: dict[int, tuple[tuple[float, float, float, float], ...]] | None = None
+    levels: float = 0.3
+
+
+def given(config: SwarmConfig) -> Options:
+    """[mission_options]; raises ConfigError that names the key."""
+    try:
+        return msgspec.convert(config.mission_options, Options, strict=False)
+    except msgspec.ValidationError as error:
+        raise ConfigError(f"swarm {config.name}: mission_options", str(error), "see agents/goto.py") from error
+
+
+def guidance(i: int, config: SwarmConfig) -> CFGuidance:
+    """Drone i, in time."""
+    return TimedFlight(flight(i, config), [row[0] for row in goals(config)[i]])
+
+
+def flight(i: int, config: SwarmConfig) -> Piecewise:
+    """From above the home to each goal in its time; raises ConfigError if that is beyond the limits or the fence."""
+    home, limits = config.drone(i).home, config.flight
+    start = FullState.at((*home[:2], limits.ground + limits.takeoff_height))
+    rows = [[*row, 0.0] for row in goals(config)[i]]
+    room = Limits(
+        v_max=limits.speed_limit, a_max=limits.acceleration_limit, low=config.fence.min, high=config.fence.max
+    )
+    try:
+        return timed_goals(start, np.array(rows), room)
+    except ConfigError as error:
+        where = f"swarm {config.name}: drone {i}: {error.where}"
+        raise ConfigError(where, error.found, error.allowed, error.do) from error
+
+
+def goals(config: SwarmConfig) -> dict[int, tuple[tuple[float, float, float, float], ...]]:
+    """Rows t, x, y, z of each drone: those given, else the crossing."""
+    options = given(config)
+    if options.goals is not None:
+        return options.goals
+    middle = 0.5 * (len(config.ids) - 1)
+    return {i: crossing(k, HEIGHT + options.levels * (k - middle)) for k, i in enumerate(config.ids)}
+
+
+def crossing(k: int, z: float) -> tuple[tuple[float, float, float, float], ...]:
+    """The k-th drone's own corner, the opposite one, and the next."""
+    corners = [CORNERS[(k + turn) % len(CORNERS)] for turn in (0, 2, 3)]
+    return tuple((t, *corner, z) for t, corner in zip(TIMES, corners, strict=True))
+
+
+def swarm(drones: int | None = None) -> SwarmConfig:
+    """Four drones, each a little inside its corner."""
+    return SwarmConfig.of(
+        {
+            "name": "crossing",
+            "mission": "goto",
+            "drones": [{"id": i, "home": [INSIDE * x, INSIDE * y, 0.0]} for i, (x, y) in enumerate(CORNERS)],
+            "flight": {"takeoff_height": 0.5},
+            "fence": {"min": [-2.0, -2.0, 0.0], "max": [2.0, 2.0, 2.5]},
+        }
+    )
+
+
+def check(config: SwarmConfig, force: bool = False) -> list[str]:
+    """Each drone has goals, and can be there in time; says where two flights meet."""
+    options = given(config)
+    if options.goals is None and len(config.ids) != len(CORNERS):
+        raise ConfigError(f"swarm {config.name}: drones", len(config.ids), f"{len(CORNERS)}, or mission_options.goals")
+    if sorted(goals(config)) != sorted(config.ids):
+        where, found = f"swarm {config.name}: mission_options.goals", f"goals of drones {sorted(goals(config))}"
+        raise ConfigError(where, found, f"goals of each drone, {span(config.ids)}")
+    gap, i, j, t = nearest(config)
+    if gap >= NEAR:
+        return []
+    return [f"drones {i} and {j} are planned {gap:.2f} m from each other at {t:.1f} s: a collision filter must act"]
+
+
+def nearest(config: SwarmConfig) -> tuple[float, int, int, float]:
+    """m, the least distance of two planned flights, whose, and when, s of the law; inf for one drone."""
+    flights = {i: flight(i, config) for i in config.ids}
+    t = np.arange(0.0, max(way.duration for way in flights.values()), 0.05)
+    p = {i: way.samples(np.minimum(t, way.duration))[:, 0:3] for i, way in flights.items()}
+    worst = (float("inf"), config.ids[0], config.ids[0], 0.0)
+    for i, j in combinations(config.ids, 2):
+        gaps = np.linalg.norm(p[i] - p[j], axis=1)
+        k = int(np.argmin(gaps))
+        worst = min(worst, (float(gaps[k]), i, j, float(t[k])))
+    return worst
+
+
+def goal(config: SwarmConfig) -> dict[int, Vec]:
+    """The last goals."""
+    return {i: np.array(rows[-1][1:]) for i, rows in goals(config).items()}
+
+
+def report(config: SwarmConfig, results: Results) -> dict[str, Any]:
+    """How far each drone was from each of its goals at its time."""
+    errors = {i: results.get(i, {}).get("mark_errors_m", []) for i in config.ids}
+    reasons = {i: text for i in config.ids if (text := _late(errors[i], goals(config)[i]))}
+    return {
+        "success": not reasons,
+        "reasons": reasons,
+        "goal_errors_m": {i: [round(error, 4) for error in row] for i, row in errors.items()},
+        "tracking_rms_m": {i: results.get(i, {}).get("tracking_rms_m") for i in config.ids},
+    }
+
+
+def _late(errors: list[float], rows: tuple[tuple[float, float, float, float], ...]) -> str:
+    if len(errors) < len(rows):
+        return f"its flight ended before its goal at {rows[len(errors)][0]:g} s"
+    worst = int(np.argmax(errors))
+    if errors[worst] <= TOLERANCE:
+        return ""
+    return f"{errors[worst]:.3f} m from its goal at {rows[worst][0]:g} s, allowed {TOLERANCE} m"
+
+
+def picture(config: SwarmConfig, results: Results, path: str) -> None:
+    """The ways from above, and their heights."""
+    heights = {i: np.array(results[i]["way"])[:, 3] for i in config.ids}
+    draw_ways(path, {i: results[i]["way"] for i in config.ids}, heights, "z [m]", goal(config))

@@ -1,0 +1,41 @@
+"""Two drones exchange their places, head-on, in 20 s.
+
+crazychoir run head_on --fast
+
+[mission_options]: goals, see agents/goto.py; by default the two pass above each other.
+"""
+
+from typing import Any
+
+from crazychoir import CFGuidance, SwarmConfig
+from crazychoir.agents import goto
+
+Results = dict[int, dict[str, Any]]
+ENDS = ((-1.0, 0.1), (1.0, -0.1))
+START, ARRIVAL, HEIGHT, LEVELS = 3.0, 23.0, 1.0, 0.3
+
+
+def guidance(i: int, config: SwarmConfig) -> CFGuidance:
+    """Drone i, to where the other one was."""
+    return goto.guidance(i, config)
+
+
+def swarm(drones: int | None = None) -> SwarmConfig:
+    """One at each end, and for each a goal at the other end; a level of its own each."""
+    goals = {
+        str(i): [[START, *ENDS[i], z], [ARRIVAL, *ENDS[1 - i], z]]
+        for i, z in enumerate((HEIGHT - 0.5 * LEVELS, HEIGHT + 0.5 * LEVELS))
+    }
+    return SwarmConfig.of(
+        {
+            "name": "exchange",
+            "mission": "head_on",
+            "mission_options": {"goals": goals},
+            "drones": [{"id": i, "home": [*end, 0.0]} for i, end in enumerate(ENDS)],
+            "flight": {"takeoff_height": 0.5},
+            "fence": {"min": [-2.0, -2.0, 0.0], "max": [2.0, 2.0, 2.5]},
+        }
+    )
+
+
+check, goal, report, picture = goto.check, goto.goal, goto.report, goto.picture

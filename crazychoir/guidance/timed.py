@@ -1,0 +1,129 @@
+"""Laws for places that are known before the flight: a trajectory in its time, and a list of targets one by one."""
+
+import asyncio
+import contextlib
+from collections.abc import AsyncIterator, Sequence
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from crazychoir.guidance.base import CFDistributedFeedback, CFGuidance
+from crazychoir.planning.point_to_point import duration_for
+from crazychoir.planning.trajectory import Trajectory
+from crazychoir.swarm.tables import Flight
+from crazychoir.types import FullState, Goto, Heard, Point, State, Vec
+
+SETTLE = 1.0
+"""s after the end of a trajectory in which its drone comes to rest."""
+THERE = 0.05
+"""m, from a target that counts as reached."""
+SLACK = 1.5
+"""Of the time that a list of targets needs by plan: so long its law waits for the last one."""
+NOTED = 0.1
+"""s between two rows of a way."""
+
+
+class Way:
+    """Where a drone was during its law, by its own estimate: rows [t s, x, y, z m], ten a second."""
+
+    def __init__(self) -> None:
+        self.rows: list[list[float]] = []
+        self._began = 0.0
+
+    def note(self, now: float, p: Vec) -> float:
+        """It is at p (3,) m; returns s since it was noted first."""
+        self._began = self._began if self.rows else now
+        t = now - self._began
+        if not self.rows or t >= self.rows[-1][0] + NOTED - 1e-6:
+            self.rows.append([round(t, 4), *np.round(p, 4).tolist()])
+        return t
+
+
+@contextlib.asynccontextmanager
+async def noted(guidance: CFGuidance, way: Way) -> AsyncIterator[None]:
+    """Where a drone is gets noted as long as the block lasts.
+
+        async with noted(self, way):
+            await self.fly(...)
+    """
+
+    async def note() -> None:
+        while True:
+            way.note(guidance.member.clock.now(), guidance.state.p)
+            await guidance.sleep(NOTED)
+
+    task = asyncio.create_task(note(), name=f"drone {guidance.id} way")
+    try:
+        yield
+    finally:
+        task.cancel()
+        with contextlib.suppress(asyncio.CancelledError):
+            await task
+
+
+class TimedFlight(CFDistributedFeedback):
+    """Flies a trajectory in the time of its law, which begins at all drones of a team together.
+
+    trajectory: begins above the drone's home, where its take-off ends;  marks: s, at which it says how far it was from
+    the trajectory.  Result: mark_errors_m, one a mark;  tracking_rms_m, tracking_max_m;  way, of `Way`.
+    """
+
+    def __init__(self, trajectory: Trajectory, marks: Sequence[float] = ()) -> None:
+        self.trajectory, self.marks = trajectory, tuple(marks)
+        self.duration = trajectory.duration + SETTLE
+        self.way, self._at_marks, self._off = Way(), list[float](), list[float]()
+
+    def height(self) -> float:
+        """m above the ground, of where the trajectory begins."""
+        return float(self.trajectory.sample(0.0).p[2]) - self.member.config.flight.ground
+
+    def step(self, me: State, heard: Heard) -> FullState:
+        """Where the trajectory is now."""
+        t = self.way.note(self.member.clock.now(), me.p)
+        wanted = self.trajectory.sample(t)
+        off = float(np.linalg.norm(me.p - wanted.p))
+        self._off.append(off)
+        while len(self._at_marks) < len(self.marks) and t >= self.marks[len(self._at_marks)] - 1e-9:
+            self._at_marks.append(off)
+        return wanted
+
+    async def mission(self) -> dict[str, Any]:
+        """The law, with how well it was flown."""
+        result, off = await super().mission(), np.array(self._off)
+        figures = {"tracking_rms_m": float(np.sqrt(np.mean(off**2))), "tracking_max_m": float(off.max())}
+        return {**result, **figures, "mark_errors_m": self._at_marks, "way": self.way.rows}
+
+
+class TargetList(CFDistributedFeedback):
+    """Flies to targets one after the other: on to the next where it is within THERE m of one.
+
+    targets: (3,) m each, world;  home: where it stands;  flight: its limits, from which the duration of the law comes.
+    Result: reached_s, when each was reached, s of the law;  way, of `Way`.
+    """
+
+    rate = 20.0
+
+    def __init__(self, targets: Sequence[Point], home: Point, flight: Flight) -> None:
+        self.targets = [np.asarray(p, float) for p in targets]
+        start = np.array([home[0], home[1], flight.ground + flight.takeoff_height])
+        self.duration = SLACK * planned_s([start, *self.targets], flight)
+        self.way, self._reached = Way(), list[float]()
+
+    def step(self, me: State, heard: Heard) -> Goto:
+        """To the first target that was not reached; to the last one when all were."""
+        t, k = self.way.note(self.member.clock.now(), me.p), len(self._reached)
+        if k < len(self.targets) and np.linalg.norm(me.p - self.targets[k]) <= THERE:
+            self._reached.append(t)
+        return Goto(self.targets[min(len(self._reached), len(self.targets) - 1)])
+
+    async def mission(self) -> dict[str, Any]:
+        """The law, with when it was where."""
+        return {**await super().mission(), "reached_s": [round(t, 2) for t in self._reached], "way": self.way.rows}
+
+
+def planned_s(places: Sequence[Vec], flight: Flight) -> float:
+    """s from each place to the next, as fast as the limits allow, at rest at each."""
+    v, a = flight.speed_limit, flight.acceleration_limit
+    pairs = pairwise(places)
+    return sum(duration_for(FullState.at(start), goal, 0.0, v, a) for start, goal in pairs)

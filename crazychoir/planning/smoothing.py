@@ -1,0 +1,65 @@
+"""A place that jumps, as a reference that does not: what an optimisation in flight wants is flown through this."""
+
+import math
+
+import numpy as np
+
+from crazychoir.errors import ConfigError
+from crazychoir.math3d import Mat, Vec
+from crazychoir.types import FullState
+
+SLOPE, CURVE = 0.4481, 0.3750
+"""Integrals of |h'| and |h''|, h(t) = t^3 e^-t / 6 the answer of the filter to a pulse, w = 1."""
+QUICKEST = 10.0
+"""1/s, of the filter: beyond, the attitude control does not follow what is left of a jump."""
+
+
+class Smoother:
+    """A goal that jumps or moves in steps, flown as a full state whose place, v, a and j are continuous.
+
+        |u'| <= v_max towards the goal,   (1/w d/dt + 1)^4 p = u
+
+    A place u runs to the goal at v_max at most, and p follows it through four equal lags. The answer h to a pulse has
+    no sign but plus, so  |v| <= v_max,  |a| <= v_max w int |h'| = 0.448 w v_max,  |j| <= 0.375 w^2 v_max.
+    A goal that moves evenly is followed 4 / w s late; one that stands is reached within 1 % of the way after 10 / w s.
+    p: (3,) m, at rest at the start;  v_max: m/s;  a_max: m/s2, from which w follows, at most QUICKEST 1/s;
+    period: s, of its steps.
+    """
+
+    def __init__(self, p: Vec, v_max: float, a_max: float, period: float) -> None:
+        for name, value in (("v_max", v_max), ("a_max", a_max), ("period", period)):
+            if not (math.isfinite(value) and value > 0.0):
+                raise ConfigError(f"Smoother: {name}", value, "a positive number")
+        self.w, self.v_max, self.period = min(QUICKEST, a_max / (SLOPE * v_max)), v_max, period
+        self._u, self._x = np.array(p, float), np.zeros((4, len(p)))
+        self._x[0] = self._u
+        self._keep, self._take = transition(self.w, period)
+
+    @property
+    def lag(self) -> float:
+        """s, by which it is late behind a goal that moves evenly."""
+        return 4.0 / self.w
+
+    def step(self, goal: Vec, seconds: float | None = None, yaw: float = 0.0) -> FullState:
+        """The reference `seconds` later (a period, if not given; whole periods), with a goal (3,) m meanwhile."""
+        for _ in range(1 if seconds is None else max(1, round(seconds / self.period))):
+            way = np.asarray(goal) - self._u
+            far, most = float(np.linalg.norm(way)), self.v_max * self.period
+            self._u = self._u + way * min(1.0, most / far if far > 0.0 else 1.0)
+            self._x = self._keep @ self._x + np.outer(self._take, self._u)
+        return FullState(np.concatenate([self._x.reshape(-1), [yaw, 0.0]]))
+
+
+def transition(w: float, h: float) -> tuple[Mat, Vec]:
+    """x(t + h) = F x(t) + g u of (1/w d/dt + 1)^4 p = u, x = (p, v, a, j), u held.
+
+        F = e^(-w h) sum_k (h (A + w I))^k / k!, k = 0..3,   g = (1, 0, 0, 0) - F (1, 0, 0, 0)
+
+    A is the companion matrix of (s + w)^4, so A + w I is nilpotent, and the sum ends.
+    """
+    a = np.diag(np.ones(3), 1)
+    a[3] = [-(w**4), -4.0 * w**3, -6.0 * w**2, -4.0 * w]
+    n = h * (a + w * np.eye(4))
+    keep: Mat = math.exp(-w * h) * (np.eye(4) + n + n @ n / 2.0 + n @ n @ n / 6.0)
+    first = np.array([1.0, 0.0, 0.0, 0.0])
+    return keep, first - keep @ first

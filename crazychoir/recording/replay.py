@@ -1,0 +1,130 @@
+"""A world of drones that others fly, or have flown: their bodies go where recordings say, and obey nothing.
+
+uri = "replay://flight.mcap", a recording of a flight, of which the drone with the same id is taken, or, with ?drone=3
+at its end, drone 3;  uri = "replay://intruder.csv", samples t, x, y, z, yaw, ... of planning/trajectory_file.py.
+"""
+
+from pathlib import Path
+
+import numpy as np
+from scipy.interpolate import CubicHermiteSpline
+
+from crazychoir.bus.topics import TRUTH
+from crazychoir.errors import ConfigError
+from crazychoir.math3d import Mat, Vec
+from crazychoir.planning.trajectory_file import read_samples
+from crazychoir.recording.figures import into_world
+from crazychoir.recording.reading import read
+from crazychoir.simulation.truth import Truth
+from crazychoir.simulation.world import KINDS, Link, WorldSetup, not_flown
+from crazychoir.swarm.checks import REPLAY
+from crazychoir.types import Command
+
+NEAR = 0.1
+"""m, of a drone's home from where its recording begins."""
+
+
+def engine(setup: WorldSetup) -> "ReplayWorld":
+    """The world of these drones; raises ConfigError for a file that cannot be read, or does not begin at home."""
+    tables = []
+    for i, uri, home in zip(setup.ids, setup.uris, setup.homes, strict=True):
+        tables.append(states_of(uri, i, setup.dt))
+        start = tables[-1][0, 0:3]
+        if np.linalg.norm(start - home) > NEAR:
+            do = f"Set home = {np.round(start, 3).tolist()}."
+            raise ConfigError(f"drone {i}: home", list(home), f"at most {NEAR} m from where {uri} begins", do)
+    return ReplayWorld(setup, tables)
+
+
+def states_of(uri: str, drone: int, dt: float) -> Mat:
+    """States (K, 13), rows as State.flat, every dt s from the begin of a recording; raises ConfigError."""
+    name, _, number = uri.removeprefix(REPLAY).partition("?drone=")
+    if number and not number.isdecimal():
+        raise ConfigError(f"drone {drone}: uri", uri, f'{REPLAY}FILE, or {REPLAY}FILE?drone=NUMBER')
+    path = Path(name)
+    if path.suffix == ".csv":
+        return _of_samples(path, dt)
+    if path.suffix == ".mcap":
+        return _of_flight(path, int(number) if number else drone, dt)
+    raise ConfigError(f"drone {drone}: uri", uri, "a recording of a flight, .mcap, or a table of samples, .csv")
+
+
+def _of_samples(path: Path, dt: float) -> Mat:
+    """Level, with the yaw of the table."""
+    flight = read_samples(path)
+    flat = flight.samples(np.append(np.arange(0.0, flight.duration, dt), flight.duration))
+    half, level = 0.5 * flat[:, 12:13], np.zeros((len(flat), 2))
+    rates = np.column_stack([level, flat[:, 13]])
+    return np.hstack([flat[:, 0:6], level, np.sin(half), np.cos(half), rates])
+
+
+def _of_flight(path: Path, drone: int, dt: float) -> Mat:
+    """The truth of one drone, from the begin of the recording: places by Hermite polynomials, attitudes by chords."""
+    recording = read(path, (TRUTH.name,))
+    found = recording.of(drone, TRUTH.name)
+    if len(found) < 2:
+        do = f"Add ?drone= one of {recording.drones}."
+        raise ConfigError(f"{path}: truth of drone {drone}", "nothing", "a recording of that drone", do)
+    t, first = np.unique(found.born - recording.seconds[0], return_index=True)
+    x = found.numbers[first]
+    q = _one_way(x[:, 3:7])
+    at = np.arange(0.0, t[-1], dt)
+    inside = np.maximum(at, t[0])  # before its first truth it stands there
+    curve = CubicHermiteSpline(t, x[:, 0:3], into_world(q, x[:, 7:10]))
+    turned = _columns(inside, t, q)
+    turned /= np.linalg.norm(turned, axis=1)[:, None]
+    return np.hstack([curve(inside), curve(inside, 1), turned, _columns(inside, t, x[:, 10:13])])
+
+
+def _one_way(q: Mat) -> Mat:
+    """The same attitudes, each with the sign of the one before: q and -q are one."""
+    signs = np.cumprod(np.where(np.sum(q[1:] * q[:-1], axis=1) < 0.0, -1.0, 1.0))
+    found: Mat = q * np.concatenate([[1.0], signs])[:, None]
+    return found
+
+
+def _columns(at: Vec, t: Vec, x: Mat) -> Mat:
+    return np.column_stack([np.interp(at, t, column) for column in x.T])
+
+
+class ReplayWorld(Truth):
+    """Bodies that follow tables of states, a row a step, and stay where they end.
+
+    They count as resting, wherever they are: nobody here has to bring them down.
+    """
+
+    flies: tuple[str, ...] = tuple(KINDS)
+    command_timeout: float | None = None
+
+    def __init__(self, setup: WorldSetup, tables: list[Mat]) -> None:
+        places = np.array([table[0, 0:3] for table in tables])
+        super().__init__(setup.ids, places, np.array(setup.yaws), setup.platforms, setup.dt)
+        self._tables, self._resting = tables, np.ones(len(tables))
+        self._show()
+
+    def step(self) -> None:
+        """On to the next row."""
+        self.tick += 1
+        self._show()
+
+    def _show(self) -> None:
+        for row, table in enumerate(self._tables):
+            self.states[row] = table[min(self.tick, len(table) - 1)]
+            if self.tick >= len(table):
+                self.states[row, 3:6] = self.states[row, 10:13] = 0.0
+
+    def link(self, i: int, kind: str) -> Link:
+        """A way on which nothing arrives."""
+        if kind not in self.flies:
+            raise not_flown(i, kind, self.flies)
+        return Deaf()
+
+
+class Deaf:
+    """The link of a body that obeys nothing."""
+
+    def send(self, command: Command) -> None:
+        """Nothing."""
+
+    def cut(self) -> None:
+        """Nothing."""
