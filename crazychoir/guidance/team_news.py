@@ -144,6 +144,10 @@ class TeamNews:
         """The team of the present epoch."""
         return self.communicator.graph.at(0).ids
 
+    def alive_ids(self) -> tuple[int, ...]:
+        """The members that still fly."""
+        return tuple(self.book.alive(self.members))
+
     def standings(self) -> dict[int, Standing]:
         """Each task as it stands, as far as it is known here."""
         return self.book.standings(self.members, self.recover)
