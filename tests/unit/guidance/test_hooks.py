@@ -153,7 +153,7 @@ def law_of(body):
 @pytest.mark.parametrize(
     ("body", "found"),
     [
-        ("return np.zeros(3)", "step() must return Acceleration(...), FullState(...), Goto(...) or None; "
+        ("return np.zeros(3)", "step() must return Acceleration(...), Velocity(...), FullState(...), Goto(...) or None; "
          "found ndarray (3,)"),
         ("return 'up'", "Goto(...) or None; found str"),
         ("return Acceleration(np.zeros(2))", "step() must return finite numbers, Acceleration of (3,)"),
