@@ -20,6 +20,8 @@ from crazychoir.swarm.config import SwarmConfig
 from crazychoir.swarm.tables import Flight
 from crazychoir.types import State
 
+SILENT = 0.1
+
 
 class Strategy(Protocol):
     """From a state and a reference to what the robot is commanded."""
@@ -30,17 +32,32 @@ class Strategy(Protocol):
 
 
 class RobotController(CrazyflieController):
-    """Flies references, in the sense of drones, by what the strategy makes of them."""
+    """Flies references, in the sense of drones, by what the strategy makes of them.
 
-    def __init__(self, strategy: Strategy, size: int, sender: CommunicationHandler) -> None:
+        |u_k - u_k-1| <= a_max h,  in the first `smooth` entries: a robot that obeys velocities at once is not told to
+        jump, as it would be past the fence before its filter has seen it move
+
+    size: n, of the input;  a_max: m/s2.  After SILENT s without a tick it counts as standing.
+    """
+
+    def __init__(
+        self, strategy: Strategy, size: int, sender: CommunicationHandler, smooth: int = 0, a_max: float = math.inf
+    ) -> None:
         super().__init__(sender, FullStateTraj())
-        self.strategy, self.size = strategy, size
+        self.strategy, self.size, self.smooth, self.a_max = strategy, size, smooth, a_max
+        self._sent, self._at = np.zeros(smooth), -math.inf
 
     def law(self, state: State, reference: Vec, now: float) -> Vec | None:
-        """The strategy's input."""
+        """The strategy's input, smooth."""
         if not math.isfinite(sum(state.flat.tolist()) + sum(reference.tolist())):
             return None
-        return self.strategy.input(state, reference)
+        u = self.strategy.input(state, reference)
+        h, self._at = now - self._at, now
+        if self.smooth:
+            sent = self._sent if h < SILENT else np.zeros(self.smooth)
+            self._sent = sent + saturate(u[: self.smooth] - sent, self.a_max * min(h, SILENT))
+            u[: self.smooth] = self._sent
+        return u
 
     def blind(self) -> Vec:
         """Nothing: it stands still, or goes on as it does if it has inertia."""
@@ -90,7 +107,7 @@ class DoubleIntegratorCtrl:
 def single_integrator(flight: Flight) -> Controls:
     """A point that is sent velocities; twice the limit leaves room to catch up."""
     strategy = SingleIntegratorCtrl(v_max=2.0 * flight.speed_limit)
-    return _controls(RobotController(strategy, 4, VelSender()))
+    return _controls(RobotController(strategy, 4, VelSender(), smooth=3, a_max=2.0 * flight.acceleration_limit))
 
 
 def double_integrator(flight: Flight) -> Controls:
@@ -101,7 +118,8 @@ def double_integrator(flight: Flight) -> Controls:
 
 def unicycle(flight: Flight) -> Controls:
     """Wheels on one axle, that are sent (v, w)."""
-    return _controls(RobotController(UnicycleCtrl(v_max=flight.speed_limit), 2, DriveSender()), planar=True)
+    strategy, a_max = UnicycleCtrl(v_max=flight.speed_limit), 2.0 * flight.acceleration_limit
+    return _controls(RobotController(strategy, 2, DriveSender(), smooth=1, a_max=a_max), planar=True)
 
 
 def _controls(

@@ -79,7 +79,7 @@ class AccSender:
     """Sends accelerations to a double integrator, from u (3,) m/s2 world."""
 
     topic, kind = "cmd", "acc"
-    idle: Command = Acc(np.zeros(3))
+    idle: Command = STOP
 
     def message(self, u: Vec) -> Acc:
         """The command of u (3,), not copied."""

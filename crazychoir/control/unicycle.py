@@ -49,7 +49,7 @@ class UnicyclePoseCtrl:
     """
 
     def __init__(
-        self, v_max: float = 1.0, k1: float = 1.0, k2: float = 3.0, k3: float = 1.0, beta: float = 0.4,
+        self, v_max: float = 1.0, k1: float = 2.0, k2: float = 3.0, k3: float = 1.5, beta: float = 0.1,
         exponent: float = 2.0, w_max: float = 4.0,
     ) -> None:  # fmt: skip
         self.v_max, self.k1, self.k2, self.k3 = v_max, k1, k2, k3

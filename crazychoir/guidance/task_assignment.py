@@ -110,7 +110,8 @@ class TaskAssignmentGuidance(CFGuidance):
 
     async def asked(self, verb: str, arguments: dict[str, Any]) -> Any:
         """An operator adds a task, at its pickup, or cancels one; see TaskSource."""
-        return await self.source.asked(verb, arguments)
+        place = {"delivery": arguments.get("pickup")} if verb == "task_add" else {}
+        return await self.source.asked(verb, {**arguments, **place})
 
     def _may_end(self) -> bool:
         return self._shares

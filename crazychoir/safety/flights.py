@@ -11,7 +11,7 @@ from crazychoir.safety.guard import INSET, Fence
 from crazychoir.swarm.tables import Flight
 from crazychoir.types import FullState, State
 
-DETOUR, PARKING = 1.5, 4.0
+DETOUR, PARKING = 2.0, 4.0
 """A robot that finds its own way to a pose is given so many times what a straight one takes, and s to come to rest."""
 
 

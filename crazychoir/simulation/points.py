@@ -20,9 +20,9 @@ STRAIGHT = 1e-9
 
 
 class Robots(Truth):
-    """Robots that obey their last command exactly over each step; one that is cut stands still, for good.
+    """Robots that obey their last command exactly over each step.
 
-    inputs: (N, n), what they are commanded.
+    inputs: (N, n), what they are commanded;  stands: (N,), who has its brakes on;  cut: (N,), who has them for good.
     """
 
     kind: str
@@ -33,7 +33,7 @@ class Robots(Truth):
         super().__init__(setup.ids, np.array(setup.homes, dtype=float), np.array(setup.yaws), setup.platforms, setup.dt)
         self.flies: tuple[str, ...] = (self.kind,)
         self.inputs = np.zeros((len(self.ids), self.size))
-        self._cut = np.zeros(len(self.ids), dtype=bool)
+        self.stands, self.cut = np.zeros((2, len(self.ids)), dtype=bool)
 
     def link(self, i: int, kind: str) -> "RobotLink":
         """The way to robot i; raises ConfigError for another kind than its own."""
@@ -47,8 +47,8 @@ class Robots(Truth):
 
     def step(self) -> None:
         """Advance every robot by dt."""
-        for x, u, cut in zip(self.states, self.inputs, self._cut, strict=True):
-            if cut:
+        for x, u, stands in zip(self.states, self.inputs, self.stands | self.cut, strict=True):
+            if stands:
                 x[3:6] = x[10:13] = 0.0
             else:
                 self.move(x, u, self.dt)
@@ -61,20 +61,21 @@ class Robots(Truth):
 
 @dataclass
 class RobotLink:
-    """The way to one robot of a world in this process; what is not finite counts for nothing."""
+    """The way to one robot of a world in this process; a command that is not finite counts for nothing."""
 
     world: Robots
     row: int
 
     def send(self, command: Command) -> None:
-        """Obeyed until the next one; a velocity ends with the XYZ that stops."""
-        flat = np.zeros(self.world.size) if isinstance(command, XYZ) else command.flat
-        if np.all(np.isfinite(flat)):
-            self.world.inputs[self.row] = flat
+        """Obeyed until the next one; the XYZ that stops puts the brakes on until then."""
+        if isinstance(command, XYZ):
+            self.world.stands[self.row] = True
+        elif np.all(np.isfinite(command.flat)):
+            self.world.inputs[self.row], self.world.stands[self.row] = command.flat, False
 
     def cut(self) -> None:
         """It stands still, for good."""
-        self.world._cut[self.row] = True
+        self.world.cut[self.row] = True
 
 
 class SingleIntegrators(Robots):

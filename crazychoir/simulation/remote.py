@@ -148,11 +148,16 @@ class RemoteBody:
         if limit is None or self._idle or not limit < self.silence < math.inf:
             return
         self._idle, rests = True, self.world.resting(self.drone)
-        kind = KINDS[self.kind][0]
-        self.link.send(self._down(rests) if planned else kind(np.zeros(SIZES[kind])))
+        self.link.send(self._down(rests) if planned else self._nothing())
         if not rests:
             does = "landing" if planned else "no thrust"
             log.warning("drone %d: no command for %.2f s, limit %.2f s: %s", self.drone, self.silence, limit, does)
+
+    def _nothing(self) -> Command:
+        """Neither thrust nor speed."""
+        kinds = KINDS[self.kind]
+        stop: Command = XYZ("stop", np.zeros(5)) if XYZ in kinds else kinds[0](np.zeros(SIZES[kinds[0]]))
+        return stop
 
     def _down(self, rests: bool) -> XYZ:
         """To the ground by the planner on board, whose heading stays; one that rests stops its motors."""
