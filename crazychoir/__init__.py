@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from crazychoir.swarm.config import SwarmConfig
     from crazychoir.swarm.graph import Graph, GraphSequence
     from crazychoir.swarm.round import Round
-    from crazychoir.types import FPQR, Acceleration, FullState, Goto, PerNeighbor, Pose, State
+    from crazychoir.types import FPQR, Acceleration, FullState, Goto, PerNeighbor, Pose, State, Velocity
 
 __all__ = [
     "FPQR",
@@ -34,6 +34,7 @@ __all__ = [
     "Round",
     "State",
     "SwarmConfig",
+    "Velocity",
 ]
 _ROOM_OF = {
     "CrazyChoirError": "errors",
@@ -45,7 +46,7 @@ _ROOM_OF = {
     "Graph": "swarm.graph",
     "GraphSequence": "swarm.graph",
     "Round": "swarm.round",
-    **dict.fromkeys(("FPQR", "Acceleration", "FullState", "Goto", "PerNeighbor", "Pose", "State"), "types"),
+    **dict.fromkeys(("FPQR", "Acceleration", "FullState", "Goto", "PerNeighbor", "Pose", "State", "Velocity"), "types"),
 }
 
 if not TYPE_CHECKING:  # with it, a type checker would take every name for one of ours

@@ -13,6 +13,7 @@ from crazychoir.bus.local import Bus
 from crazychoir.bus.topics import LOG, POSE, RESULT, STATUS, TELEMETRY
 from crazychoir.control.choice import Controls, controls
 from crazychoir.control.margin import Plant as PlantKind
+from crazychoir.control.robots import ROBOTS
 from crazychoir.errors import Refused
 from crazychoir.guidance.drone import Drone
 from crazychoir.guidance.life import GuidanceActor
@@ -141,6 +142,8 @@ class Agent:
 
     def _controls(self, i: int) -> Controls:
         drone, plant = self.config.drone(i), self.config.plant
+        if drone.uri in ROBOTS:
+            return ROBOTS[drone.uri][1](self.config.flight)
         kind: PlantKind = "lightweight" if drone.uri == LIGHTWEIGHT else "motors"
         where = f"control of drone {i}"
         row = self.config.control_of(i)

@@ -82,6 +82,13 @@ class Acceleration(Wire, frozen=True, array_like=True, gc=False):
     yaw: float = 0.0
 
 
+class Velocity(Wire, frozen=True, array_like=True, gc=False):
+    """Reference of a single-integrator law: v (3,) m/s world, yaw rad."""
+
+    v: Vec
+    yaw: float = 0.0
+
+
 class FullState(Wire, frozen=True, array_like=True, gc=False):
     """Reference of a flat output: flat (14,) = p m, v m/s, a m/s2, j m/s3 (each (3,), world), yaw rad, yaw' rad/s."""
 
@@ -155,6 +162,18 @@ class Vel(Wire, frozen=True, array_like=True, gc=False):
     flat: Vec
 
 
+class Acc(Wire, frozen=True, array_like=True, gc=False):
+    """Command to a double integrator: flat (3,) = acceleration m/s2, world."""
+
+    flat: Vec
+
+
+class Drive(Wire, frozen=True, array_like=True, gc=False):
+    """Command to a unicycle: flat (2,) = speed v m/s along its heading, turn rate w rad/s."""
+
+    flat: Vec
+
+
 class XYZ(Wire, frozen=True, array_like=True, gc=False):
     """Command to the planner on board: flat (5,) = p (3,) m world, yaw rad, duration s.
 
@@ -165,7 +184,7 @@ class XYZ(Wire, frozen=True, array_like=True, gc=False):
     flat: Vec
 
 
-Command = FPQR | FRPY | Vel | XYZ | FullState
+Command = FPQR | FRPY | Vel | XYZ | FullState | Acc | Drive
 
 
 class Status(Wire, frozen=True, array_like=True, gc=False):
@@ -208,7 +227,7 @@ class Failure(Wire, frozen=True, array_like=True, gc=False):
     reason: str
 
 
-Reference = Acceleration | FullState | Goto
+Reference = Acceleration | FullState | Goto | Velocity
 Heard = dict[int, State]
 
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from crazychoir.bus.local import BODIES, Bus
+from crazychoir.control.robots import sender_of
 from crazychoir.errors import Refused
 from crazychoir.mocap.simulated import SimulatedMocap
 from crazychoir.runtime.actor import Actor
@@ -85,7 +86,7 @@ class WorldProcess(Actor):
 
     def _bodies(self, owner: WorldOwner) -> list[RemoteBody]:
         note, flight = Latency(owner, self.latencies_ns).note, self._config.flight
-        kinds = {i: self._config.control_of(i).sender for i in owner.world.ids}
+        kinds = {i: sender_of(self._config, i) for i in owner.world.ids}
         return [
             RemoteBody(
                 self.bus.ports[BODIES + i], owner.world, owner.link(i, kind), kind, note, flight,

@@ -49,6 +49,9 @@ LAYOUTS: Final = {
     "XYZ": (25, 0),
     "Body": (26, 0),
     "Failure": (27, 0),
+    "Acc": (40, 3),
+    "Drive": (41, 2),
+    "Velocity": (42, 3),
 }
 """Wire types by class name: kind (16 to 63), and n if the fields are one (n,) float64 vector, then floats; else 0.
 
@@ -278,6 +281,6 @@ _DECODERS[_GENERIC], _DECODERS[_FLOAT] = _decode_generic, _decode_float
 _DECODERS[VECTOR], _DECODERS[ARRAY] = decode_vector, decode_array
 for _cls in (
     types.Pose, types.State, types.Acceleration, types.FullState, types.Goto, types.FPQR, types.Status,
-    types.FRPY, types.Vel, types.XYZ, types.Body, types.Failure,
+    types.FRPY, types.Vel, types.XYZ, types.Body, types.Failure, types.Acc, types.Drive, types.Velocity,
 ):  # fmt: skip
     register(_cls)

@@ -1,4 +1,4 @@
-"""crazychoir task: give a swarm that delivers goods in flight another task, or cancel one."""
+"""crazychoir task: give a swarm that works in flight another task, or cancel one."""
 
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -14,14 +14,16 @@ if TYPE_CHECKING:
 REFUSED = "refused"
 UNSURE = "It may have done it all the same: look at the report of the mission before you ask another with --drone."
 START = "crazychoir run online_delivery"
-app = typer.Typer(no_args_is_help=True, help="Add or cancel tasks of a swarm that delivers goods, in flight.")
+app = typer.Typer(no_args_is_help=True, help="Add or cancel tasks of a swarm, in flight.")
 DroneOption = Annotated[int | None, typer.Option(help="Tell this drone; else the first that answers. All hear of it.")]
 
 
 @app.command()
 def add(
     pickup: Annotated[str, typer.Option(help="Where the goods are, as 1.5,2 (m).")],
-    delivery: Annotated[str, typer.Option(help="Where they are to be, as 3,0.5 (m).")],
+    delivery: Annotated[
+        str | None, typer.Option(help="Where they are to be, as 3,0.5 (m); of a task that is done at a place: nothing.")
+    ] = None,
     load: Annotated[float, typer.Option(help="In the unit of the capacities.")] = 1.0,
     robots: Annotated[str | None, typer.Option(help="Who alone may serve it, as 0,3; else all.")] = None,
     drone: DroneOption = None,
@@ -31,7 +33,7 @@ def add(
     """Another task; prints its id, as `cancel` wants it."""
     arguments = {
         "pickup": _numbers("--pickup", pickup, float, 2),
-        "delivery": _numbers("--delivery", delivery, float, 2),
+        "delivery": None if delivery is None else _numbers("--delivery", delivery, float, 2),
         "load": load,
         "robots": [] if robots is None else _numbers("--robots", robots, int),
     }

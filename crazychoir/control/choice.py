@@ -31,7 +31,8 @@ class Controls:
     """The controllers of one drone.
 
     tracker: of FullStates;  follower: of Accelerations, None if what is sent cannot be one;  trim: what both know of
-    the drone;  gains: of the tracker.
+    the drone;  gains: of the tracker;  takes_off: a robot that does not is where it flies, on the floor too;
+    planar: its height is not its to choose.
     """
 
     platform: Platform
@@ -40,6 +41,8 @@ class Controls:
     follower: CrazyflieController | None
     trim: Trim
     gains: Gains
+    takes_off: bool = True
+    planar: bool = False
 
     @property
     def sender(self) -> CommunicationHandler:
@@ -48,8 +51,8 @@ class Controls:
 
     @property
     def tuned(self) -> dict[str, Any]:
-        """The gains that it flies by, by name; none for one that is flown by those of its firmware."""
-        if self.sender.kind in ON_BOARD:
+        """The gains that it flies by, by name; none for one that is flown by those of its firmware, or is no drone."""
+        if not isinstance(self.tracker, HierarchicalController):
             return {}
         return {name: getattr(self.gains, name) for name in OF_TRACKING}
 

@@ -5,7 +5,7 @@ from typing import Protocol
 import numpy as np
 
 from crazychoir.math3d import Vec
-from crazychoir.types import FPQR, FRPY, XYZ, Command, Vel
+from crazychoir.types import FPQR, FRPY, XYZ, Acc, Command, Drive, Vel
 
 STOP = XYZ("stop", np.zeros(5))
 
@@ -73,6 +73,36 @@ class VelSender:
     def steady(self, weight: float) -> Vel:
         """Stay."""
         return Vel(np.zeros(4))
+
+
+class AccSender:
+    """Sends accelerations to a double integrator, from u (3,) m/s2 world."""
+
+    topic, kind = "cmd", "acc"
+    idle: Command = STOP
+
+    def message(self, u: Vec) -> Acc:
+        """The command of u (3,), not copied."""
+        return Acc(u)
+
+    def steady(self, weight: float) -> Acc:
+        """Neither faster nor slower."""
+        return Acc(np.zeros(3))
+
+
+class DriveSender:
+    """Sends speed and turn rate to a unicycle, from u (2,) = m/s, rad/s."""
+
+    topic, kind = "cmd", "drive"
+    idle: Command = Drive(np.zeros(2))
+
+    def message(self, u: Vec) -> Drive:
+        """The command of u (2,), not copied."""
+        return Drive(u)
+
+    def steady(self, weight: float) -> Drive:
+        """Stay."""
+        return Drive(np.zeros(2))
 
 
 class XYZSender:

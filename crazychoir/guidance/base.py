@@ -28,7 +28,7 @@ from crazychoir.swarm.config import SwarmConfig
 from crazychoir.swarm.graph import Graph
 from crazychoir.swarm.round import Round
 from crazychoir.swarm.running import Pace, run_algorithm
-from crazychoir.types import Acceleration, FullState, Goto, Heard, Point, Reference, State, Vec
+from crazychoir.types import Acceleration, FullState, Goto, Heard, Point, Reference, State, Vec, Velocity
 
 log = logging.getLogger(__name__)
 P = ParamSpec("P")
@@ -185,7 +185,7 @@ class CFGuidance:
         stopped goes on as in `go_to`, which is also how a drone in the air gets to the height.
         Raises Interrupted when it may not rise, and as `go_to`.
         """
-        pilot, limits = self.member.pilot, self.member.config.flight
+        pilot = self.member.pilot
         if pilot.awaits_start:
             self.member.rise = height
             await self._told("take-off", UNCOMMANDED, lambda: not pilot.airborne)
@@ -196,11 +196,9 @@ class CFGuidance:
         self._may_fly()
         if pilot.state is None:
             raise Interrupted(f"drone {self.id}: no pose within {PATIENCE:g} s")
-        goal = self.state.p.copy()
-        goal[2] = limits.ground + (limits.takeoff_height if height is None else height)
-        goal[2] = pilot.fence.nearest(goal)[2]
+        goal = pilot.above(height)
         await self._while(pilot.take_off(height), Mode.TAKEOFF)
-        if np.linalg.norm(goal - self.state.p) > RISEN:
+        if pilot.gap(goal) > RISEN:
             await self.go_to(goal)
         await self._settle(goal)
 
@@ -252,10 +250,10 @@ class CFGuidance:
             seconds = self.member.pilot.go_to(p, yaw, duration)
             attempts += seconds > 0.0
             await self._while(seconds or SETTLE, Mode.TAKEOFF, Mode.FOLLOW)
-            if np.linalg.norm(self.state.p - np.asarray(p)) < ARRIVED:
+            if self.member.pilot.gap(p) < ARRIVED:
                 return
         place = np.round(np.asarray(p), 2).tolist()
-        gap = float(np.linalg.norm(self.state.p - np.asarray(p)))
+        gap = self.member.pilot.gap(p)
         why = "held by its operator" if self.member.pilot.held else self.member.pilot.note
         raise Interrupted(f"drone {self.id}: does not reach {place}, still {gap:.2f} m from it: {why or 'no reason'}")
 
@@ -277,7 +275,7 @@ class CFGuidance:
         pilot = self.member.pilot
         seconds = pilot.fly(trajectory)
         await self._while(seconds, Mode.FOLLOW)
-        if seconds == 0.0 or np.linalg.norm(self.state.p - end.p) > ARRIVED:
+        if seconds == 0.0 or pilot.gap(end.p) > ARRIVED:
             why = "held by its operator" if pilot.held else pilot.note
             raise Interrupted(f"drone {self.id}: its trajectory of {trajectory.duration:.1f} s was not flown: {why}")
 
@@ -513,12 +511,15 @@ def amiss(reference: object) -> str:
             numbers, size = [reference.a, reference.yaw], 3
         case FullState():
             numbers, size = [reference.flat], 14
+        case Velocity():
+            numbers, size = [reference.v, reference.yaw], 3
         case Goto():
             numbers, size = [reference.p, reference.yaw, reference.duration], 3
         case _:
             of = f" {reference.shape}" if isinstance(reference, np.ndarray) else ""
             found = f"{type(reference).__name__}{of}"
-            return f"step() must return Acceleration(...), FullState(...), Goto(...) or None; found {found}"
+            kinds = "Acceleration(...), Velocity(...), FullState(...), Goto(...) or None"
+            return f"step() must return {kinds}; found {found}"
     kind, found = type(reference).__name__, " ".join(f"{numbers}"[1:-1].split())
     return f"step() must return finite numbers, {kind} of ({size},); found {kind}({found:.80})"
 

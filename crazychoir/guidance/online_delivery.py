@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from crazychoir.errors import AgentFailed, CrazyChoirError, PeerLost, RosterChanged
+from crazychoir.errors import CrazyChoirError, RosterChanged
 from crazychoir.guidance.airspace import way_round
 from crazychoir.guidance.base import ARRIVED, TOUCHDOWN, CFGuidance, Interrupted, Member, touch_down
 from crazychoir.guidance.commitments import Commitments
@@ -30,6 +30,7 @@ from crazychoir.guidance.site import Site
 from crazychoir.guidance.task_book import LARGEST, Place, Task
 from crazychoir.guidance.task_source import Event, TaskSource
 from crazychoir.guidance.team_news import PERIOD, Key, TeamNews
+from crazychoir.guidance.together import given_up, run_together, unless
 from crazychoir.math3d import Vec
 from crazychoir.planning.point_to_point import duration_for
 from crazychoir.routing.instance import LocalProblem
@@ -41,8 +42,6 @@ POLL = 0.05
 """s between two looks at what may have changed."""
 HORIZON = 3.0
 """s of its flight to which a robot is bound when a planning begins: as long as one takes in which somebody is lost."""
-DEADLINE = 30.0
-"""s for one round of a planning."""
 LATE = 5.0
 """s by which a robot is later than its plan said when the team plans again."""
 REUNION = 30.0
@@ -219,49 +218,7 @@ class OnlinePDVRPGuidance(CFGuidance):
         program = Replanning(
             self.id, links, self.news.book, bound, aboard, problem, self.options.recover, self.options.method
         )
-        channel = "-".join(["plan", *map(str, key[1])])
-        while not program.done:
-            heard = await self._exchange(program.message(), links.neighbors(self.id), channel, key)
-            if heard is None:
-                return None
-            await self.member.clock.compute(program.step, heard)
-        return program.result
-
-    async def _exchange(
-        self, message: Any, neighbors: tuple[int, ...], channel: str, key: Key
-    ) -> dict[int, Any] | None:
-        """One round with the neighbours; None if the team has changed meanwhile.
-
-        A neighbour that is lost, or has failed, is waited for until the team goes on without it.
-        """
-        ends = self._now + DEADLINE
-        while True:
-            exchange = asyncio.ensure_future(
-                self.neighbors_exchange(message, neighbors, neighbors, channel=channel, deadline=DEADLINE)
-            )
-            try:
-                await self._unless(exchange, self.news.changed)
-                if exchange.done():
-                    return exchange.result()
-                if self.news.key() != key:
-                    return None
-                self.news.changed.clear()
-            except (PeerLost, AgentFailed):
-                if self._now > ends:
-                    raise
-                await self.sleep(POLL)
-                if self.news.key() != key:
-                    return None
-            finally:
-                await _given_up(exchange)
-
-    async def _unless(self, task: "asyncio.Future[Any]", event: asyncio.Event) -> None:
-        """Wait for a task, or for an event."""
-        waits = asyncio.ensure_future(event.wait())
-        try:
-            await asyncio.wait({task, waits}, return_when=asyncio.FIRST_COMPLETED)
-        finally:
-            await _given_up(waits)
+        return program.result if await run_together(self.news, program, links, key) else None
 
     def _head(self) -> tuple[list[Stop], Vec, float]:
         """The stops to which this robot is bound, where it will be after them, and in how many s.
@@ -413,12 +370,12 @@ class OnlinePDVRPGuidance(CFGuidance):
             try:
                 while not leg.done():
                     self._redirected.clear()
-                    await self._unless(leg, self._redirected)
+                    await unless(leg, self._redirected)
                     if not valid():
                         return False
                 leg.result()
             finally:
-                await _given_up(leg)
+                await given_up(leg)
                 self.flown += float(np.linalg.norm(self._here() - began))
                 self.way.append(self._here())
         return valid()
@@ -486,12 +443,3 @@ class OnlinePDVRPGuidance(CFGuidance):
 def _flat(p: Vec) -> Place:
     """A place in the plane."""
     return float(p[0]), float(p[1])
-
-
-async def _given_up(task: "asyncio.Future[Any]") -> None:
-    """Cancel what nobody waits for any more, and let it end."""
-    if not task.done():
-        task.cancel()
-        await asyncio.wait({task})
-    if not task.cancelled():
-        task.exception()

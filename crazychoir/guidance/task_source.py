@@ -1,14 +1,13 @@
 """Where tasks come from in flight: events of the mission, and operators. Who hears of one tells the others."""
 
 import re
-from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Callable, Collection, Sequence
+from typing import Any, NamedTuple, Protocol
 
 import msgspec
 
 from crazychoir.errors import Refused
-from crazychoir.guidance.site import Site
-from crazychoir.guidance.task_book import Fate, Task
+from crazychoir.guidance.task_book import Fate, Place, Task
 from crazychoir.guidance.team_news import TeamNews
 from crazychoir.swarm.graph import span
 
@@ -28,6 +27,22 @@ class Event(NamedTuple):
     t: float
     task: Task
     robots: tuple[int, ...] = ()
+
+
+class Site(Protocol):
+    """Where tasks may be, and for whom."""
+
+    def lies_badly(self, task: Task, pickup: Place) -> str:
+        """Why nobody can stand there; empty if somebody can."""
+        ...
+
+    def never(self, task: Task) -> str:
+        """Why no robot of this swarm can serve it; empty if one can."""
+        ...
+
+    def waits(self, task: Task, flying: Collection[int]) -> str:
+        """Why none of those who fly can serve a task that somebody of the swarm could; empty if one can."""
+        ...
 
 
 class TaskSource:

@@ -31,13 +31,14 @@ class TeamNews:
     """The news of the robot of this communicator.
 
     tasks: that it knows from the start;  here: says where it is, (2,) m;  recover: see TaskBook.standings;
-    changed: set when the team is another one;  dropped: messages that were no books.
+    period: s between two tellings;  changed: set when the team is another one;  dropped: messages that were no books.
     """
 
     def __init__(
-        self, communicator: Communicator, tasks: tuple[Task, ...], here: Callable[[], Place], recover: bool
-    ) -> None:
-        self.communicator, self.here, self.recover = communicator, here, recover
+        self, communicator: Communicator, tasks: tuple[Task, ...], here: Callable[[], Place], recover: bool,
+        period: float = PERIOD,
+    ) -> None:  # fmt: skip
+        self.communicator, self.here, self.recover, self.period = communicator, here, recover, period
         self.clock, self.id = communicator.port.bus.clock, communicator.id
         self.record = Record(self.id, communicator.port.incarnation, 1, here())
         self.book = TaskBook(tasks, [self.record])
@@ -134,7 +135,7 @@ class TeamNews:
             await self._pause()
 
     async def _pause(self) -> None:
-        await self.clock.sleep(PERIOD, drone=self.id)
+        await self.clock.sleep(self.period, drone=self.id)
 
     # What is known --------------------------------------------------------------------------------------------
 
@@ -142,6 +143,10 @@ class TeamNews:
     def members(self) -> tuple[int, ...]:
         """The team of the present epoch."""
         return self.communicator.graph.at(0).ids
+
+    def alive_ids(self) -> tuple[int, ...]:
+        """The members that still fly."""
+        return tuple(self.book.alive(self.members))
 
     def standings(self) -> dict[int, Standing]:
         """Each task as it stands, as far as it is known here."""

@@ -19,7 +19,22 @@ from crazychoir.math3d import Vec, columns, dot, kernel, memory, vector
 from crazychoir.recording.cdr import Layout, Leaf, leaves, schema
 from crazychoir.runtime.clock import SECOND
 from crazychoir.swarm.rounds import AHEAD, CREDIT, DATA, FIN, FIN_TOO, KIND_BITS, KINDS, REPEAT, WANT
-from crazychoir.types import FPQR, FRPY, XYZ, Acceleration, Body, FullState, Goto, Pose, State, Status, Vel
+from crazychoir.types import (
+    FPQR,
+    FRPY,
+    XYZ,
+    Acc,
+    Acceleration,
+    Body,
+    Drive,
+    FullState,
+    Goto,
+    Pose,
+    State,
+    Status,
+    Vel,
+    Velocity,
+)
 
 DEFINITIONS = {
     "builtin_interfaces/Time": "int32 sec\nuint32 nanosec",
@@ -69,6 +84,17 @@ float64 yaw_rate  # rad/s""",
 std_msgs/Header header
 geometry_msgs/Vector3 v  # m/s, world
 float64 yaw_rate  # rad/s""",
+    "crazychoir_msgs/Velocity": """\
+std_msgs/Header header
+geometry_msgs/Vector3 v  # m/s, world
+float64 yaw  # rad""",
+    "crazychoir_msgs/Acc": """\
+std_msgs/Header header
+geometry_msgs/Vector3 a  # m/s2, world""",
+    "crazychoir_msgs/Drive": """\
+std_msgs/Header header
+float64 v  # m/s, along the heading
+float64 w  # rad/s""",
     "crazychoir_msgs/XYZ": """\
 std_msgs/Header header
 string verb
@@ -224,6 +250,9 @@ MESSAGES: dict[Any, Message] = {
     FPQR: Message("crazychoir_msgs/FPQR", lambda command: command.flat.tolist()),
     FRPY: Message("crazychoir_msgs/FRPY", lambda command: command.flat.tolist()),
     Vel: Message("crazychoir_msgs/Vel", lambda command: command.flat.tolist()),
+    Velocity: Message("crazychoir_msgs/Velocity", lambda wanted: (*wanted.v.tolist(), wanted.yaw)),
+    Acc: Message("crazychoir_msgs/Acc", lambda command: command.flat.tolist()),
+    Drive: Message("crazychoir_msgs/Drive", lambda command: command.flat.tolist()),
     XYZ: Message("crazychoir_msgs/XYZ", lambda command: (command.verb, *command.flat.tolist())),
     Body: Message("crazychoir_msgs/Body", lambda body: (body.harm, body.flying)),
     Status: Message("crazychoir_msgs/Status", lambda status: [getattr(status, n) for n in status.__struct_fields__]),

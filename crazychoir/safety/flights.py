@@ -11,6 +11,9 @@ from crazychoir.safety.guard import INSET, Fence
 from crazychoir.swarm.tables import Flight
 from crazychoir.types import FullState, State
 
+DETOUR, PARKING = 2.0, 4.0
+"""A robot that finds its own way to a pose is given so many times what a straight one takes, and s to come to rest."""
+
 
 def braking(limits: Flight, platform: Platform, share: float) -> float:
     """m/s2, with which a drone comes to rest from any direction; share: of its thrust that goes upwards at most."""
@@ -54,6 +57,13 @@ class Flights:
         limits = self.limits
         fastest = duration_for(start, goal, yaw, limits.speed_limit, limits.acceleration_limit)
         return self.fly(PointToPoint(start, goal, yaw, max(duration, fastest)), now)
+
+    def drive_to(self, start: FullState, goal: Vec, yaw: float, duration: float, now: float) -> float:
+        """Be at a pose, on a way that the robot finds; returns the time that it is given for that."""
+        v_max, a_max = self.limits.speed_limit, self.limits.acceleration_limit
+        fastest = duration_for(FullState.at(start.p, yaw=start.yaw), goal, yaw, v_max, a_max)
+        there = FullState.at(goal, yaw=yaw)
+        return self.fly(PointToPoint(there, goal, yaw, max(duration, DETOUR * fastest + PARKING)), now)
 
     def brake(self, start: FullState, now: float) -> float:
         """Come to rest, the shortest way, and inside the fence."""

@@ -28,7 +28,7 @@ from crazychoir.runtime.actor import Actor, Restart
 from crazychoir.runtime.clock import SECOND
 from crazychoir.runtime.mailbox import Call
 from crazychoir.safety.flights import Flights, braking
-from crazychoir.safety.guard import EDGE, Action, Fence, Guard, Throttle, Verdict
+from crazychoir.safety.guard import BELOW_GROUND, EDGE, Action, Fence, Guard, Throttle, Verdict
 from crazychoir.safety.homecoming import Homecoming
 from crazychoir.safety.limits import ReferenceLimits
 from crazychoir.safety.modes import (
@@ -46,7 +46,7 @@ from crazychoir.safety.modes import (
     refusal,
 )
 from crazychoir.swarm.tables import Flight
-from crazychoir.types import Acceleration, Command, FullState, Goto, Point, Pose, Reference, State
+from crazychoir.types import Acceleration, Command, FullState, Goto, Point, Pose, Reference, State, Vec, Velocity
 
 log = logging.getLogger(__name__)
 ON_THE_FLOOR = 0.04
@@ -87,8 +87,10 @@ class Link(Protocol):
 
 
 def flyable(reference: object) -> bool:
-    """Whether it is a FullState or a Goto of the right shape, and all its numbers are numbers: their sum is one."""
+    """Whether it is of the right shape, and all its numbers are numbers: their sum is one; not for an Acceleration."""
     match reference:
+        case Velocity():
+            return np.shape(reference.v) == (3,) and math.isfinite(float(np.sum(reference.v)) + reference.yaw)
         case FullState():
             flat = reference.flat
             fits = flat.shape == (14,) and flat.dtype == np.float64 and flat.flags.c_contiguous
@@ -130,7 +132,9 @@ class Pilot(Actor):
         self.parameters = Parameters(self.controls)
         platform = self.controls.platform
         a_max = braking(limits, platform, HEIGHT_SHARE * HEADROOM)
-        self.fence = fence.with_floor(max(fence.low[2], limits.ground))
+        self._takes_off, self._planar = self.controls.takes_off, self.controls.planar
+        ground = max(fence.low[2], limits.ground)
+        self.fence = fence.with_floor(ground if self._takes_off else ground - BELOW_GROUND)
         self.flights = Flights(limits, self.fence, a_max)
         self.guard = Guard(self.fence, a_max=a_max, ground=limits.ground)
         self.reference_limits = ReferenceLimits(limits, self.controls.gains)
@@ -293,18 +297,18 @@ class Pilot(Actor):
         if self._cut_for or self.guard.latched:
             self._say("again", f"{self._cut_for or self.guard.latched}: no take-off until its agent is started again")
             return 0.0
-        rise = self.limits.takeoff_height if height is None else height
-        if not math.isfinite(rise):
-            self._say("rise", f"a take-off to {rise} m: not flown")
+        if height is not None and not math.isfinite(height):
+            self._say("rise", f"a take-off to {height} m: not flown")
             return 0.0
         if self.held:
             self._say("held", "held by its operator: no take-off until it is let go")
             return 0.0
         if refusal(self.mode, Event.TAKE_OFF) or self.state is None:
             return 0.0
-        goal = self.state.p.copy()
-        goal[2] = self.limits.ground + rise
-        goal[2] = self.fence.nearest(goal)[2]
+        if not self._takes_off:
+            self.mode = HOVER
+            return 0.0
+        goal = self.above(height)
         start = FullState.at(self.state.p, yaw=yaw_of(self.state.q))
         duration = self.flights.go_to(start, goal, start.yaw, 0.0, self.clock.now())
         self._flown = start
@@ -313,6 +317,21 @@ class Pilot(Actor):
             self.started_at = start.p
         self._change(Event.TAKE_OFF)
         return duration
+
+    def above(self, height: float | None) -> Vec:
+        """(3,) m, where a take-off from here to a height m above the ground ends; here, for who does not take off."""
+        assert self.state is not None  # noqa: S101 - callers have looked
+        goal = self.state.p.copy()
+        if self._takes_off:
+            goal[2] = self.limits.ground + (self.limits.takeoff_height if height is None else height)
+            goal[2] = self.fence.nearest(goal)[2]
+        return goal
+
+    def gap(self, p: Point) -> float:
+        """m from p (3,), as far as it can choose where it is."""
+        assert self.state is not None  # noqa: S101 - callers have looked
+        away = self.state.p - np.asarray(p)
+        return float(np.linalg.norm(away[0:2] if self._planar else away))
 
     def go_to(self, p: Point, yaw: float | None = None, duration: float = 0.0) -> float:
         """Fly to p (3,) m, world, inside the fence; returns the time it will take.
@@ -327,7 +346,11 @@ class Pilot(Actor):
             return 0.0
         start, now = self._departure(), self.clock.now()
         goal = self.fence.nearest(np.asarray(p, dtype=float), inset=EDGE)
-        seconds = self.flights.go_to(start, goal, start.yaw if yaw is None else yaw, duration, now)
+        if self._planar:
+            goal[2] = start.p[2]
+            seconds = self.flights.drive_to(start, goal, start.yaw if yaw is None else yaw, duration, now)
+        else:
+            seconds = self.flights.go_to(start, goal, start.yaw if yaw is None else yaw, duration, now)
         self._flown, self._reference, self._obeyed = start, None, NOMINAL
         self._change(Event.FLY)
         return seconds
@@ -377,7 +400,8 @@ class Pilot(Actor):
     def unflown(self, reference: object) -> str:
         """Why a reference of this kind can never be flown; empty if it can."""
         if isinstance(reference, Acceleration) and self.controls.follower is None:
-            return f"an Acceleration cannot be sent as {self.controls.sender.kind}: not flown. Send fpqr or frpy"
+            do = "Send fpqr or frpy" if self._takes_off else "Return a Velocity"
+            return f"an Acceleration cannot be sent as {self.controls.sender.kind}: not flown. {do}"
         return ""
 
     def _fly_goto(self, wanted: Goto) -> None:
@@ -522,6 +546,8 @@ class Pilot(Actor):
         A height that is only predicted does not count: it may be wrong by a fall that breaks the drone.
         """
         seen = state.age <= SEEN
+        if not self._takes_off:
+            return self.flights.done(now) and bool(np.linalg.norm(state.v) < AT_REST)
         low = seen and state.flat[2] < self.limits.ground + ON_THE_FLOOR
         landing = isinstance(self.flights.plan, Landing)
         over = landing and self.flights.done(now, TOUCHDOWN_LATE if seen else TOUCHDOWN_UNSEEN)
@@ -534,6 +560,8 @@ class Pilot(Actor):
             if isinstance(reference, Acceleration) and chosen.follower is not None:
                 self._flown, flights.plan = None, None
                 return chosen.follower.command(state, reference, now)
+            if isinstance(reference, Velocity):
+                reference = FullState.at(state.p, reference.v, yaw=reference.yaw)
             if isinstance(reference, FullState):
                 self._flown, flights.plan = self.reference_limits.full_state(reference, state), None
                 chosen.trim.frozen = self._flown is not reference or state.age > SEEN
@@ -574,11 +602,15 @@ class Pilot(Actor):
         self._flown = start = self._departure()
         self._reference = self._way = None
         self._change(Event.ARRIVED if self.mode is RETURN else Event.LAND)
+        if not self._takes_off:
+            return self.flights.brake(start, self.clock.now())
         return self.flights.descend(start, self.clock.now(), self.limits.ground + ON_THE_FLOOR)
 
     def _departure(self) -> FullState:
         """Where a new plan begins."""
         assert self.state is not None  # noqa: S101 - callers fly, and who flies has a state
+        if self._planar:  # which finds its own way: its plan says where to, not where it is
+            return FullState.at(self.state.p, self.state.v, yaw=yaw_of(self.state.q))
         return self.flights.departure(self.state, self.clock.now())
 
     def _landed(self) -> None:

@@ -14,7 +14,7 @@ from crazychoir.platforms import platform
 from crazychoir.simulation.integrator import CFIntegrator
 from crazychoir.simulation.mismatch import built, scaled
 from crazychoir.simulation.world import World, WorldSetup
-from crazychoir.swarm.checks import LIGHTWEIGHT, MOTORS, REPLAY, WORLD_STEP, WORLDS
+from crazychoir.swarm.checks import DOUBLE, LIGHTWEIGHT, MOTORS, REPLAY, SINGLE, UNICYCLE, WORLD_STEP, WORLDS
 from crazychoir.swarm.config import SwarmConfig
 from crazychoir.swarm.tables import Drone
 
@@ -24,6 +24,9 @@ OURS = {
     LIGHTWEIGHT: EntryPoint(LIGHTWEIGHT, "crazychoir.simulation.engines:lightweight", WORLDS),
     MOTORS: EntryPoint(MOTORS, "crazychoir.simulation.engines:motors", WORLDS),
     REPLAY: EntryPoint(REPLAY, "crazychoir.recording.replay:engine", WORLDS),
+    SINGLE: EntryPoint(SINGLE, "crazychoir.simulation.points:single_integrators", WORLDS),
+    DOUBLE: EntryPoint(DOUBLE, "crazychoir.simulation.points:double_integrators", WORLDS),
+    UNICYCLE: EntryPoint(UNICYCLE, "crazychoir.simulation.points:unicycles", WORLDS),
 }
 
 

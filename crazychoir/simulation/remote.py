@@ -20,10 +20,10 @@ from crazychoir.runtime.clock import SECOND, Clock
 from crazychoir.runtime.mailbox import Call, Latest
 from crazychoir.simulation.world import KINDS, Link, World
 from crazychoir.swarm.tables import Flight
-from crazychoir.types import FPQR, FRPY, XYZ, Body, Command, FullState, Vel
+from crazychoir.types import FPQR, FRPY, XYZ, Acc, Body, Command, Drive, FullState, Vel
 
 log = logging.getLogger(__name__)
-SIZES: dict[type[Any], int] = {FPQR: 4, FRPY: 4, Vel: 4, XYZ: 5, FullState: 14}
+SIZES: dict[type[Any], int] = {FPQR: 4, FRPY: 4, Vel: 4, XYZ: 5, FullState: 14, Acc: 3, Drive: 2}
 """Numbers in a command of each kind."""
 GONE = 3.0
 """s of silence after which a world's owner does not come back: all its drones have stopped their motors by then."""
@@ -167,10 +167,16 @@ class RemoteBody:
         if limit is None or self._idle or not limit < self.silence < math.inf:
             return
         self._idle, rests = True, self.world.resting(self.drone)
-        self.link.send(self._down(rests) if planned else FPQR(np.zeros(4)))
+        self.link.send(self._down(rests) if planned else self._nothing())
         if not rests:
             does = "landing" if planned else "no thrust"
             log.warning("drone %d: no command for %.2f s, limit %.2f s: %s", self.drone, self.silence, limit, does)
+
+    def _nothing(self) -> Command:
+        """Neither thrust nor speed."""
+        kinds = KINDS[self.kind]
+        stop: Command = XYZ("stop", np.zeros(5)) if XYZ in kinds else kinds[0](np.zeros(SIZES[kinds[0]]))
+        return stop
 
     def _down(self, rests: bool) -> XYZ:
         """To the ground by the planner on board, whose heading stays; one that rests stops its motors."""

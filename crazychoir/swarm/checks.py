@@ -13,8 +13,12 @@ from crazychoir.swarm.reading import show
 from crazychoir.swarm.tables import Position, Swarm
 
 LIGHTWEIGHT, MOTORS = "sim://", "sim://motors"
-"""Uris of the worlds that are ours: each drone for itself in its agent's process, unless a world's owner is named; and
-all drones together in that owner, as every other world."""
+"""Uris of the worlds of drones that are ours: each drone for itself in its agent's process, unless a world's owner is
+named; and all drones together in that owner, as every other world."""
+SINGLE, DOUBLE, UNICYCLE = "sim://single", "sim://double", "sim://unicycle"
+"""Uris of robots that do not fly: points that are sent velocities and accelerations, wheels that are sent (v, w)."""
+ALONE = (LIGHTWEIGHT, SINGLE, DOUBLE, UNICYCLE)
+"""Worlds whose robots do not act on each other."""
 REPLAY = "replay://"
 """Begin of the uri of a drone that others fly, or have flown: the file of its recording follows."""
 WORLDS = "crazychoir.worlds"
@@ -143,13 +147,13 @@ def _ids(swarm: Swarm, where: str) -> None:
 
 def _uris(swarm: Swarm, where: str) -> None:
     for n, drone in enumerate(swarm.drones):
-        if drone.uri in (LIGHTWEIGHT, MOTORS) or drone.uri.startswith(REPLAY):
+        if drone.uri in (*ALONE, MOTORS) or drone.uri.startswith(REPLAY):
             continue
         key, (scheme, mark, _) = f"{where}: drones[{n}].uri", drone.uri.partition("://")
         is_foreign = bool(mark) and scheme != "sim"
         if is_foreign and scheme in engines_of_others():
             continue
-        flown = ", ".join((LIGHTWEIGHT, MOTORS, f"{REPLAY}FILE", *(f"{name}://" for name in engines_of_others())))
+        flown = ", ".join((*ALONE, MOTORS, f"{REPLAY}FILE", *(f"{name}://" for name in engines_of_others())))
         do = f'Write uri = "sim://", or install a package with the entry point {scheme} in {WORLDS}.'
         if is_foreign and scheme in PLANNED:
             problem = f"this version does not fly {scheme}:// drones"
@@ -292,7 +296,7 @@ def _placement(swarm: Swarm, where: str) -> None:
 def owned(swarm: Swarm) -> tuple[int, ...]:
     """The drones whose bodies are, in real time, in the process of the world's owner; in increasing order."""
     named = swarm.world.owned or swarm.world.host is not None
-    return tuple(sorted(drone.id for drone in swarm.drones if named or drone.uri != LIGHTWEIGHT))
+    return tuple(sorted(drone.id for drone in swarm.drones if named or drone.uri not in ALONE))
 
 
 def _world(swarm: Swarm, where: str) -> None:

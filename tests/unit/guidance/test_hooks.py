@@ -153,8 +153,8 @@ def law_of(body):
 @pytest.mark.parametrize(
     ("body", "found"),
     [
-        ("return np.zeros(3)", "step() must return Acceleration(...), FullState(...), Goto(...) or None; "
-         "found ndarray (3,)"),
+        ("return np.zeros(3)", "step() must return Acceleration(...), Velocity(...), FullState(...), Goto(...) or "
+         "None; found ndarray (3,)"),
         ("return 'up'", "Goto(...) or None; found str"),
         ("return Acceleration(np.zeros(2))", "step() must return finite numbers, Acceleration of (3,)"),
         ("return Acceleration(np.full(3, np.nan))", "found Acceleration(array([nan, nan, nan]), 0.0)"),

@@ -1,0 +1,78 @@
+"""Containment: points without and with inertia are drawn into the triangle of leaders that stand still.
+
+crazychoir run integrators --fast
+"""
+
+from typing import Any
+
+import numpy as np
+
+from crazychoir import Acceleration, CFDistributedFeedback, SwarmConfig, Velocity
+from crazychoir.swarm.checks import DOUBLE, SINGLE
+from crazychoir.types import Heard, State, Vec
+
+Results = dict[int, dict[str, Any]]
+LEADERS = [[0.0, 1.8], [-1.6, -1.0], [1.6, -1.0]]
+FOLLOWERS = [[2.2, 1.6], [-2.4, 1.0], [0.3, -2.4]]
+EDGES = [[0, 3], [0, 4], [1, 4], [1, 5], [2, 5], [2, 3], [3, 4], [4, 5], [3, 5]]
+TOLERANCE = 0.01
+
+
+class Containment(CFDistributedFeedback):
+    """Leaders stand still; a follower, by what it obeys:
+
+        a velocity: u_i = k sum_j (p_j - p_i);      an acceleration: u_i = k sum_j (p_j - p_i) - c v_i
+
+    Followers end at p_f = - L_ff^-1 L_fl p_l, in the convex hull of the leaders.  k: 1/s or 1/s2;  c: 1/s.
+    Source: Ji, Ferrari-Trecate, Egerstedt & Buffa 2008, IEEE TAC 53(8), 1972-1975.
+    """
+
+    duration = 20.0
+
+    def __init__(self, leader: bool, inertia: bool, k: float = 0.6, c: float = 2.0) -> None:
+        self.leader, self.inertia, self.k, self.c = leader, inertia, k, c
+
+    def step(self, me: State, heard: Heard) -> Velocity | Acceleration | None:
+        """The law; None for a leader."""
+        if self.leader:
+            return None
+        pull = self.k * sum((other.p - me.p for other in heard.values()), np.zeros(3))
+        return Acceleration(pull - self.c * me.v) if self.inertia else Velocity(pull)
+
+
+def guidance(i: int, config: SwarmConfig) -> Containment:
+    """The law of robot i."""
+    robot = config.drone(i)
+    return Containment(robot.leader, inertia=robot.uri == DOUBLE)
+
+
+def swarm(drones: int | None = None) -> SwarmConfig:
+    """Three leaders, and three followers: one obeys velocities, two accelerations."""
+    uris = [SINGLE] * 4 + [DOUBLE] * 2
+    robots = [
+        {"id": i, "home": [*p, 0.5], "uri": uri, "leader": i < len(LEADERS)}
+        for i, (p, uri) in enumerate(zip(LEADERS + FOLLOWERS, uris, strict=True))
+    ]
+    return SwarmConfig.of({"name": "integrators", "mission": "integrators", "edges": EDGES, "drones": robots})
+
+
+def goal(config: SwarmConfig) -> dict[int, Vec]:
+    """p_f = - L_ff^-1 L_fl p_l for the followers, where they stand for the leaders."""
+    ids, graph = config.ids, config.graph()
+    laplacian = np.array([[-1.0 if j in graph.in_neighbors(i) else 0.0 for j in ids] for i in ids])
+    laplacian -= np.diag(laplacian.sum(axis=1))
+    leads = np.array([config.drone(i).leader for i in ids])
+    places = np.array([config.drone(i).home for i in ids])
+    follow = ~leads
+    places[follow] = -np.linalg.solve(laplacian[follow][:, follow], laplacian[follow][:, leads] @ places[leads])
+    return dict(zip(ids, places, strict=True))
+
+
+def report(config: SwarmConfig, results: Results) -> dict[str, Any]:
+    """Every follower is where the leaders' places put it."""
+    goals, off = goal(config), {}
+    for i, result in results.items():
+        far = float(np.linalg.norm(goals[i] - result["place"])) if "place" in result else 0.0
+        if far > TOLERANCE:
+            off[i] = f"{far:.3f} m from its equilibrium, allowed {TOLERANCE} m"
+    return {"success": not off, "reasons": off}

@@ -1,0 +1,74 @@
+"""Four robots on wheels drive into a square, each by where its neighbours are: a formation by displacements.
+
+crazychoir run unicycles --fast
+"""
+
+from typing import Any
+
+import numpy as np
+
+from crazychoir import CFDistributedFeedback, SwarmConfig, Velocity
+from crazychoir.swarm.checks import UNICYCLE
+from crazychoir.types import Heard, State, Vec
+
+Results = dict[int, dict[str, Any]]
+SIDE = 1.0
+STARTS = [[-1.6, 1.2], [1.5, 1.6], [1.8, -1.0], [-1.2, -1.7]]
+CORNERS = [[-0.5, 0.5], [0.5, 0.5], [0.5, -0.5], [-0.5, -0.5]]
+TOLERANCE = 0.03
+"""m, from the corner that the others leave for it."""
+
+
+class Formation(CFDistributedFeedback):
+    """u_i = k sum_j [ (p_j - d_j) - (p_i - d_i) ]: all p_i - d_i, in the plane, come to one place.
+
+    corners: {id: (2,) m}, d;  k: 1/s.
+    Source: consensus with offsets, Ren & Beard 2008, Distributed Consensus in Multi-vehicle Cooperative Control, 3.
+    """
+
+    duration = 25.0
+
+    def __init__(self, i: int, corners: dict[int, Vec], k: float = 0.5) -> None:
+        self.k, self.to = k, {j: corner - corners[i] for j, corner in corners.items()}
+
+    def step(self, me: State, heard: Heard) -> Velocity:
+        """A velocity in the plane; who hears nobody stands."""
+        u = np.zeros(3)
+        for j, other in heard.items():
+            u[0:2] += self.k * (other.p[0:2] - me.p[0:2] - self.to[j])
+        return Velocity(u)
+
+
+def guidance(i: int, config: SwarmConfig) -> Formation:
+    """The law of robot i."""
+    return Formation(i, corners(config))
+
+
+def corners(config: SwarmConfig) -> dict[int, Vec]:
+    """{id: (2,) m}, of a square for four robots, of a polygon of the same sides for others."""
+    n = len(config.ids)
+    if n == len(CORNERS):
+        return dict(zip(config.ids, np.array(CORNERS), strict=True))
+    angles = 2.0 * np.pi * np.arange(n) / n
+    polygon = 0.5 * SIDE / np.sin(np.pi / max(n, 2)) * np.column_stack([np.cos(angles), np.sin(angles)])
+    return dict(zip(config.ids, polygon, strict=True))
+
+
+def swarm(drones: int | None = None) -> SwarmConfig:
+    """Four robots, or more on a wide circle, in a ring graph, looking wherever they look."""
+    n = len(STARTS) if drones is None else drones
+    angles = 2.0 * np.pi * np.arange(n) / n
+    starts = STARTS if n == len(STARTS) else (2.5 * np.column_stack([np.cos(angles), np.sin(angles)])).round(3).tolist()
+    robots = [{"id": i, "home": [*p, 0.0], "yaw": float(i), "uri": UNICYCLE} for i, p in enumerate(starts)]
+    flight = {"speed_limit": 0.5}
+    return SwarmConfig.of({"name": "unicycles", "mission": "unicycles", "drones": robots, "flight": flight})
+
+
+def report(config: SwarmConfig, results: Results) -> dict[str, Any]:
+    """Each is in its corner, seen from where the middle of all has come to."""
+    wanted = corners(config)
+    offsets = {i: np.array(result["place"][:2]) - wanted[i] for i, result in results.items() if "place" in result}
+    middle = np.mean(list(offsets.values()), axis=0) if offsets else np.zeros(2)
+    errors = {i: float(np.linalg.norm(offset - middle)) for i, offset in offsets.items()}
+    off = {i: f"{far:.3f} m from its corner, allowed {TOLERANCE} m" for i, far in errors.items() if far > TOLERANCE}
+    return {"worst_error_m": max(errors.values(), default=0.0), "success": not off, "reasons": off}

@@ -1,0 +1,94 @@
+"""Control of a unicycle: of a point ahead of its axle by a velocity, and of its place and heading."""
+
+import math
+
+import numpy as np
+
+from crazychoir.math3d import Vec, clip, saturate, wrap, yaw_of
+from crazychoir.types import State
+
+STANDS = 1e-3
+"""m/s: a reference that is slower is a pose to come to."""
+THERE, AWAY = 0.02, 0.10
+"""m from a pose at which it is reached, and from where on it is driven to again."""
+
+
+class UnicycleVelocityCtrl:
+    """(v, w) for a velocity u of the point q = p + l (cos psi, sin psi), which obeys it exactly: q' = u.
+
+        v = u_x cos psi + u_y sin psi,   w = (u_y cos psi - u_x sin psi) / l
+
+    For u(p) of the axle itself: |p - g| never grows under u = k (g - p), as (p - g)'p' = -k ((p - g)'h)^2, h the
+    heading, and the axle turns until it does fall.
+    l: m;  v_max: m/s;  w_max: rad/s: both are cut by one factor, so that the way stays the same.
+    """
+
+    def __init__(self, ahead: float = 0.1, v_max: float = 1.0, w_max: float = 4.0) -> None:
+        self.ahead, self.v_max, self.w_max = ahead, v_max, w_max
+
+    def input(self, yaw: float, u: Vec) -> Vec:
+        """(2,) = v m/s, w rad/s, for a velocity u (2,) m/s, world."""
+        c, s = math.cos(yaw), math.sin(yaw)
+        v, w = float(u[0] * c + u[1] * s), float(u[1] * c - u[0] * s) / self.ahead
+        cut = max(1.0, abs(v) / self.v_max, abs(w) / self.w_max)
+        return np.array([v / cut, w / cut])
+
+
+class UnicyclePoseCtrl:
+    """A smooth way to a place and a heading, forwards only.
+
+        r, alpha: distance and direction of the goal,  delta = psi - alpha,  theta = psi_g - alpha
+        r' = -v cos delta,  theta' = (v / r) sin delta,  delta' = (v / r) sin delta + w
+        w = -(v / r) [ k2 (delta - delta*) + (1 + k1 / (1 + (k1 theta)^2)) sin delta ],  delta* = atan(-k1 theta)
+        v = min(v_max / (1 + beta |kappa|^lambda), k3 r),  kappa = w / v
+
+    delta* leads theta to zero with r, and delta - delta* decays as exp(-k2 s) over the way s / r.
+    k1, k2, lambda: 1;  beta: m^lambda;  k3: 1/s;  v_max: m/s;  w_max: rad/s.
+    Source: Park & Kuipers 2011, A smooth control law for graceful motion of differential wheeled mobile robots in 2D
+    environment, IEEE ICRA, 4896-4902.
+    """
+
+    def __init__(
+        self, v_max: float = 1.0, k1: float = 2.0, k2: float = 3.0, k3: float = 1.5, beta: float = 0.1,
+        exponent: float = 2.0, w_max: float = 4.0,
+    ) -> None:  # fmt: skip
+        self.v_max, self.k1, self.k2, self.k3 = v_max, k1, k2, k3
+        self.beta, self.exponent, self.w_max = beta, exponent, w_max
+
+    def curvature(self, r: float, theta: float, delta: float) -> float:
+        """kappa, 1/m."""
+        lead = math.atan(-self.k1 * theta)
+        bend = 1.0 + self.k1 / (1.0 + (self.k1 * theta) ** 2)
+        return -(self.k2 * (delta - lead) + bend * math.sin(delta)) / r
+
+    def input(self, p: Vec, yaw: float, goal: Vec, goal_yaw: float) -> Vec:
+        """(2,) = v m/s, w rad/s, from p (2,) m and yaw rad to goal (2,) m and goal_yaw rad; not at the goal."""
+        x, y = (goal - p).tolist()
+        r, alpha = math.hypot(x, y), math.atan2(y, x)
+        kappa = self.curvature(r, wrap(goal_yaw - alpha), wrap(yaw - alpha))
+        v = min(self.v_max / (1.0 + self.beta * abs(kappa) ** self.exponent), self.k3 * r)
+        return np.array([v, clip(kappa * v, -self.w_max, self.w_max)])
+
+
+class UnicycleCtrl:
+    """References of a unicycle: one that moves is followed by a velocity, one that stands is a pose to come to.
+
+        moving: u = v_d + k (p_d - p),  |u| <= v_max, to UnicycleVelocityCtrl;   standing: UnicyclePoseCtrl
+
+    A pose is reached at THERE m, and left alone as long as the robot is within AWAY m of it.  k: 1/s;  v_max: m/s.
+    """
+
+    def __init__(self, k: float = 1.5, v_max: float = 1.0) -> None:
+        self.k, self.v_max = k, v_max
+        self.velocity, self.pose = UnicycleVelocityCtrl(v_max=v_max), UnicyclePoseCtrl(v_max=v_max)
+        self._there = True
+
+    def input(self, state: State, reference: Vec) -> Vec:
+        """(2,) = v m/s, w rad/s."""
+        yaw, p, goal, v_d = yaw_of(state.q), state.p[0:2], reference[0:2], reference[3:5]
+        if float(np.linalg.norm(v_d)) > STANDS:
+            self._there = True
+            return self.velocity.input(yaw, saturate(v_d + self.k * (goal - p), self.v_max))
+        far = float(np.linalg.norm(goal - p))
+        self._there = far < (AWAY if self._there else THERE)
+        return np.zeros(2) if self._there else self.pose.input(p, yaw, goal, float(reference[12]))

@@ -1,0 +1,21 @@
+"""Worlds of robots that do not fly, for tests."""
+
+import numpy as np
+
+from crazychoir.platforms import PAPER
+from crazychoir.simulation.engines import OURS
+from crazychoir.simulation.world import WorldSetup
+
+
+def world_of(uri, homes=((0.0, 0.0, 0.0),), yaws=(0.0,), dt=0.01):
+    """The world of this uri with robots at these places."""
+    n = len(homes)
+    yaws = tuple(yaws) * n if len(yaws) < n else tuple(yaws)
+    setup = WorldSetup(tuple(range(n)), (uri,) * n, tuple(homes), yaws, (PAPER,) * n, {}, (0.0, 0.0, 0.0), 0, dt)
+    return OURS[uri].load()(setup)
+
+
+def heading(world, i=0):
+    """rad."""
+    q = world.state(i).q
+    return 2.0 * np.arctan2(q[2], q[3])
