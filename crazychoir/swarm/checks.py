@@ -12,15 +12,16 @@ from crazychoir.swarm.graph import Graph, named, span
 from crazychoir.swarm.reading import show
 from crazychoir.swarm.tables import Position, Swarm
 
-LIGHTWEIGHT, MOTORS = "sim://", "sim://motors"
+LIGHTWEIGHT, MOTORS, MUJOCO = "sim://", "sim://motors", "mujoco://"
 """Uris of the worlds that are ours: each drone for itself in its agent's process, unless a world's owner is named; and
 all drones together in that owner, as every other world."""
+OURS = (LIGHTWEIGHT, MOTORS, MUJOCO)
 WORLDS = "crazychoir.worlds"
 """Group of entry points: the worlds of other packages, by the scheme of their uris."""
 WORLD_STEP = 0.01
 """s, in which simulated worlds advance."""
 LOWEST_PORT = 1024
-PLANNED = ("udp", "radio", "mujoco")
+PLANNED = ("udp", "radio")
 TOUCHING = 0.137
 """m: two Crazyflies nearer than this, centre to centre, may touch: 92 mm from motor to motor along the diagonal (data
 sheet of the Crazyflie 2.1, Bitcraze), and half a propeller of 45 mm beyond each end."""
@@ -141,13 +142,13 @@ def _ids(swarm: Swarm, where: str) -> None:
 
 def _uris(swarm: Swarm, where: str) -> None:
     for n, drone in enumerate(swarm.drones):
-        if drone.uri in (LIGHTWEIGHT, MOTORS):
+        if drone.uri in OURS:
             continue
         key, (scheme, mark, _) = f"{where}: drones[{n}].uri", drone.uri.partition("://")
         is_foreign = bool(mark) and scheme != "sim"
         if is_foreign and scheme in engines_of_others():
             continue
-        flown = ", ".join((LIGHTWEIGHT, MOTORS, *(f"{name}://" for name in engines_of_others())))
+        flown = ", ".join((*OURS, *(f"{name}://" for name in engines_of_others())))
         do = f'Write uri = "sim://", or install a package with the entry point {scheme} in {WORLDS}.'
         if is_foreign and scheme in PLANNED:
             problem = f"this version does not fly {scheme}:// drones"
