@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from crazychoir.cli import ending, look, orders, param, plot, simulate, solve, task
+from crazychoir.cli import ending, look, orders, param, plot, render, simulate, solve, task
 from crazychoir.cli.show import (
     STDOUT,
     Progress,
@@ -27,6 +27,7 @@ app = typer.Typer(add_completion=False, no_args_is_help=True, help="Swarms that 
 app.command()(solve.solve)
 app.command()(simulate.simulate)
 app.command()(plot.plot)
+app.command()(render.render)
 for command in (look.topics, look.echo, look.hz, look.status, look.impair, orders.stop):
     app.command()(command)
 for verb in orders.TEXTS:

@@ -122,11 +122,11 @@ def _along_time(axes: Any, flight: Flight, label: str) -> None:
 def _lines(flight: Flight) -> list[tuple[dict[str, Any], Track]]:
     """How each drone's line looks, and the drone; dashes show what lies below a line."""
     n = len(flight.tracks)
-    looks: Any = zip(COLOURS, cycle(DASHES), strict=False) if n <= NAMED else zip(_scale(n), n * ["-"], strict=True)
+    looks: Any = zip(COLOURS, cycle(DASHES), strict=False) if n <= NAMED else zip(scale(n), n * ["-"], strict=True)
     return [({"color": c, "linestyle": dash}, track) for (c, dash), track in zip(looks, flight.tracks, strict=False)]
 
 
-def _scale(n: int) -> Mat:
+def scale(n: int) -> Mat:
     """n colours, from dark to light."""
     from matplotlib import colormaps
 
@@ -159,7 +159,7 @@ def _draw_scale(figure: "Figure", flight: Flight, pad: float) -> None:
 
     n = len(flight.tracks)
     norm = BoundaryNorm(np.arange(n + 1) - 0.5, n)
-    mappable = ScalarMappable(norm, ListedColormap(list(_scale(n))))
+    mappable = ScalarMappable(norm, ListedColormap(list(scale(n))))
     bar = figure.colorbar(mappable, ax=figure.axes[0], label="drone", fraction=0.04, pad=pad)
     marks = np.unique(np.linspace(0, n - 1, min(n, 6)).round().astype(int))
     bar.set_ticks(marks.tolist(), labels=[str(flight.tracks[k].drone) for k in marks])

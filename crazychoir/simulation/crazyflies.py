@@ -1,24 +1,39 @@
 """Whole Crazyflies: the motor-level world with the firmware on board of each drone, one compiled pass a step."""
 
 from collections.abc import Iterable, Sequence
-from typing import Any
+from dataclasses import asdict
+from typing import Any, Self
 
 import numpy as np
 
-from crazychoir.math3d import Mat, Vec, kernel, matrix, memory, table, vector, yaw_of
+from crazychoir.math3d import (
+    Mat,
+    Vec,
+    exponential,
+    kernel,
+    matrix,
+    memory,
+    product,
+    rotation,
+    table,
+    vector,
+    yaw_of,
+)  # fmt: skip
 from crazychoir.platforms import CRAZYFLIE_21, Platform
+from crazychoir.simulation.air import Wind
 from crazychoir.simulation.battery import drain
 from crazychoir.simulation.body import fly, obey
 from crazychoir.simulation.draws import Keys
 from crazychoir.simulation.floor import stand
-from crazychoir.simulation.imu import measure
+from crazychoir.simulation.imu import Imu, measure
+from crazychoir.simulation.mismatch import built
 from crazychoir.simulation.motor_control import CONTROLS, CrazyflieLink
 from crazychoir.simulation.motors import H, MotorWorld, keys, whole
 from crazychoir.simulation.onboard.logs import TABLE, read
 from crazychoir.simulation.onboard.loop import stabilize
 from crazychoir.simulation.onboard.onboard import Onboard
 from crazychoir.simulation.onboard.record import OUT_OF_TREE, Fleet, fleet, rows
-from crazychoir.simulation.world import not_flown
+from crazychoir.simulation.world import WorldSetup, not_flown
 from crazychoir.types import Pose
 
 # isort: off
@@ -109,6 +124,22 @@ class CrazyflieWorld(MotorWorld):
             self.onboard[i] = Onboard(platforms[row], self._firmware, row)
             self.onboard[i].place(self.states[row, :3], yaw_of(self.states[row, 6:10]))
             self._firmware["vbat_low"][row] = self.vbat(i)
+
+    @classmethod
+    def of(cls, setup: WorldSetup, **more: Any) -> Self:
+        """The world of a swarm file, with its [motors] as options; more: of this class."""
+        options = setup.options
+        gusts, noise = options["gusts"], options["imu_noise"]
+        wind = Wind(setup.wind, gusts, options["gust_time"]) if gusts > 0.0 or any(setup.wind) else None
+        roll, pitch = options["floor_tilt"]
+        normal = rotation(np.array(product(exponential(0.0, pitch, 0.0), exponential(roll, 0.0, 0.0))))[:, 2]
+        bodies = [built(row, setup.mass_error, setup.thrust_error) for row in setup.platforms]
+        return cls(
+            setup.ids, np.array(setup.homes, dtype=float), np.array(setup.yaws), setup.platforms, dt=setup.dt,
+            seed=setup.seed, wind=wind, imu=Imu(**{name: noise * value for name, value in asdict(Imu()).items()}),
+            ground_effect=options["ground_effect"], downwash=options["downwash"], charge=options["battery"],
+            bodies=bodies, floor_normal=tuple(normal.tolist()), **more,
+        )  # fmt: skip
 
     def link(self, i: int, kind: str = "fpqr") -> CrazyflieLink:
         """The way to drone i for commands of this kind; raises ConfigError for one that the firmware does not know."""

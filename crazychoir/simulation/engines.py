@@ -1,7 +1,6 @@
 """Which engine flies a drone: its uri says so. Engines are entry points, ours as well as those of other packages."""
 
 from collections.abc import Callable
-from dataclasses import asdict
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
@@ -9,20 +8,20 @@ import msgspec
 import numpy as np
 
 from crazychoir.errors import ConfigError, CrazyChoirError
-from crazychoir.math3d import exponential, product, rotation
 from crazychoir.platforms import platform
 from crazychoir.simulation.integrator import CFIntegrator
-from crazychoir.simulation.mismatch import built, scaled
+from crazychoir.simulation.mismatch import scaled
 from crazychoir.simulation.world import World, WorldSetup
-from crazychoir.swarm.checks import DOUBLE, LIGHTWEIGHT, MOTORS, REPLAY, SINGLE, UNICYCLE, WORLD_STEP, WORLDS
+from crazychoir.swarm.checks import DOUBLE, LIGHTWEIGHT, MOTORS, MUJOCO, REPLAY, SINGLE, UNICYCLE, WORLD_STEP, WORLDS
 from crazychoir.swarm.config import SwarmConfig
-from crazychoir.swarm.tables import Drone
+from crazychoir.swarm.tables import Drone, Table
 
 Engine = Callable[[WorldSetup], World]
 
 OURS = {
     LIGHTWEIGHT: EntryPoint(LIGHTWEIGHT, "crazychoir.simulation.engines:lightweight", WORLDS),
     MOTORS: EntryPoint(MOTORS, "crazychoir.simulation.engines:motors", WORLDS),
+    MUJOCO: EntryPoint(MUJOCO, "crazychoir.simulation.mujoco.world:engine", WORLDS),
     REPLAY: EntryPoint(REPLAY, "crazychoir.recording.replay:engine", WORLDS),
     SINGLE: EntryPoint(SINGLE, "crazychoir.simulation.points:single_integrators", WORLDS),
     DOUBLE: EntryPoint(DOUBLE, "crazychoir.simulation.points:double_integrators", WORLDS),
@@ -40,23 +39,9 @@ def lightweight(setup: WorldSetup) -> World:
 
 def motors(setup: WorldSetup) -> World:
     """Rotors, batteries, sensors, air, and the firmware on board."""
-    from crazychoir.simulation.air import Wind  # kernels that a lightweight world does not need
-    from crazychoir.simulation.crazyflies import CrazyflieWorld
-    from crazychoir.simulation.imu import Imu
+    from crazychoir.simulation.crazyflies import CrazyflieWorld  # kernels that a lightweight world does not need
 
-    options = dict(setup.options)
-    gusts, gust_time, noise = options["gusts"], options["gust_time"], options["imu_noise"]
-    wind = Wind(setup.wind, gusts, gust_time) if gusts > 0.0 or any(setup.wind) else None
-    sheet = asdict(Imu())
-    roll, pitch = options["floor_tilt"]
-    normal = rotation(np.array(product(exponential(0.0, pitch, 0.0), exponential(roll, 0.0, 0.0))))[:, 2]
-    bodies = [built(row, setup.mass_error, setup.thrust_error) for row in setup.platforms]
-    return CrazyflieWorld(
-        setup.ids, np.array(setup.homes, dtype=float), np.array(setup.yaws), setup.platforms, dt=setup.dt,
-        seed=setup.seed, wind=wind, imu=Imu(**{name: noise * value for name, value in sheet.items()}),
-        ground_effect=options["ground_effect"], downwash=options["downwash"], charge=options["battery"], bodies=bodies,
-        floor_normal=tuple(normal.tolist()),
-    )  # fmt: skip
+    return CrazyflieWorld.of(setup)
 
 
 def worlds(config: SwarmConfig, ids: tuple[int, ...]) -> list[World]:
@@ -111,7 +96,9 @@ def _world(config: SwarmConfig, drones: tuple[Drone, ...]) -> World:
 
 
 def _options(config: SwarmConfig, uri: str) -> dict[str, Any]:
-    """The table of the swarm file that is for this engine."""
-    table = {LIGHTWEIGHT: config.plant, MOTORS: config.motors}.get(uri)
-    options: dict[str, Any] = config.world.options if table is None else msgspec.to_builtins(table)
-    return options
+    """The tables of the swarm file that are for this engine."""
+    plant, motors, shapes = config.plant, config.motors, config.mujoco
+    ours: dict[str, tuple[Table, ...]] = {LIGHTWEIGHT: (plant,), MOTORS: (motors,), MUJOCO: (motors, shapes)}
+    if uri not in ours:
+        return config.world.options
+    return {name: value for table in ours[uri] for name, value in msgspec.to_builtins(table).items()}

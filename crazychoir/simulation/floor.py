@@ -45,7 +45,12 @@ def _lifts_off(m: Vec, k: int) -> bool:
 
 @kernel()
 def stand(m: Vec, normal: Triple, h: float) -> None:
-    """What the floor does to the drones of a block in h s; normal: of what is under each, a unit vector, world."""
+    """What the floor does to the drones of a block in h s.
+
+    normal: of what is under each, a unit vector, world;  (0, 0, 0): there is no floor, or it is somebody else's.
+    """
+    if normal[2] == 0.0:
+        return
     for k in range(LANES):
         if m[FREE + k] == 0.0:
             if _lifts_off(m, k):

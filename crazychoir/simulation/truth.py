@@ -66,13 +66,19 @@ class Truth:
 
     @property
     def crashed(self) -> list[int]:
-        """Drones that have touched the floor faster than their platform may."""
+        """Drones that have touched something faster than their platform may."""
         return [i for i, hit, most in zip(self.ids, self.impact, self._allowed, strict=True) if hit > most]
 
     def harm(self, i: int) -> str:
-        """At which speed the floor has broken drone i; empty if it has not."""
+        """What has broken drone i, and at which speed; empty if nothing has."""
         impact, allowed = self.impact[self.row[i]], self._allowed[self.row[i]]
-        return f"crashed: hit the floor at {impact:.2f} m/s, allowed {allowed:g} m/s" if impact > allowed else ""
+        if not impact > allowed:
+            return ""
+        return f"crashed: hit {self.struck(i)} at {impact:.2f} m/s, allowed {allowed:g} m/s"
+
+    def struck(self, i: int) -> str:
+        """What drone i has hit fastest."""
+        return "the floor"
 
     def closest(self) -> tuple[int, int, float]:
         """The closest two drones and their distance in m; (-1, -1, inf) for one drone."""

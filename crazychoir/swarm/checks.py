@@ -12,13 +12,14 @@ from crazychoir.swarm.graph import Graph, named, span
 from crazychoir.swarm.reading import show
 from crazychoir.swarm.tables import Position, Swarm
 
-LIGHTWEIGHT, MOTORS = "sim://", "sim://motors"
+LIGHTWEIGHT, MOTORS, MUJOCO = "sim://", "sim://motors", "mujoco://"
 """Uris of the worlds of drones that are ours: each drone for itself in its agent's process, unless a world's owner is
 named; and all drones together in that owner, as every other world."""
 SINGLE, DOUBLE, UNICYCLE = "sim://single", "sim://double", "sim://unicycle"
 """Uris of robots that do not fly: points that are sent velocities and accelerations, wheels that are sent (v, w)."""
 ALONE = (LIGHTWEIGHT, SINGLE, DOUBLE, UNICYCLE)
 """Worlds whose robots do not act on each other."""
+OURS = (*ALONE, MOTORS, MUJOCO)
 REPLAY = "replay://"
 """Begin of the uri of a drone that others fly, or have flown: the file of its recording follows."""
 WORLDS = "crazychoir.worlds"
@@ -26,7 +27,7 @@ WORLDS = "crazychoir.worlds"
 WORLD_STEP = 0.01
 """s, in which simulated worlds advance."""
 LOWEST_PORT = 1024
-PLANNED = ("udp", "radio", "mujoco")
+PLANNED = ("udp", "radio")
 TOUCHING = 0.137
 """m: two Crazyflies nearer than this, centre to centre, may touch: 92 mm from motor to motor along the diagonal (data
 sheet of the Crazyflie 2.1, Bitcraze), and half a propeller of 45 mm beyond each end."""
@@ -147,13 +148,13 @@ def _ids(swarm: Swarm, where: str) -> None:
 
 def _uris(swarm: Swarm, where: str) -> None:
     for n, drone in enumerate(swarm.drones):
-        if drone.uri in (*ALONE, MOTORS) or drone.uri.startswith(REPLAY):
+        if drone.uri in OURS or drone.uri.startswith(REPLAY):
             continue
         key, (scheme, mark, _) = f"{where}: drones[{n}].uri", drone.uri.partition("://")
         is_foreign = bool(mark) and scheme != "sim"
         if is_foreign and scheme in engines_of_others():
             continue
-        flown = ", ".join((*ALONE, MOTORS, f"{REPLAY}FILE", *(f"{name}://" for name in engines_of_others())))
+        flown = ", ".join((*OURS, f"{REPLAY}FILE", *(f"{name}://" for name in engines_of_others())))
         do = f'Write uri = "sim://", or install a package with the entry point {scheme} in {WORLDS}.'
         if is_foreign and scheme in PLANNED:
             problem = f"this version does not fly {scheme}:// drones"

@@ -23,6 +23,8 @@ SPACING = 0.6
 MARGIN = 4.0
 FILES = ("instance", "drawing")
 """Options of missions that name a file."""
+SHAPES = ("model", "scene")
+"""Keys of [mujoco] that name a file; only the host of the world's owner needs them."""
 OWN_TO_A_HOST = ("hosts", "base_port", "network")
 """What hosts need not agree on: how they reach each other, and what is simulated to happen to their messages."""
 
@@ -43,7 +45,8 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
             do = 'The least is name = "lab" and a table [[drones]] with id = 0 and home = [0, 0, 0] for each drone.'
             raise ConfigError(str(path), str(reason), "a swarm file, TOML or JSON", do) from error
         config = cls.loads(text, str(path))
-        return config._with_mission_from(Path(path).parent)._with_files_from(Path(path).parent)
+        folder = Path(path).parent
+        return config._with_mission_from(folder)._with_files_from(folder)._with_shapes_from(folder)
 
     @classmethod
     def loads(cls, text: str, where: str = "swarm") -> Self:
@@ -79,14 +82,21 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
         drones = tuple(_replaying(drone, folder) for drone in self.drones)
         return msgspec.structs.replace(self, mission_options=self.mission_options | found, drones=drones)
 
+    def _with_shapes_from(self, folder: Path) -> Self:
+        named = {key: value for key in SHAPES if (value := getattr(self.mujoco, key))}
+        found = {key: str((folder / value).resolve()) for key, value in named.items()}
+        mujoco = msgspec.structs.replace(self.mujoco, **found)
+        return msgspec.structs.replace(self, mujoco=mujoco) if found else self
+
     def digest(self) -> str:
         """16 hex digits that all hosts of one mission share, the same on every host, Python and hash seed.
 
-        Everything counts but `hosts`, `base_port`, `network` and the folder of the mission. A file that the mission's
-        options name counts by what is in it, wherever it lies.
+        Everything counts but `hosts`, `base_port`, `network` and the folders of the mission and of shapes. A file that
+        the mission's options name counts by what is in it, wherever it lies.
         """
         agreed = {key: value for key, value in msgspec.to_builtins(self).items() if key not in OWN_TO_A_HOST}
         agreed["mission"] = Path(self.mission or "").name
+        agreed["mujoco"] |= {key: Path(getattr(self.mujoco, key)).name for key in SHAPES}
         agreed["mission_options"] = {key: _content(value) for key, value in self.mission_options.items()}
         for drone in agreed["drones"]:
             name, mark, number = drone["uri"].removeprefix(REPLAY).partition("?")

@@ -63,6 +63,7 @@ Tilt = Annotated[
 ]
 Share = Annotated[float, Meta(gt=0, le=1, description="a share, above 0, at most 1", examples=[0.5])]
 Factor = Annotated[float, Meta(ge=0, le=100, description="a factor, 0 to 100", examples=[1.0])]
+Scale = Annotated[float, Meta(gt=0, le=1000, description="a factor, above 0, at most 1000", examples=[0.001])]
 Inputs = Annotated[
     Literal["rates", "euler"],
     Meta(description='what steers it: "rates" (of the body) or "euler" (of the Euler angles)', examples=["rates"]),
@@ -205,6 +206,20 @@ class Motors(Table, frozen=True, kw_only=True):
     floor_tilt: Tilt = (0.0, 0.0)
 
 
+class Mujoco(Table, frozen=True, kw_only=True):
+    """[mujoco]: the shapes in mujoco://, beside [motors].
+
+    model: a file of a drone's shape (STL, OBJ, URDF, MJCF), empty: our own;  body: its body, if it has several;
+    scale: of its lengths, 0.001 for millimetres;  scene: an MJCF of what stands in the room. Paths are relative to the
+    swarm file.
+    """
+
+    model: Text = ""
+    body: Text = ""
+    scale: Scale = 1.0
+    scene: Text = ""
+
+
 class World(Table, frozen=True, kw_only=True):
     """[world]: the process that owns the simulated world, in real time.
 
@@ -283,6 +298,7 @@ class Swarm(Table, frozen=True, kw_only=True):
     mocap: Mocap = Mocap()
     plant: Plant = Plant()
     motors: Motors = Motors()
+    mujoco: Mujoco = Mujoco()
     world: World = World()
     control: Control = Control()
     roles: Roles = ()

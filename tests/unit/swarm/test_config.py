@@ -271,12 +271,12 @@ def test_a_mission_path_is_relative_to_the_swarm_file(tmp_path: Path, monkeypatc
     assert default_swarm(1).replace(mission="here.py").mission == str(tmp_path / "here.py")
 
 
-@pytest.mark.parametrize("file", ["lab6.toml", "two_hosts.toml"])
+@pytest.mark.parametrize("file", ["lab6.toml", "two_hosts.toml", "mujoco30.toml"])
 def test_the_examples_of_deploy_load(file: str) -> None:
     config = SwarmConfig.load(ROOT / "deploy" / file)
     assert config.name == Path(file).stem
     assert config.graph().is_connected
-    assert len(config.drones) == {"lab6": 6, "two_hosts": 4}[config.name]
+    assert len(config.drones) == {"lab6": 6, "two_hosts": 4, "mujoco30": 30}[config.name]
     assert SwarmConfig.loads(config.dumps()) == config
 
 
@@ -284,7 +284,7 @@ def test_the_readme_of_deploy_names_every_key() -> None:
     text = (ROOT / "deploy" / "README.md").read_text()
     for entry in msgspec.structs.fields(SwarmConfig):
         assert f"`{entry.encode_name}`" in text or f"[{entry.encode_name}]" in text, entry.encode_name
-    tables = ("flight", "fence", "mocap", "plant", "motors", "world", "network")
+    tables = ("flight", "fence", "mocap", "plant", "motors", "mujoco", "world", "network")
     row = {line.split("|")[1].strip(" `[]"): line for line in text.splitlines() if line.startswith("| `[")}
     for table in tables:
         for entry in msgspec.structs.fields(type(getattr(demo_swarm(), table))):

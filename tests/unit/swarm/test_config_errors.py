@@ -16,7 +16,7 @@ CASES = {
         "",
         'x.toml: colour = "red": there is no such key; the keys here are name, drones, mission, mission_options, seed, '
         "graph, edges, directed, start, start_deadline, lost_after, lease, base_port, processes, hosts, network, "
-        "flight, fence, mocap, plant, motors, world, control, roles. Remove it; keys of your own go into "
+        "flight, fence, mocap, plant, motors, mujoco, world, control, roles. Remove it; keys of your own go into "
         "[mission_options].",
     ),
     "misspelt key of a drone": (
@@ -141,26 +141,26 @@ CASES = {
         "",
         'uri = "radio://0/80/2M/E7E7E7E703"',
         'x.toml: drones[3].uri = "radio://0/80/2M/E7E7E7E703": this version does not fly radio:// drones; '
-        'it flies sim://, sim://motors. Write uri = "sim://", or install a package with the entry point radio in '
-        "crazychoir.worlds.",
+        'it flies sim://, sim://motors, mujoco://. Write uri = "sim://", or install a package with the entry point '
+        "radio in crazychoir.worlds.",
     ),
     "unknown uri": (
         "",
         'uri = "simulation"',
-        'x.toml: drones[3].uri: found "simulation"; allowed: sim://, sim://motors. Write uri = "sim://", or leave it '
-        "out.",
+        'x.toml: drones[3].uri: found "simulation"; allowed: sim://, sim://motors, mujoco://. Write uri = "sim://", or '
+        "leave it out.",
     ),
     "unknown scheme": (
         "",
         'uri = "gazebo://hall"',
-        'x.toml: drones[3].uri: found "gazebo://hall"; allowed: sim://, sim://motors. Write uri = "sim://", or install '
-        "a package with the entry point gazebo in crazychoir.worlds.",
+        'x.toml: drones[3].uri: found "gazebo://hall"; allowed: sim://, sim://motors, mujoco://. Write uri = '
+        '"sim://", or install a package with the entry point gazebo in crazychoir.worlds.',
     ),
     "unknown world of ours": (
         "",
         'uri = "sim://motor"',
-        'x.toml: drones[3].uri: found "sim://motor"; allowed: sim://, sim://motors. Write uri = "sim://", or leave it '
-        "out.",
+        'x.toml: drones[3].uri: found "sim://motor"; allowed: sim://, sim://motors, mujoco://. Write uri = '
+        '"sim://", or leave it out.',
     ),
     "faster than the planner on board": (
         '[flight]\nspeed_limit = 2.0\n[control]\nsender = "xyz"',
@@ -405,7 +405,7 @@ def test_hostile_depth_is_a_config_error() -> None:
 
 def test_every_key_says_what_is_allowed_and_its_example_is() -> None:
     structs = [kind for kind in vars(tables).values() if isinstance(kind, type) and issubclass(kind, tables.Table)]
-    assert len(structs) == 15
+    assert len(structs) == 16
     for kind in structs:
         for entry in msgspec.structs.fields(kind):
             said = next((t for t in (entry.type, *get_args(entry.type)) if get_origin(t) is Annotated), None)

@@ -1,0 +1,97 @@
+"""crazychoir render: a recorded flight, drawn by MuJoCo as a picture or a video."""
+
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+import typer
+
+from crazychoir.cli.show import STDERR, STDOUT, fail, set_up_logging, write_json
+from crazychoir.errors import ConfigError, CrazyChoirError
+
+if TYPE_CHECKING:
+    from crazychoir.recording.video import Image
+
+
+def render(
+    file: Annotated[Path, typer.Argument(help="Recording of `crazychoir run --record`, of any world.")],
+    picture: Annotated[Path | None, typer.Option(help="PNG to draw into.")] = None,
+    video: Annotated[Path | None, typer.Option(help="MP4, GIF or WebP to film into.")] = None,
+    at: Annotated[float | None, typer.Option(help="s of the flight that the picture shows; else its middle.")] = None,
+    size: Annotated[str, typer.Option(help="Pixels, width x height.")] = "960x540",
+    fps: Annotated[int, typer.Option(min=1, max=100, help="Pictures a second of the video.")] = 25,
+    speed: Annotated[float, typer.Option(min=0.01, max=1000.0, help="How many times faster than it was.")] = 1.0,
+    camera: Annotated[str, typer.Option(help="Camera of the scene, by name; else one that sees all.")] = "",
+    scene: Annotated[Path | None, typer.Option(help="MJCF of the room, instead of the swarm file's.")] = None,
+    enlarge: Annotated[float, typer.Option(min=0.1, max=100.0, help="Draw the drones so many times larger.")] = 1.0,
+    trail: Annotated[float, typer.Option(min=0.0, help="s of its way behind each drone.")] = 2.0,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object, nothing else.")] = False,
+) -> None:
+    """Draw a recorded flight as it looked; needs the extra `mujoco`."""
+    set_up_logging()
+    from crazychoir.bus.topics import TRUTH  # numerics: 1 s that --help does not need
+    from crazychoir.recording.figures import flight_of
+    from crazychoir.recording.reading import read
+    from crazychoir.recording.video import check_video, write_video
+    from crazychoir.swarm.config import SwarmConfig
+
+    try:
+        width, height = _size(size)
+        _check(picture, video)
+        if video is not None:
+            check_video(video, width, height)
+        recording = read(file, (TRUTH.name,))
+        flight, config = flight_of(recording), SwarmConfig.loads(recording.swarm, str(file))
+        from crazychoir.recording.reenactment import Reenactment  # says what to do where there is no MuJoCo
+
+        shown = Reenactment(flight, config, scene, enlarge, trail)
+        times = np.arange(flight.times[0], flight.times[-1], speed / fps)
+        with shown.film(width, height, camera) as film:
+            if picture is not None:
+                _save(picture, shown.picture(film, _moment(at, times)))
+            if video is not None:
+                STDERR.print(f"{len(times)} pictures", highlight=False)
+                video.parent.mkdir(parents=True, exist_ok=True)
+                write_video(video, shown.pictures(film, times), fps)
+    except CrazyChoirError as error:
+        fail(error, as_json)
+    except OSError as error:
+        written = ConfigError("crazychoir render", f"{error.filename}: {error.strerror}", "files that can be written")
+        fail(written, as_json)
+    files = [path for path in (picture, video) if path is not None]
+    if as_json:
+        write_json({"success": True, "file": file, "files": files, "seconds": float(times[-1] - times[0])})
+    else:
+        STDOUT.print(f"In {', '.join(map(str, files))}", markup=False, highlight=False, soft_wrap=True)
+
+
+def _size(text: str) -> tuple[int, int]:
+    found = re.fullmatch(r"(\d{1,5})x(\d{1,5})", text)
+    if found is None:
+        raise ConfigError("--size", text, "width x height in pixels, as 960x540")
+    return int(found[1]), int(found[2])
+
+
+def _check(picture: Path | None, video: Path | None) -> None:
+    if picture is None and video is None:
+        raise ConfigError("crazychoir render", "nothing to draw", "--picture FILE.png, --video FILE.mp4, or both")
+    if picture is not None and picture.suffix.lower() != ".png":
+        raise ConfigError("--picture", picture.name, "a file that ends in .png")
+
+
+def _moment(at: float | None, times: Any) -> float:
+    """The time of the picture, s of the recording."""
+    first, last = float(times[0]), float(times[-1])
+    if at is None:
+        return 0.5 * (first + last)
+    if not first <= at <= last:
+        raise ConfigError("--at", at, f"{first:.2f} to {last:.2f} s, while it was recorded")
+    return at
+
+
+def _save(path: Path, image: "Image") -> None:
+    from PIL import Image as Pillow
+
+    path.parent.mkdir(parents=True, exist_ok=True)
+    Pillow.fromarray(np.ascontiguousarray(image)).save(path, optimize=True)

@@ -1,0 +1,79 @@
+"""A recorded flight before MuJoCo's camera: the drones of its swarm file, in its scene, where they were."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from crazychoir.optimization.picture import COLOURS
+from crazychoir.platforms import platform
+from crazychoir.recording.figures import Flight, Track, joined
+from crazychoir.recording.plots import scale
+from crazychoir.recording.video import Image
+from crazychoir.simulation.mujoco.film import Film
+from crazychoir.simulation.mujoco.model import model_of
+from crazychoir.simulation.mujoco.shape import Colour, crazyflie, scaled, shape_of
+from crazychoir.swarm.config import SwarmConfig
+from crazychoir.types import Mat, Vec
+
+POINTS = 25
+"""Of a trail."""
+
+
+class Reenactment:
+    """Where the drones of a flight were, and how they look.
+
+    enlarge: by how much larger they are drawn, so that one sees them in a wide room;  trail: s of its way behind each.
+    scene: an MJCF instead of the swarm file's.
+    """
+
+    def __init__(
+        self, flight: Flight, config: SwarmConfig, scene: Path | None = None, enlarge: float = 1.0, trail: float = 2.0
+    ) -> None:
+        self.tracks, self.trail, self.times = flight.tracks, trail, flight.times
+        self.ids = tuple(track.drone for track in self.tracks)
+        self.colours = _colours(len(self.ids))
+        rows = [platform(config.drone(i).platform) for i in self.ids]
+        given = config.mujoco.model
+        user = shape_of(Path(given), config.mujoco.body, config.mujoco.scale) if given else None
+        drawn = [user or crazyflie(row, colour) for row, colour in zip(rows, self.colours, strict=True)]
+        drawn = [scaled(shape, enlarge) for shape in drawn] if enlarge != 1.0 else drawn
+        self._stands = np.array([-shape.lowest for shape in drawn])
+        room = scene or (Path(config.mujoco.scene) if config.mujoco.scene else None)
+        self.model = model_of(self.ids, rows, drawn, room)
+
+    def film(self, width: int, height: int, camera: str = "") -> Film:
+        """The camera; raises ConfigError for one that cannot be."""
+        places = np.vstack([track.p for track in self.tracks])
+        return Film(self.model, self.ids, width, height, places.min(axis=0), places.max(axis=0), camera)
+
+    def picture(self, film: Film, t: float) -> Image:
+        """t s after the recording began."""
+        moment = np.array([t])
+        p = np.array([joined(track.t, track.p, moment)[0] for track in self.tracks])
+        q = np.array([_turned(track, moment)[0] for track in self.tracks])
+        p[:, 2] += self._stands
+        return film.picture(p, q, tuple(self._trails(t)), self.colours)
+
+    def pictures(self, film: Film, times: Vec) -> Iterator[Image]:
+        """One a time."""
+        return (self.picture(film, float(t)) for t in times)
+
+    def _trails(self, t: float) -> Iterator[Mat]:
+        for track, stand in zip(self.tracks, self._stands, strict=True):
+            since = np.linspace(t - self.trail, t, POINTS) if self.trail > 0.0 else np.zeros(0)
+            yield joined(track.t, track.p, since) + np.array([0.0, 0.0, stand])
+
+
+def _turned(track: Track, at: Vec) -> Mat:
+    """Attitudes between two that were recorded, which are close together."""
+    q = joined(track.t, track.q, at)
+    unit: Mat = q / np.linalg.norm(q, axis=1, keepdims=True)
+    return unit
+
+
+def _colours(n: int) -> tuple[Colour, ...]:
+    """Those of the plots: told apart if there are few, else a scale."""
+    from matplotlib.colors import to_rgba
+
+    return tuple(to_rgba(one) for one in (COLOURS[:n] if n <= len(COLOURS) else scale(n)))

@@ -1,0 +1,68 @@
+"""Pictures one after the other as a file: MP4 (with the library av, of the extra `mujoco`), GIF or WebP."""
+
+from collections.abc import Iterable, Iterator
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from crazychoir.errors import ConfigError
+
+Image = npt.NDArray[np.uint8]
+ENDINGS = (".mp4", ".gif", ".webp")
+
+
+def check_video(path: Path, width: int, height: int) -> None:
+    """Raise ConfigError for a file that cannot be written, before an hour of drawing."""
+    ending = path.suffix.lower()
+    if ending not in ENDINGS:
+        raise ConfigError("--video", path.name, f"a file that ends in {', '.join(ENDINGS)}")
+    if ending == ".mp4":
+        _av()
+        if width % 2 or height % 2:
+            raise ConfigError("--size", f"{width}x{height}", "even numbers of pixels in an MP4", "Add one.")
+
+
+def write_video(path: Path, images: Iterable[Image], fps: int) -> None:
+    """Write the images (height, width, 3), of one size, at so many a second."""
+    if path.suffix.lower() == ".mp4":
+        _write_mp4(path, images, fps)
+    else:
+        _write_animation(path, images, fps)
+
+
+def _av() -> Any:
+    try:
+        import av
+    except ImportError as error:
+        do = "pip install 'crazychoir[mujoco]', or write a .gif or .webp."
+        raise ConfigError("an MP4", str(error), "the library av", do) from error
+    return av
+
+
+def _write_mp4(path: Path, images: Iterable[Image], fps: int) -> None:
+    av = _av()
+    with av.open(str(path), "w") as container:
+        stream: Any = None
+        for image in images:
+            if stream is None:
+                stream = container.add_stream("libx264", rate=Fraction(fps), options={"crf": "23"})
+                stream.height, stream.width = image.shape[:2]
+                stream.pix_fmt = "yuv420p"
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(np.ascontiguousarray(image), format="rgb24")))
+        if stream is not None:
+            container.mux(stream.encode())
+
+
+def _write_animation(path: Path, images: Iterable[Image], fps: int) -> None:
+    from PIL import Image as Pillow
+
+    def shown() -> Iterator[Any]:
+        for image in images:
+            one = Pillow.fromarray(np.ascontiguousarray(image))
+            yield one.quantize(128) if path.suffix.lower() == ".gif" else one
+
+    frames = shown()
+    next(frames).save(path, save_all=True, append_images=frames, duration=round(1000 / fps), loop=0)

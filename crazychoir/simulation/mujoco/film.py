@@ -1,0 +1,138 @@
+"""Pictures of a swarm, off-screen: MuJoCo's model at given places, seen by a camera of its own or of the scene."""
+
+import importlib
+import math
+import sys
+from typing import Any
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+
+from crazychoir.errors import ConfigError
+from crazychoir.math3d import Mat, Vec
+from crazychoir.simulation.mujoco.model import HIGHEST, SCENE, WIDEST, body_name
+from crazychoir.simulation.mujoco.shape import Colour
+
+Image = npt.NDArray[np.uint8]
+AWAY = -1000.0
+"""m, height of a drone whose place is not known."""
+AZIMUTH, ELEVATION = 60.0, -28.0
+"""Degrees, of the camera that sees the whole flight."""
+TRAIL = 0.006
+"""m, half the width of the line behind a drone."""
+MOST = 20_000
+"""Geoms in one picture."""
+
+
+class Film:
+    """A camera before drones that are put where they were.
+
+    ids: the drones of the model, row by row;  camera: of the scene, by name; empty: one that sees all from `low` to
+    `high`, corners (3,) m of where they fly.  Raises ConfigError where there is no way to draw off-screen.
+    """
+
+    def __init__(
+        self, model: mujoco.MjModel, ids: tuple[int, ...], width: int, height: int, low: Vec, high: Vec,
+        camera: str = "",
+    ) -> None:  # fmt: skip
+        if not (16 <= width <= WIDEST and 16 <= height <= HIGHEST):
+            raise ConfigError("size", f"{width}x{height}", f"16x16 to {WIDEST}x{HIGHEST} pixels")
+        self.model, self.data = model, mujoco.MjData(model)
+        self.width, self.height = width, height
+        # Light and shadow are spread over where the drones fly; air is clear.
+        model.stat.center, model.stat.extent = 0.5 * (low + high), _radius(low, high)
+        self._rows = [int(model.joint(body_name(i)).qposadr[0]) for i in ids]
+        self._camera = self._named(camera) if camera else self._overview(low, high)
+        self._gl = _context(width, height)
+        self._gl.make_current()
+        self._scene = mujoco.MjvScene(model, maxgeom=MOST)
+        self._scene.flags[mujoco.mjtRndFlag.mjRND_HAZE.value] = 0
+        self._options = mujoco.MjvOption()
+        self._mjr = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_150.value)
+        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._mjr)
+
+    def _overview(self, low: Vec, high: Vec) -> mujoco.MjvCamera:
+        """Far enough away that the sphere around the flight fills the picture."""
+        camera, view = mujoco.MjvCamera(), math.radians(self.model.vis.global_.fovy)
+        narrow = min(view, 2.0 * math.atan(math.tan(0.5 * view) * self.width / self.height))
+        camera.type, camera.lookat = mujoco.mjtCamera.mjCAMERA_FREE, 0.5 * (low + high)
+        camera.azimuth, camera.elevation = AZIMUTH, ELEVATION
+        camera.distance = 0.72 * _radius(low, high) / math.sin(0.5 * narrow)
+        return camera
+
+    def _named(self, name: str) -> mujoco.MjvCamera:
+        names = [self.model.camera(k).name for k in range(self.model.ncam)]
+        found = next((k for k, own in enumerate(names) if name in (own, own.removeprefix(SCENE))), None)
+        if found is None:
+            there = ", ".join(own.removeprefix(SCENE) for own in names) or "none"
+            raise ConfigError("camera", name, f"a camera of the scene: {there}", "Leave it out to see all.")
+        camera = mujoco.MjvCamera()
+        camera.type, camera.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, found
+        return camera
+
+    def picture(
+        self, p: Mat, q: Mat, trails: tuple[Mat, ...] = (), colours: tuple[Colour, ...] = ()
+    ) -> Image:
+        """The drones at p (N, 3) m, from the floor to their centres of mass, and q (N, 4); NaN: not to be seen.
+
+        trails: of each drone the places (k, 3) m where it was, drawn as a line.  Returns (height, width, 3).
+        """
+        for at, place, turn in zip(self._rows, p, q, strict=True):
+            known = bool(np.isfinite(place).all() and np.isfinite(turn).all())
+            self.data.qpos[at : at + 3] = place if known else (0.0, 0.0, AWAY)
+            self.data.qpos[at + 3 : at + 7] = turn[[3, 0, 1, 2]] if known else (1.0, 0.0, 0.0, 0.0)
+        mujoco.mj_kinematics(self.model, self.data)
+        mujoco.mj_comPos(self.model, self.data)
+        mujoco.mj_camlight(self.model, self.data)
+        all_kinds = mujoco.mjtCatBit.mjCAT_ALL.value
+        mujoco.mjv_updateScene(self.model, self.data, self._options, None, self._camera, all_kinds, self._scene)
+        for trail, colour in zip(trails, colours, strict=False):
+            self._draw(trail, colour)
+        return self._read()
+
+    def _draw(self, trail: Mat, colour: Colour) -> None:
+        """A line through the places, fainter the older."""
+        scene, capsule, n = self._scene, mujoco.mjtGeom.mjGEOM_CAPSULE, max(len(trail) - 1, 1)
+        for k in range(len(trail) - 1):
+            if scene.ngeom >= scene.maxgeom or not np.isfinite(trail[k : k + 2]).all():
+                continue
+            geom = scene.geoms[scene.ngeom]
+            rgba = np.array([*colour[:3], 0.1 + 0.6 * k / n], np.float32)
+            mujoco.mjv_initGeom(geom, capsule, np.zeros(3), np.zeros(3), np.eye(3).ravel(), rgba)
+            mujoco.mjv_connector(geom, capsule, TRAIL, trail[k], trail[k + 1])
+            scene.ngeom += 1
+
+    def _read(self) -> Image:
+        image: Image = np.zeros((self.height, self.width, 3), np.uint8)
+        window = mujoco.MjrRect(0, 0, self.width, self.height)
+        mujoco.mjr_render(window, self._scene, self._mjr)
+        mujoco.mjr_readPixels(image, None, window, self._mjr)
+        return image[::-1]
+
+    def close(self) -> None:
+        """Give the graphics back."""
+        self._mjr.free()
+        self._gl.free()
+
+    def __enter__(self) -> "Film":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def _radius(low: Vec, high: Vec) -> float:
+    """m, of a sphere around the room from low to high, with room for a drone."""
+    return 0.5 * float(np.linalg.norm(high - low)) + 0.15
+
+
+def _context(width: int, height: int) -> Any:
+    """Where to draw without a window: EGL on Linux, with or without a graphics card."""
+    try:
+        if sys.platform == "linux":
+            return importlib.import_module("mujoco.egl").GLContext(width, height)
+        return mujoco.GLContext(width, height)
+    except (ImportError, AttributeError, RuntimeError) as error:
+        do = "Install it (Debian: libegl1 and libgl1-mesa-dri)." if sys.platform == "linux" else ""
+        raise ConfigError("pictures of MuJoCo", str(error), "OpenGL off-screen: on Linux EGL", do) from error

@@ -1,0 +1,215 @@
+"""What a drone looks like and what it touches others with: our own of primitives, or what a user's file holds."""
+
+import math
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from crazychoir.errors import ConfigError
+from crazychoir.math3d import Mat, Vec
+from crazychoir.platforms import Platform
+from crazychoir.simulation.body import ROTOR_HEIGHT
+
+HEIGHT = 0.029
+"""m, of a drone that stands (Bitcraze's data sheet)."""
+CENTRE = 0.0125
+"""m, of its centre of mass above the floor: between battery and board; chosen."""
+SMALLEST, LARGEST = 0.01, 1.0
+"""m, from the origin to the farthest point of what may be a drone."""
+MESHES = (".stl", ".obj", ".msh")
+MODELS = (".xml", ".mjcf", ".urdf")
+DARK, GREY, FRONT = (0.13, 0.14, 0.16, 1.0), (0.55, 0.57, 0.60, 1.0), (0.90, 0.25, 0.15, 1.0)
+
+Geom = mujoco.mjtGeom
+Colour = tuple[float, float, float, float]
+
+
+@dataclass(frozen=True)
+class Part:
+    """One geom, in the drone's frame: origin in its centre of mass, x forward, z up.
+
+    kind: of MuJoCo;  size: half-lengths, radii m;  p: (3,) m;  q: (4,), [w, x, y, z] as MuJoCo has them;
+    solid: whether it touches others;  mesh: its number among the meshes of the shape.
+    """
+
+    kind: int
+    size: Vec
+    p: Vec
+    q: Vec
+    colour: Colour
+    solid: bool = False
+    mesh: int = -1
+
+
+@dataclass(frozen=True)
+class Shape:
+    """All parts of a drone;  meshes: (vertices (n, 3) m, faces (m, 3)) of those that are no primitives of MuJoCo."""
+
+    parts: tuple[Part, ...]
+    meshes: tuple[tuple[Mat, Mat], ...] = ()
+
+    @property
+    def lowest(self) -> float:
+        """m, of the lowest point that touches, from the centre of mass, in level attitude: negative."""
+        return min(self._lowest(part) for part in self.parts if part.solid)
+
+    @property
+    def reach(self) -> float:
+        """m from the origin to the farthest point, or a little more."""
+        return max(float(np.linalg.norm(part.p)) + self._radius(part) for part in self.parts)
+
+    def _lowest(self, part: Part) -> float:
+        down, (a, b, _) = _rotation(part.q)[2], part.size.tolist()
+        below: float
+        match part.kind:
+            case Geom.mjGEOM_SPHERE:
+                below = a
+            case Geom.mjGEOM_CAPSULE:
+                below = a + b * abs(down[2])
+            case Geom.mjGEOM_CYLINDER:
+                below = a * math.sqrt(max(0.0, 1.0 - down[2] ** 2)) + b * abs(down[2])
+            case Geom.mjGEOM_ELLIPSOID:
+                below = float(np.linalg.norm(part.size * down))
+            case Geom.mjGEOM_BOX:
+                below = float(np.abs(part.size) @ np.abs(down))
+            case _:
+                below = -float((self.meshes[part.mesh][0] @ down).min())
+        return float(part.p[2]) - below
+
+    def _radius(self, part: Part) -> float:
+        if part.mesh >= 0:
+            return float(np.linalg.norm(self.meshes[part.mesh][0], axis=1).max())
+        return float(np.linalg.norm(part.size))
+
+
+def crazyflie(platform: Platform, colour: Colour = GREY) -> Shape:
+    """A Crazyflie of a dozen primitives by the lengths of its platform; it touches with one cylinder around it all.
+
+    That cylinder has the platform's radius: two drones touch where a run counts them as touching.
+    """
+    arm, rotor = platform.arm, platform.rotor.radius
+    hub = ROTOR_HEIGHT - CENTRE
+    parts = [
+        _part(Geom.mjGEOM_CYLINDER, (platform.radius, 0.5 * HEIGHT), (0, 0, 0.5 * HEIGHT - CENTRE), (0, 0, 0, 0), True),
+        _part(Geom.mjGEOM_BOX, (0.016, 0.014, 0.001), (0, 0, -0.006), DARK),
+        _part(Geom.mjGEOM_BOX, (0.011, 0.010, 0.0035), (0, 0, -0.001), GREY),
+        _part(Geom.mjGEOM_BOX, (0.003, 0.006, 0.001), (0.014, 0, -0.004), FRONT),
+        _arm(math.hypot(arm, arm), math.pi / 4.0),
+        _arm(math.hypot(arm, arm), -math.pi / 4.0),
+    ]
+    for x, y in ((arm, -arm), (-arm, -arm), (-arm, arm), (arm, arm)):
+        parts.append(_part(Geom.mjGEOM_CYLINDER, (0.0035, 0.5 * hub + 0.005), (x, y, 0.5 * hub - 0.005), GREY))
+        parts.append(_part(Geom.mjGEOM_CYLINDER, (rotor, 0.0006), (x, y, hub), (*colour[:3], 0.55)))
+    return Shape(tuple(parts))
+
+
+def _part(kind: int, size: tuple[float, ...], p: tuple[float, ...], colour: Colour, solid: bool = False) -> Part:
+    full = np.zeros(3)
+    full[: len(size)] = size
+    return Part(int(kind), full, np.array(p, float), np.array([1.0, 0.0, 0.0, 0.0]), colour, solid)
+
+
+def _arm(half: float, yaw: float) -> Part:
+    """A bar of the frame through the centre, to two motors."""
+    bar = _part(Geom.mjGEOM_BOX, (half, 0.0022, 0.001), (0, 0, -0.0045), DARK)
+    return replace(bar, q=np.array([math.cos(0.5 * yaw), 0.0, 0.0, math.sin(0.5 * yaw)]))
+
+
+def shape_of(path: Path, body: str = "", scale: float = 1.0) -> Shape:
+    """The geoms of a user's STL, OBJ, URDF or MJCF, in their places at rest; of its masses and joints nothing.
+
+    body: of the file, if it has several;  scale: of its lengths, 0.001 for millimetres. Raises ConfigError.
+    """
+    where = f"mujoco.model {path}"
+    model = _compiled(path, where)
+    shape = scaled(_parts(model, _root(model, body, where)), scale)
+    if not any(part.solid for part in shape.parts):
+        do = "Give one of its geoms a contype, or a URDF a <collision>."
+        raise ConfigError(where, "no geom that can touch anything", "a drone stands on the floor", do)
+    if not SMALLEST <= shape.reach <= LARGEST:
+        found = f"geoms up to {shape.reach:.3g} m from the origin"
+        allowed = f"{SMALLEST:g} to {LARGEST:g} m; the origin is the drone's centre of mass"
+        raise ConfigError(where, found, allowed, "For a file in millimetres, write scale = 0.001 into [mujoco].")
+    return shape
+
+
+def _compiled(path: Path, where: str) -> mujoco.MjModel:
+    """The file as a model of its own."""
+    suffix = path.suffix.lower()
+    if suffix not in MESHES + MODELS:
+        raise ConfigError(where, f"a file {suffix or 'without ending'}", ", ".join(MESHES + MODELS), "Convert it.")
+    if not path.is_file():
+        raise ConfigError(where, "no such file", "a path relative to the swarm file", "Mend the path.")
+    try:
+        return (_of_mesh(path) if suffix in MESHES else mujoco.MjSpec.from_file(str(path))).compile()
+    except ValueError as error:
+        raise ConfigError(where, f"MuJoCo says: {error}", "a model that MuJoCo compiles", "Mend the file.") from error
+
+
+def _of_mesh(path: Path) -> mujoco.MjSpec:
+    spec = mujoco.MjSpec()
+    spec.add_mesh(name="mesh", file=str(path), inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL)
+    spec.worldbody.add_geom(type=Geom.mjGEOM_MESH, meshname="mesh", rgba=GREY)
+    return spec
+
+
+def _root(model: mujoco.MjModel, body: str, where: str) -> int:
+    """The body that is the drone: the named one, the only one, or the world's geoms where there is none (URDF)."""
+    tops = [k for k in range(1, model.nbody) if model.body_parentid[k] == 0]
+    names = {model.body(k).name: k for k in range(1, model.nbody)}
+    if body:
+        if body not in names:
+            found = ", ".join(filter(None, names)) or "no body with a name"
+            raise ConfigError(f"{where}, mujoco.body", body, f"the file has {found}", "Mend the name.")
+        return names[body]
+    if len(tops) > 1:
+        found = ", ".join(model.body(k).name or f"number {k}" for k in tops)
+        raise ConfigError(where, f"{len(tops)} bodies: {found}", "one drone", "Write body = its name into [mujoco].")
+    return tops[0] if tops else 0
+
+
+def _parts(model: mujoco.MjModel, root: int) -> Shape:
+    """All geoms of a body and what hangs on it, in its frame; planes are the floor of somebody's scene."""
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    turned, p0 = data.xmat[root].reshape(3, 3), data.xpos[root]
+    parts = []
+    for g in range(model.ngeom):
+        if model.geom_type[g] == Geom.mjGEOM_PLANE or not _belongs(model, int(model.geom_bodyid[g]), root):
+            continue
+        q = np.zeros(4)
+        mujoco.mju_mat2Quat(q, (turned.T @ data.geom_xmat[g].reshape(3, 3)).ravel())
+        colour = model.mat_rgba[model.geom_matid[g]] if model.geom_matid[g] >= 0 else model.geom_rgba[g]
+        kind, solid = int(model.geom_type[g]), bool(model.geom_contype[g] or model.geom_conaffinity[g])
+        mesh = int(model.geom_dataid[g]) if kind == Geom.mjGEOM_MESH else -1
+        p, size = turned.T @ (data.geom_xpos[g] - p0), model.geom_size[g].copy()
+        parts.append(Part(kind, size, p, q, tuple(colour.tolist()), solid, mesh))
+    return Shape(tuple(parts), tuple(_mesh(model, k) for k in range(model.nmesh)))
+
+
+def _belongs(model: mujoco.MjModel, body: int, root: int) -> bool:
+    while body not in (0, root):
+        body = int(model.body_parentid[body])
+    return body == root
+
+
+def _mesh(model: mujoco.MjModel, k: int) -> tuple[Mat, Mat]:
+    vertices, faces = slice(model.mesh_vertadr[k], None), slice(model.mesh_faceadr[k], None)
+    return (
+        model.mesh_vert[vertices][: model.mesh_vertnum[k]].astype(float),
+        model.mesh_face[faces][: model.mesh_facenum[k]].copy(),
+    )
+
+
+def scaled(shape: Shape, scale: float) -> Shape:
+    """All lengths so many times larger."""
+    parts = tuple(replace(part, size=scale * part.size, p=scale * part.p) for part in shape.parts)
+    return Shape(parts, tuple((scale * vertices, faces) for vertices, faces in shape.meshes))
+
+
+def _rotation(q: Vec) -> Mat:
+    r = np.zeros(9)
+    mujoco.mju_quat2Mat(r, q)
+    return r.reshape(3, 3)

@@ -1,0 +1,133 @@
+"""The world mujoco://: Crazyflies whose bodies, contacts and sensors are MuJoCo's; rotors, air, firmware are ours."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from crazychoir.errors import ConfigError
+from crazychoir.math3d import Mat, Vec
+from crazychoir.platforms import CRAZYFLIE_21, Platform
+from crazychoir.simulation.crazyflies import CrazyflieWorld
+from crazychoir.simulation.imu import Imu
+from crazychoir.simulation.lanes import ALIVE, FREE, LANES
+from crazychoir.simulation.motors import H
+from crazychoir.simulation.mujoco.model import ACCELEROMETER, FLOOR, SCENE, SENSORS, body_name, model_of
+from crazychoir.simulation.mujoco.shape import Shape, crazyflie, shape_of
+from crazychoir.simulation.mujoco.wrench import impel, place, settle, touch
+from crazychoir.simulation.world import WorldSetup
+
+SLOW = 0.05
+"""m/s: one that touches something and is slower stands."""
+
+
+class MujocoWorld(CrazyflieWorld):
+    """CrazyflieWorld whose bodies are free bodies of one MuJoCo model, with contacts.
+
+    shapes: of all, or one a drone; None: our own;  scene: a user's MJCF that stands in the room;  options, platform,
+    bodies: CrazyflieWorld's.  model, data: MuJoCo's.
+
+    In each millisecond the motor-level model says how rotors, air and weight would change the velocities of drones that
+    touch nothing. MuJoCo gets that as the mean wrench of the millisecond, adds what contacts do, and says what the
+    velocities are. So drones in free flight fly as in CrazyflieWorld. What the accelerometers feel, contacts too, is
+    MuJoCo's; noise and bias are ours.
+    """
+
+    def __init__(
+        self,
+        ids: Sequence[int],
+        p0: Mat,
+        yaw0: Vec | None = None,
+        platform: Platform | Sequence[Platform] = CRAZYFLIE_21,
+        *,
+        shapes: Shape | Sequence[Shape] | None = None,
+        scene: Path | None = None,
+        **options: Any,
+    ) -> None:
+        self._shapes, self._scene = shapes, scene
+        super().__init__(ids, p0, yaw0, platform, **options)
+
+    def _fill(self, seed: int, sensors: Imu, ground_effect: bool, charge: float) -> None:
+        super()._fill(seed, sensors, ground_effect, charge)
+        self._options[:3] = 0.0  # the floor is MuJoCo's, nobody stands by itself
+        self._blocks[:, FREE : FREE + LANES] = self._blocks[:, ALIVE : ALIVE + LANES]
+        self._build()
+
+    def _build(self) -> None:
+        """The model, and where in its arrays the drones are."""
+        n, ids = len(self.ids), self.ids
+        shapes = self._shapes
+        if shapes is None:
+            own = {row.name: crazyflie(row) for row in self.platforms}
+            shapes = [own[row.name] for row in self.platforms]
+        shapes = [shapes] * n if isinstance(shapes, Shape) else list(shapes)
+        self.model = model_of(ids, self.platforms, shapes, self._scene)
+        self.data = mujoco.MjData(self.model)
+        joints = [self.model.joint(body_name(i)).id for i in ids]
+        self._places = self.model.jnt_qposadr[joints].astype(np.int64)
+        self._speeds = self.model.jnt_dofadr[joints].astype(np.int64)
+        self._bodies = np.array([self.model.body(body_name(i)).id for i in ids])
+        self._drone_of = np.full(self.model.nbody, -1)
+        self._drone_of[self._bodies] = np.arange(n)
+        self._stands = np.array([-shape.lowest for shape in shapes])
+        self._inertia = np.array([[row.mass, *row.inertia] for row in self.platforms])
+        first = self.model.sensor(f"{body_name(ids[0])}/{ACCELEROMETER}").adr[0]
+        self._forces = self.data.sensordata[first : first + 3 * n]
+        self._before, self._touching = self.states.copy(), np.zeros(n)
+        self._hit, self._against = np.zeros(n), np.zeros(n, np.int64)
+
+    def _advance(self, time: int, steps: int) -> None:
+        model, data = self.model, self.data
+        if steps == 0:
+            super()._advance(time, 0)
+        place(self.states, self._stands, self._places, self._speeds, data.qpos, data.qvel)
+        for k in range(steps):
+            mujoco.mj_step1(model, data)
+            self._touch()
+            np.copyto(self._before, self.states)
+            super()._advance(time + k, 1)
+            impel(self._before, self.states, self._inertia, self._bodies, H, data.xfrc_applied)
+            mujoco.mj_step2(model, data)
+            settle(self._before, data.qvel, self._speeds, H, self._forces, self.states, self._lanes)
+            place(self.states, self._stands, self._places, self._speeds, data.qpos, data.qvel)
+        np.copyto(self.impact, self._hit)
+        slow = np.linalg.norm(self.states[:, 3:6], axis=1) < SLOW
+        np.copyto(self._resting, np.where(slow, self._touching, 0.0))
+
+    def _touch(self) -> None:
+        """Note who touches what."""
+        data, model = self.data, self.model
+        self._touching[:] = 0.0
+        if data.ncon:
+            contacts = data.contact
+            touch(
+                contacts.geom, contacts.pos, contacts.frame, model.geom_bodyid, model.body_rootid, data.cvel,
+                data.subtree_com, self._drone_of, self._touching, self._hit, self._against,
+            )  # fmt: skip
+
+    def sensed(self, i: int) -> dict[str, Vec]:
+        """What MuJoCo's sensors of drone i said last, without noise: SENSORS."""
+        return {name: self.data.sensor(f"{body_name(i)}/{name}").data.copy() for name in SENSORS}
+
+    def struck(self, i: int) -> str:
+        """What drone i has hit fastest."""
+        geom = self.model.geom(int(self._against[self.row[i]]))
+        body = int(geom.bodyid[0])
+        other = int(self._drone_of[body])
+        if other >= 0:
+            return f"drone {self.ids[other]}"
+        name = (geom.name or self.model.body(body).name).removeprefix(SCENE)
+        return "the floor" if name == FLOOR else name
+
+
+def engine(setup: WorldSetup) -> MujocoWorld:
+    """The world of a swarm file; options: those of [motors], and of [mujoco]."""
+    options = setup.options
+    if any(options["floor_tilt"]):
+        do = "Leave it out; a plate that is tilted goes into a scene."
+        raise ConfigError("motors.floor_tilt", options["floor_tilt"], "[0, 0]: in MuJoCo the floor is level", do)
+    model, scene = options["model"], options["scene"]
+    shape = shape_of(Path(model), options["body"], options["scale"]) if model else None
+    return MujocoWorld.of(setup, shapes=shape, scene=Path(scene) if scene else None)
