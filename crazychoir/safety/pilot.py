@@ -15,6 +15,7 @@ import numpy as np
 from crazychoir.bus.local import Port
 from crazychoir.bus.topics import COMMAND, LOG, POSE, REFERENCE, STATE
 from crazychoir.control.choice import Controls, controls
+from crazychoir.control.controller import CrazyflieController
 from crazychoir.control.parameters import Parameters
 from crazychoir.control.position import HEADROOM, HEIGHT_SHARE
 from crazychoir.control.senders import FPQRSender
@@ -22,7 +23,7 @@ from crazychoir.filters.kalman import KalmanFilter
 from crazychoir.filters.motion import Commanded
 from crazychoir.filters.state_filter import StateFilter
 from crazychoir.filters.velocity import VelocityFilter
-from crazychoir.math3d import yaw_of
+from crazychoir.math3d import Vec, yaw_of
 from crazychoir.planning.landing import Landing
 from crazychoir.planning.trajectory import Trajectory
 from crazychoir.runtime.actor import Actor, Restart
@@ -32,7 +33,7 @@ from crazychoir.safety.flights import Flights, braking
 from crazychoir.safety.guard import EDGE, Action, Fence, Guard, Throttle, Verdict
 from crazychoir.safety.limits import ReferenceLimits
 from crazychoir.swarm.tables import Flight
-from crazychoir.types import Acceleration, Command, FullState, Goto, Point, Pose, Reference, State
+from crazychoir.types import STILL, Acceleration, Command, FullState, Goto, Point, Pose, Reference, State
 
 log = logging.getLogger(__name__)
 ON_THE_FLOOR = 0.04
@@ -150,6 +151,7 @@ class Pilot(Actor):
         self.restart = Restart(limit=max(5, round(GIVE_UP_TICKS * rate)), backoff=0.0)  # a drone in flight cannot wait
         self._goto: tuple[float, ...] = ()  # the last Goto that was flown, and its plan
         self._goto_plan: Trajectory | None = None
+        self._a = STILL  # m/s2, what the last command asks of the drone
         self._flown: FullState | None = None  # in the last tick, if it was a FullState
         self._lift_off = 0.0  # m, the height above which a drone that takes off flies
         self._obeyed = Action.NOMINAL  # the last verdict
@@ -227,7 +229,10 @@ class Pilot(Actor):
             now_ns = self._ticked_ns = self.clock.now_ns()
             now = now_ns / SECOND
             state = self.filter.predict(now) if pose is None else self.filter.update(pose, now)
-            self.state = state if self._models or state is None or state.age <= SEEN else self._believed(state, now)
+            if state is not None:
+                known = self._models or state.age <= SEEN
+                state = State(state.flat if known else self._believed(state, now), state.age, self._a)
+            self.state = state
         except BaseException as error:  # noqa: BLE001 - see _fail
             self._fail(error)
         else:
@@ -237,16 +242,16 @@ class Pilot(Actor):
                 stages.act.append(self._act)
                 stages.due()
 
-    def _believed(self, state: State, now: float) -> State:
+    def _believed(self, state: State, now: float) -> Vec:
         """Where a drone is that is not seen and whose filter does not know its commands: where it is to be.
 
         The filter lets it go on at its last speed. A controller would brake that forever, and the drone fly backwards.
         """
         flown = self.flights.sample(now) or self._flown
         if flown is None:
-            return state
+            return state.flat
         half = 0.5 * flown.yaw
-        return State(np.array([*flown.p, *flown.v, 0.0, 0.0, math.sin(half), math.cos(half), 0.0, 0.0, 0.0]), state.age)
+        return np.array([*flown.p, *flown.v, 0.0, 0.0, math.sin(half), math.cos(half), 0.0, 0.0, 0.0])
 
     def _say_state(self) -> None:
         """Guidance decides when all have said theirs."""
@@ -263,6 +268,7 @@ class Pilot(Actor):
         if state is None or (run is not None and run.done()):
             return
         try:
+            self._a = STILL
             self._send(self._command(state, self._ticked_ns / SECOND))
             if self._flown is not None:
                 self.port.publish(REFERENCE, self._flown)
@@ -474,11 +480,11 @@ class Pilot(Actor):
             reference = self._reference
             if isinstance(reference, Acceleration) and chosen.follower is not None:
                 self._flown, flights.plan = None, None
-                return chosen.follower.command(state, reference, now)
+                return self._commanded(chosen.follower, state, reference, now)
             if isinstance(reference, FullState):
                 self._flown, flights.plan = self.reference_limits.full_state(reference, state), None
                 chosen.trim.frozen = self._flown is not reference or state.age > SEEN
-                return chosen.tracker.command(state, self._flown, now)
+                return self._commanded(chosen.tracker, state, self._flown, now)
         if flights.plan is None:
             self._brake()
         self._flown = flights.sample(now)
@@ -486,7 +492,15 @@ class Pilot(Actor):
             self.mode = Mode.HOVER
         low = self.mode is Mode.TAKEOFF and state.flat[2] < self._lift_off
         chosen.trim.frozen = low or state.age > SEEN
-        return chosen.tracker.command(state, self._flown, now)
+        return self._commanded(chosen.tracker, state, self._flown, now)
+
+    def _commanded(
+        self, controller: CrazyflieController, state: State, reference: Reference | None, now: float
+    ) -> Command | None:
+        """The controller's command; the acceleration that it asks for is told in the next state."""
+        command = controller.command(state, reference, now)
+        self._a = controller.acceleration
+        return command
 
     def _obey(self, verdict: Verdict) -> None:
         """Do what the safety table says, on its edges."""
