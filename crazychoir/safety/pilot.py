@@ -29,6 +29,7 @@ from crazychoir.planning.trajectory import Trajectory
 from crazychoir.runtime.actor import Actor, Restart
 from crazychoir.runtime.clock import SECOND
 from crazychoir.runtime.mailbox import Call
+from crazychoir.safety.collision.filter import CollisionFilter
 from crazychoir.safety.flights import Flights, braking
 from crazychoir.safety.guard import EDGE, Action, Fence, Guard, Throttle, Verdict
 from crazychoir.safety.limits import ReferenceLimits
@@ -123,7 +124,9 @@ class Pilot(Actor):
     def __init__(
         self, port: Port, link: Link, limits: Flight, fence: Fence, rate: float = 100.0,
         chosen: Controls | None = None, state_filter: StateFilter | None = None, body: int | None = None,
+        collision: CollisionFilter | None = None,
     ) -> None:  # fmt: skip
+        self.collision = collision
         self.port, self.link, self.limits = port, link, limits
         self.controls = controls() if chosen is None else chosen
         self.parameters = Parameters(self.controls)
@@ -480,9 +483,13 @@ class Pilot(Actor):
             reference = self._reference
             if isinstance(reference, Acceleration) and chosen.follower is not None:
                 self._flown, flights.plan = None, None
+                if (safe := self._kept_clear(state, reference, now)) is not None:
+                    return self._evade(state, safe, reference.yaw, now)
                 return self._commanded(chosen.follower, state, reference, now)
             if isinstance(reference, FullState):
                 self._flown, flights.plan = self.reference_limits.full_state(reference, state), None
+                if (safe := self._kept_clear(state, self._flown, now)) is not None:
+                    return self._evade(state, safe, self._flown.yaw, now)
                 chosen.trim.frozen = self._flown is not reference or state.age > SEEN
                 return self._commanded(chosen.tracker, state, self._flown, now)
         if flights.plan is None:
@@ -490,9 +497,31 @@ class Pilot(Actor):
         self._flown = flights.sample(now)
         if self.mode is Mode.TAKEOFF and flights.done(now):
             self.mode = Mode.HOVER
+        if (safe := self._kept_clear(state, self._flown, now)) is not None:
+            return self._evade(state, safe, self._flown.yaw, now)
         low = self.mode is Mode.TAKEOFF and state.flat[2] < self._lift_off
         chosen.trim.frozen = low or state.age > SEEN
         return self._commanded(chosen.tracker, state, self._flown, now)
+
+    def _kept_clear(self, state: State, reference: Acceleration | FullState, now: float) -> Vec | None:
+        """The acceleration (3,) that keeps it clear of the others; None: it is clear, and may fly as it wants."""
+        collision = self.collision
+        if collision is None:
+            return None
+        collision.traffic.look(now)
+        if isinstance(reference, FullState):
+            return collision.full_state(state, reference.flat, self.reference_limits.gains, now)
+        return collision.acceleration(state, reference.a, self.reference_limits.gains, now)
+
+    def _evade(self, state: State, a: Vec, yaw: float, now: float) -> Command | None:
+        """Fly the acceleration (3,) that the collision filter wants."""
+        assert self.collision is not None  # noqa: S101 - it has spoken
+        other = self.collision.gives_way_to
+        text = "brakes: it does not hear who is near" if other is None else f"keeps clear of drone {other}"
+        self._say("collision", text)
+        self.controls.trim.frozen = True
+        self._flown = FullState(np.array([*state.flat[0:6], *a, 0.0, 0.0, 0.0, yaw, 0.0]))
+        return self._commanded(self.controls.tracker, state, self._flown, now)
 
     def _commanded(
         self, controller: CrazyflieController, state: State, reference: Reference | None, now: float
