@@ -11,8 +11,9 @@ from typing import Any
 from crazychoir.bus.commands import CommandServer
 from crazychoir.bus.local import Bus
 from crazychoir.bus.topics import LOG, POSE, RESULT, STATUS, TELEMETRY
-from crazychoir.control.choice import Controls, controls
+from crazychoir.control.choice import ON_BOARD, Controls, controls
 from crazychoir.control.margin import Plant as PlantKind
+from crazychoir.control.position import HEADROOM, HEIGHT_SHARE
 from crazychoir.control.robots import ROBOTS
 from crazychoir.errors import Refused
 from crazychoir.guidance.drone import Drone
@@ -26,6 +27,9 @@ from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import Clock
 from crazychoir.runtime.supervisor import Supervisor
 from crazychoir.runtime.watchdog import Stall, Watchdog
+from crazychoir.safety.collision.filter import CollisionFilter
+from crazychoir.safety.collision.traffic import Traffic
+from crazychoir.safety.flights import braking
 from crazychoir.safety.guard import Fence
 from crazychoir.safety.pilot import Pilot, filter_of
 from crazychoir.simulation.remote import OwnerWatch, RemoteLink
@@ -131,7 +135,7 @@ class Agent:
         seen = filter_of(config.control_of(i).filter, chosen, config.flight.ground, rate)
         link, harm = self._body(i, chosen.sender.kind)
         seen_at = config.source(POSE, i) if i in self.owned else i
-        pilot = Pilot(port, link, config.flight, fence, rate, chosen, seen, seen_at)
+        pilot = Pilot(port, link, config.flight, fence, rate, chosen, seen, seen_at, self._collision(i, chosen))
         if i in self._remotes:
             self._remotes[i].found_flying = pilot.take_over
         supervisor = self._supervisor(i)
@@ -148,6 +152,18 @@ class Agent:
         where = f"control of drone {i}"
         row = self.config.control_of(i)
         return controls(row, platform(drone.platform), kind, plant.rate_lag, plant.command_delay, where)
+
+    def _collision(self, i: int, chosen: Controls) -> CollisionFilter | None:
+        """What keeps drone i clear of the others; None where it is off, it does not fly, or flies by a planner on board."""
+        config = self.config
+        if config.collision.method == "off" or chosen.sender.kind in ON_BOARD or config.drone(i).uri in ROBOTS:
+            return None
+        alone = tuple(j for j in config.ids if config.control_of(j).sender in ON_BOARD)
+        flight = config.flight
+        a_max = braking(flight, chosen.platform, HEIGHT_SHARE * HEADROOM)
+        fence = Fence.box(config.fence.min, config.fence.max).with_floor(max(config.fence.min[2], flight.ground))
+        traffic = Traffic(self.bus.ports[i], config.ids, alone)
+        return CollisionFilter(config.collision, traffic, fence, a_max, flight.speed_limit, flight.ground)
 
     def _body(self, i: int, kind: str) -> tuple[Link, Callable[[], str]]:
         """The way to a drone's body, and what says what has broken it; ConfigError for a kind that is not flown there.

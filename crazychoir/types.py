@@ -14,6 +14,9 @@ import numpy.typing as npt
 Vec = npt.NDArray[np.float64]
 Mat = npt.NDArray[np.float64]
 Point = Sequence[float] | Vec
+STILL: Vec = np.zeros(3)
+"""The acceleration of who is not known to accelerate."""
+STILL.setflags(write=False)
 
 
 class Wire(msgspec.Struct, frozen=True, array_like=True, gc=False):
@@ -43,11 +46,17 @@ class Pose(Wire, frozen=True, array_like=True, gc=False):
 class State(Wire, frozen=True, array_like=True, gc=False):
     """A drone's estimate of itself, or what is heard of a neighbour.
 
-    flat: (13,) = p (3,) m, v (3,) m/s, q (4,), w (3,) rad/s body;  age: s, since it was measured.
+    flat: (13,) = p (3,) m, v (3,) m/s, q (4,), w (3,) rad/s body;  age: s, since it was measured;  a: (3,) m/s2, world,
+    that the drone has commanded in the tick before: its reference and its control together, after all limits and the
+    collision filter, without gravity. It is not measured, and the drone follows late. Zero on the ground, with motors
+    cut and where nobody knows it, as in the truth of a world. Flown by the firmware's control: that of the reference.
+    Between messages a law is told the last a that was heard of a neighbour, while p moves on; after the topic's maximum
+    age the neighbour is absent, and its acceleration counts as none.
     """
 
     flat: Vec
     age: float = 0.0
+    a: Vec = STILL
 
     @classmethod
     def at(cls, p: Point, v: Point = (0.0, 0.0, 0.0)) -> "State":

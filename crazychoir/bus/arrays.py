@@ -67,8 +67,13 @@ def decode_array(payload: Payload) -> Any:
     return np.frombuffer(payload, dtype, count, head.size).reshape(shape)
 
 
-def flat_layout(cls: type[W], tag: int, size: int) -> tuple[Encode, Decode]:
-    """Codec of a wire type of one (size,) vector followed by floats: head (8 bytes), the floats, the vector."""
+def flat_layout(cls: type[W], tag: int, size: int, more: int = 0) -> tuple[Encode, Decode]:
+    """Codec of a wire type of one (size,) vector, then floats, then a (more,) vector if more is not 0.
+
+    Its payload: head (8 bytes), the floats, the vectors.
+    """
+    if more:
+        return _flat_layout_of_two(cls, tag, size, more)
     floats = len(cls.__struct_fields__) - 1
     pack, unpack = struct.Struct(f"<B7x{floats}d").pack, struct.Struct(f"<8x{floats}d").unpack_from
     offset, shape, fields, from_buffer = 8 + 8 * floats, (size,), msgspec.structs.astuple, np.frombuffer
@@ -86,6 +91,31 @@ def flat_layout(cls: type[W], tag: int, size: int) -> tuple[Encode, Decode]:
         if len(payload) != length:
             raise CodecError(f"payload: {len(payload)} bytes; allowed for {cls.__name__}: {length}.")
         return cls(from_buffer(payload, _F8, size, offset), *unpack(payload))
+
+    return encode_flat, decode_flat
+
+
+def _flat_layout_of_two(cls: type[W], tag: int, size: int, more: int) -> tuple[Encode, Decode]:
+    """Of two vectors."""
+    floats = len(cls.__struct_fields__) - 2
+    pack, unpack = struct.Struct(f"<B7x{floats}d").pack, struct.Struct(f"<8x{floats}d").unpack_from
+    offset, shapes, fields, from_buffer = 8 + 8 * floats, ((size,), (more,)), msgspec.structs.astuple, np.frombuffer
+    second, length = offset + 8 * size, offset + 8 * (size + more)
+
+    def encode_flat(value: Any) -> bytes:
+        values = fields(value)
+        first, last = values[0], values[-1]
+        if type(first) is not np.ndarray or first.dtype is not _F8 or first.shape != shapes[0]:
+            first = _vector(first, shapes[0])
+        if type(last) is not np.ndarray or last.dtype is not _F8 or last.shape != shapes[1]:
+            last = _vector(last, shapes[1])
+        return pack(tag, *values[1:-1]) + first.tobytes() + last.tobytes()  # type: ignore[no-any-return]
+
+    def decode_flat(payload: Payload) -> W:
+        if len(payload) != length:
+            raise CodecError(f"payload: {len(payload)} bytes; allowed for {cls.__name__}: {length}.")
+        numbers = unpack(payload)
+        return cls(from_buffer(payload, _F8, size, offset), *numbers, from_buffer(payload, _F8, more, second))
 
     return encode_flat, decode_flat
 

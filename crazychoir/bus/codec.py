@@ -36,9 +36,9 @@ MAX_PAYLOAD: Final = 600_000
 """Bytes of one payload; a message of them fits into a frame, so that what is encoded here can leave the process."""
 MAX_DEPTH: Final = 32
 """Containers within containers."""
-LAYOUTS: Final = {
+LAYOUTS: Final[dict[str, tuple[int, ...]]] = {
     "Pose": (16, 7),
-    "State": (17, 13),
+    "State": (17, 13, 3),
     "Acceleration": (18, 3),
     "FullState": (19, 14),
     "Goto": (20, 3),
@@ -53,7 +53,8 @@ LAYOUTS: Final = {
     "Drive": (41, 2),
     "Velocity": (42, 3),
 }
-"""Wire types by class name: kind (16 to 63), and n if the fields are one (n,) float64 vector, then floats; else 0.
+"""Wire types by class name: kind (16 to 63), and n if the fields are one (n,) float64 vector, then floats, and m if a
+(m,) vector comes last; else 0.
 
 A kind that was ever used is never given to another class.
 """
@@ -102,10 +103,10 @@ def register(cls: type[W]) -> type[W]:
     """Let a wire type travel; its kind is in LAYOUTS. Usable as a decorator."""
     if cls.__name__ not in LAYOUTS:
         raise CodecError(f"{cls.__qualname__}: is not in codec.LAYOUTS, which has {', '.join(LAYOUTS)}. Add it there.")
-    kind, size = LAYOUTS[cls.__name__]
+    kind, *sizes = LAYOUTS[cls.__name__]
     tag = FORMAT << 6 | kind
     _ARRIVING.add(cls)
-    _ENCODERS[cls], _DECODERS[tag] = flat_layout(cls, tag, size) if size else _typed(cls, tag)
+    _ENCODERS[cls], _DECODERS[tag] = flat_layout(cls, tag, *sizes) if sizes[0] else _typed(cls, tag)
     return cls
 
 

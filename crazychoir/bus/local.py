@@ -20,6 +20,9 @@ from crazychoir.types import Wire
 
 ANY = -1
 """In an interest: every drone but the reader; a mailbox then gets (drone, value)."""
+NEVER_NS = 1 << 62
+SLOW_NS, PHASE_NS = SECOND // 10, SECOND // 100
+"""ns: from this interval on, values leave at times that differ from drone to drone by the second."""
 OBSERVER = 10_000
 """Addresses from here on are observers and operators; below are drones."""
 BODIES = 1 << 25
@@ -56,10 +59,14 @@ class Forwarder(Protocol):
 
 @dataclass(slots=True)
 class Rate:
-    """How often the port of another drone or observer gets a topic: one value in each interval of a fixed grid."""
+    """How often the port of another drone or observer gets a topic: one value in each interval of a fixed grid.
+
+    interval_ns: now;  asked_ns: what it has asked for, the longest;  the sender may hasten it.
+    """
 
     interval_ns: int
     due_ns: int = 0
+    asked_ns: int = 0
 
     def due(self, now_ns: int) -> bool:
         """Whether a value may go now."""
@@ -77,17 +84,25 @@ class Readers:
     every: list[int] = field(default_factory=list)
     some: dict[int, Rate] = field(default_factory=dict)
 
-    def add(self, address: int, interval_ns: int) -> None:
-        """A port reads, at its fastest rate."""
+    def add(self, address: int, interval_ns: int, phase: int = 0) -> None:
+        """A port reads, at its fastest rate; phase: ns, of a slow grid, lest all drones say theirs in the same tick."""
         if address in self.every:
             return
         if interval_ns == 0:
             self.some.pop(address, None)
             self.every.append(address)
         elif address in self.some:
-            self.some[address].interval_ns = min(self.some[address].interval_ns, interval_ns)
+            rate = self.some[address]
+            rate.interval_ns, rate.asked_ns = min(rate.interval_ns, interval_ns), min(rate.asked_ns, interval_ns)
         else:
-            self.some[address] = Rate(interval_ns)
+            self.some[address] = Rate(interval_ns, phase % interval_ns if interval_ns >= SLOW_NS else 0, interval_ns)
+
+    def pace(self, address: int, interval_ns: int) -> None:
+        """A port that gets some values gets them at this interval, or as often as it asked for if that is more often."""
+        rate = self.some.get(address)
+        if rate is not None:
+            rate.interval_ns = min(interval_ns, rate.asked_ns)
+            rate.due_ns %= rate.asked_ns
 
     def drop(self, addresses: Sequence[int]) -> None:
         """These ports read no more."""
@@ -338,7 +353,8 @@ class Port:
         topic = BY_NAME[interest.topic]
         readers = self._readers.setdefault(topic.number, Readers())
         if mailbox is None:
-            readers.add(interest.reader, round(SECOND / interest.rate) if interest.rate > 0 else 0)
+            interval_ns = round(SECOND / interest.rate) if interest.rate > 0 else 0
+            readers.add(interest.reader, interval_ns, PHASE_NS * self.address)
         elif mailbox not in readers.mailboxes:
             readers.mailboxes.append(mailbox)
         if topic.number in self._latched:
@@ -351,6 +367,12 @@ class Port:
             mailbox.put(value, age)
         else:
             self.send(topic, (j,), encode(value), age=age)
+
+    def pace(self, topic: Topic, reader: int, rate: float) -> None:
+        """Give a reader that gets some values of a topic so many a second, at least what it has asked for."""
+        readers = self._readers.get(topic.number)
+        if readers is not None:
+            readers.pace(reader, round(SECOND / rate) if rate > 0.0 else NEVER_NS)
 
     def drop_readers(self, addresses: list[int]) -> None:
         """Forget the readers at these addresses."""

@@ -10,7 +10,7 @@ from crazychoir.control.handlers import TrajectoryHandler
 from crazychoir.control.position import PositionControl
 from crazychoir.control.senders import CommunicationHandler
 from crazychoir.math3d import Vec, columns, exponential, finite, kernel, memory, real, vector
-from crazychoir.types import Command, Reference, State
+from crazychoir.types import STILL, Command, Reference, State
 
 EARLY = 1e-4  # s that a tick may be early for the next look at the position: clocks and cameras jitter
 
@@ -30,6 +30,15 @@ class CrazyflieController(ABC):
     @abstractmethod
     def law(self, state: State, reference: Vec, now: float) -> Vec | None:
         """The input u of the sender for a reference (14,); None if an argument is not finite."""
+
+    @property
+    def acceleration(self) -> Vec:
+        """(3,) m/s2, world, that the last command asks of the drone, read-only: that of the reference, if not known."""
+        if self._last is None:
+            return STILL
+        a = self._last[6:9].copy()
+        a.setflags(write=False)
+        return a
 
     @abstractmethod
     def blind(self) -> Vec:
@@ -111,6 +120,11 @@ class HierarchicalController(CrazyflieController):
             self._desired[:] = desired
             self._next = max(self._next, now - 1.0 / self.position_rate) + 1.0 / self.position_rate
         return desired
+
+    @property
+    def acceleration(self) -> Vec:
+        """(3,) m/s2, world, of the position strategy."""
+        return self.pos_strategy.acceleration
 
     def blind(self) -> Vec:
         """The last thrust, neither rates nor angles."""

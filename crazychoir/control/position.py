@@ -30,6 +30,7 @@ DESIRED = 13  # thrust N, x_b, y_b, z_b of R_d (3 each), rate feed-forward w_d r
 LEAST_LIFT = 0.2 * GRAVITY  # m/s2: the desired thrust always points up, far from F = 0 and from z_b parallel to x_c
 LONGEST_GAP = 0.1  # s between two desired attitudes whose difference still tells a rate
 HEIGHT_SHARE = 0.9  # of the desired force at most upwards: 26 degrees of tilt are left in the fastest climb
+FREE, COMMANDED = DESIRED, DESIRED + 1  # where the kernels write whether F was not cut, and what it accelerates
 MOST_EARLY = 1.0  # rad/s, fed forward for the delay of the rates: a reference that jumps is not to shake the drone
 HEADROOM = 0.95  # of the thrust for the desired acceleration; the rest is left to the attitude
 
@@ -38,6 +39,11 @@ class PositionControl(Protocol):
     """The strategy that turns a reference into a thrust and an attitude."""
 
     gains: Gains
+
+    @property
+    def acceleration(self) -> Vec:
+        """(3,) m/s2, world, that the last call of `desired` commands, read-only."""
+        ...
 
     def desired(self, state: State, reference: Vec, now: float) -> Vec | None:
         """Desired (13,) = thrust N, columns of R_d, rate feed-forward; None if state or reference is not finite.
@@ -80,7 +86,7 @@ def _wish(x: Vec, ref: Vec, gains: Vec, follow: float, c: int) -> float:
 @kernel(vector, vector, vector, vector, real, memory)
 def _flatness(x: Vec, ref: Vec, figures: Vec, trim: Vec, follow: float, out: Vec) -> bool:
     """The law of FlatnessPositionCtrl (follow = 1) but for its delays, or that of FlatnessAccelerationCtrl but for its
-    lead. out: (14,) = desired, and 1 where F was not cut.
+    lead. out: (17,) = desired, 1 where F was not cut, and the acceleration m/s2 that is left of the wish.
     """
     if not (finite(x) and finite(ref)):
         return False
@@ -91,7 +97,8 @@ def _flatness(x: Vec, ref: Vec, figures: Vec, trim: Vec, follow: float, out: Vec
     n = math.sqrt(max(bx[0] * bx[0] + bx[1] * bx[1], 1e-12))
     dx, dy = (bx[0] * trim[1] - bx[1] * trim[2]) / n, (bx[1] * trim[1] + bx[0] * trim[2]) / n
     ax, ay, az = (_wish(x, ref, gains, follow, 0), _wish(x, ref, gains, follow, 1), _wish(x, ref, gains, follow, 2))
-    wish = (ax + drag[0] + dx, ay + drag[1] + dy, az + drag[2] + GRAVITY)
+    rest = (drag[0] + dx, drag[1] + dy, drag[2] + GRAVITY)
+    wish = (ax + rest[0], ay + rest[1], az + rest[2])
     f = _within_limits(wish, gains[6], HEADROOM * platform[4] / platform[0])
     axes = flat_attitude(f, ref[12])
     free = 1.0 if f == wish else 0.0
@@ -101,6 +108,7 @@ def _flatness(x: Vec, ref: Vec, figures: Vec, trim: Vec, follow: float, out: Vec
     out[0] = clip(thrust, 0.0, platform[4])
     for c in range(3):
         out[1 + c], out[4 + c], out[7 + c], out[10 + c] = axes[0][c], axes[1][c], axes[2][c], w[c]
+        out[14 + c] = f[c] - rest[c]
     out[13] = free if thrust < platform[4] else 0.0
     return True
 
@@ -166,7 +174,7 @@ class FlatnessPositionCtrl(Tuned):
         self.trim = Trim() if trim is None else trim
         self.platform = platform
         super().__init__(gains)
-        self._out = np.zeros(DESIRED + 1)
+        self._out = np.zeros(COMMANDED + 3)
         self._desired = self._out[:DESIRED]
         self._memory, self._time = np.full(3, np.nan), -math.inf
 
@@ -175,13 +183,20 @@ class FlatnessPositionCtrl(Tuned):
         self._rates = figures[11:13]
         return figures
 
+    @property
+    def acceleration(self) -> Vec:
+        """(3,) m/s2, world: F/m of the last call, after its limits, without gravity, drag and trim."""
+        a = self._out[COMMANDED:].copy()
+        a.setflags(False)  # type: ignore[call-arg]  # by place: faster than by name, in every tick
+        return a
+
     def desired(self, state: State, reference: Vec, now: float) -> Vec | None:
         """Thrust, attitude and rate feed-forward (13,); None if state or reference is not finite."""
         h, out, flat = now - self._time, self._out, state.flat
         if not _tracked(flat, reference, self._figures, self.trim.flat, self._memory, h, out):
             return None
         self._time = now
-        if 0.0 < h < LONGEST_GAP and out[DESIRED] > 0.0:
+        if 0.0 < h < LONGEST_GAP and out[FREE] > 0.0:
             self.trim.learn(flat, reference, self._rates, h)
         return self._desired
 

@@ -77,7 +77,7 @@ class VelocitySum:
         last = self.last
         if (held == 1 and steps == 1 and self.even) or last is None:
             self.last = state
-            return state if age == state.age else State(state.flat, age)
+            return state if age == state.age else State(state.flat, age, state.a)
         memory, out = self._memory, np.empty(13)
         if self.even:
             memory[0:3], memory[3:6] = last.v, 0.0
@@ -86,7 +86,7 @@ class VelocitySum:
         self.even = owed < NOTHING
         if steps > 0:
             self.last = state
-        return State(out, age)
+        return State(out, age, state.a)
 
 
 class Hearing(Latest[State]):
@@ -121,9 +121,9 @@ class Hearing(Latest[State]):
         self._told_ns, self._seen = born_ns, version
         if steps == 1 == held and sums.even:  # as a rule: all is as the filter adds it up
             self._told_version, sums.last = version, state
-            return state if age == state.age else State(state.flat, age)
+            return state if age == state.age else State(state.flat, age, state.a)
         if version == self._told_version:
-            state = State(moved_on(state.flat, age - state.age), age)
+            state = State(moved_on(state.flat, age - state.age), age, state.a)
         self._told_version = version
         return sums.told(state, age, held, steps)
 

@@ -73,7 +73,9 @@ class ReferenceLimits:
     def __init__(self, flight: Flight, gains: Gains) -> None:
         self.a_max = flight.acceleration_limit
         self._a_max_squared = self.a_max**2
-        self._gains, self._kv, self._v_max = gains.position, min(gains.kv), flight.speed_limit
+        self.gains = gains.position
+        """(13,), of Gains.position."""
+        self._kv, self._v_max = min(gains.kv), flight.speed_limit
         roll, pitch, yaw = gains.kr
         self._limits = np.array([flight.speed_limit, self.a_max, min(roll, pitch) * self.a_max, yaw * 1.0])
 
@@ -96,5 +98,5 @@ class ReferenceLimits:
     def full_state(self, reference: FullState, state: State) -> FullState:
         """A reference that pulls the drone in `state` no harder than the limits allow."""
         out = np.empty(14)
-        is_cut = _cut_full_state(state.flat, reference.flat, self._gains, self._limits, out)
+        is_cut = _cut_full_state(state.flat, reference.flat, self.gains, self._limits, out)
         return FullState(out) if is_cut else reference

@@ -14,6 +14,7 @@ import numpy as np
 from crazychoir.bus.local import Port
 from crazychoir.bus.topics import COMMAND, LOG, POSE, REFERENCE, STATE
 from crazychoir.control.choice import Controls, controls
+from crazychoir.control.controller import CrazyflieController
 from crazychoir.control.parameters import Parameters
 from crazychoir.control.position import HEADROOM, HEIGHT_SHARE
 from crazychoir.control.senders import FPQRSender
@@ -27,6 +28,7 @@ from crazychoir.planning.trajectory import Trajectory
 from crazychoir.runtime.actor import Actor, Restart
 from crazychoir.runtime.clock import SECOND
 from crazychoir.runtime.mailbox import Call
+from crazychoir.safety.collision.filter import CollisionFilter
 from crazychoir.safety.flights import Flights, braking
 from crazychoir.safety.guard import BELOW_GROUND, EDGE, Action, Fence, Guard, Throttle, Verdict
 from crazychoir.safety.homecoming import Homecoming
@@ -46,7 +48,19 @@ from crazychoir.safety.modes import (
     refusal,
 )
 from crazychoir.swarm.tables import Flight
-from crazychoir.types import Acceleration, Command, FullState, Goto, Point, Pose, Reference, State, Vec, Velocity
+from crazychoir.types import (
+    STILL,
+    Acceleration,
+    Command,
+    FullState,
+    Goto,
+    Point,
+    Pose,
+    Reference,
+    State,
+    Vec,
+    Velocity,
+)
 
 log = logging.getLogger(__name__)
 ON_THE_FLOOR = 0.04
@@ -126,7 +140,9 @@ class Pilot(Actor):
     def __init__(
         self, port: Port, link: Link, limits: Flight, fence: Fence, rate: float = 100.0,
         chosen: Controls | None = None, state_filter: StateFilter | None = None, body: int | None = None,
+        collision: CollisionFilter | None = None,
     ) -> None:  # fmt: skip
+        self.collision = collision
         self.port, self.link, self.limits = port, link, limits
         self.controls = controls() if chosen is None else chosen
         self.parameters = Parameters(self.controls)
@@ -161,6 +177,7 @@ class Pilot(Actor):
         self.restart = Restart(limit=max(5, round(GIVE_UP_TICKS * rate)), backoff=0.0)  # a drone in flight cannot wait
         self._goto: tuple[float, ...] = ()  # the last Goto that was flown, and its plan
         self._goto_plan: Trajectory | None = None
+        self._a = STILL  # m/s2, what the last command asks of the drone
         self._flown: FullState | None = None  # in the last tick, if it was a FullState
         self._lift_off = 0.0  # m, the height above which a drone that takes off flies
         self._obeyed = Action.NOMINAL  # the last verdict
@@ -232,7 +249,10 @@ class Pilot(Actor):
             now_ns = self._ticked_ns = self.clock.now_ns()
             now = now_ns / SECOND
             state = self.filter.predict(now) if pose is None else self.filter.update(pose, now)
-            self.state = state if self._models or state is None or state.age <= SEEN else self._believed(state, now)
+            if state is not None:
+                known = self._models or state.age <= SEEN
+                state = State(state.flat if known else self._believed(state, now), state.age, self._a)
+            self.state = state
         except BaseException as error:  # noqa: BLE001 - see _fail
             self._fail(error)
         else:
@@ -242,16 +262,16 @@ class Pilot(Actor):
                 stages.act.append(self._act)
                 stages.due()
 
-    def _believed(self, state: State, now: float) -> State:
+    def _believed(self, state: State, now: float) -> Vec:
         """Where a drone is that is not seen and whose filter does not know its commands: where it is to be.
 
         The filter lets it go on at its last speed. A controller would brake that forever, and the drone fly backwards.
         """
         flown = self.flights.sample(now) or self._flown
         if flown is None:
-            return state
+            return state.flat
         half = 0.5 * flown.yaw
-        return State(np.array([*flown.p, *flown.v, 0.0, 0.0, math.sin(half), math.cos(half), 0.0, 0.0, 0.0]), state.age)
+        return np.array([*flown.p, *flown.v, 0.0, 0.0, math.sin(half), math.cos(half), 0.0, 0.0, 0.0])
 
     def _say_state(self) -> None:
         """Guidance decides when all have said theirs."""
@@ -268,6 +288,7 @@ class Pilot(Actor):
         if state is None or (run is not None and run.done()):
             return
         try:
+            self._a = STILL
             self._send(self._command(state, self._ticked_ns / SECOND))
             if self._flown is not None:
                 self.port.publish(REFERENCE, self._flown)
@@ -559,21 +580,55 @@ class Pilot(Actor):
             reference = self._reference
             if isinstance(reference, Acceleration) and chosen.follower is not None:
                 self._flown, flights.plan = None, None
-                return chosen.follower.command(state, reference, now)
+                if (safe := self._kept_clear(state, reference, now)) is not None:
+                    return self._evade(state, safe, reference.yaw, now)
+                return self._commanded(chosen.follower, state, reference, now)
             if isinstance(reference, Velocity):
                 reference = FullState.at(state.p, reference.v, yaw=reference.yaw)
             if isinstance(reference, FullState):
                 self._flown, flights.plan = self.reference_limits.full_state(reference, state), None
+                if (safe := self._kept_clear(state, self._flown, now)) is not None:
+                    return self._evade(state, safe, self._flown.yaw, now)
                 chosen.trim.frozen = self._flown is not reference or state.age > SEEN
-                return chosen.tracker.command(state, self._flown, now)
+                return self._commanded(chosen.tracker, state, self._flown, now)
         if flights.plan is None:
             self._brake()
-        self._flown = flights.sample(now)
+        self._flown = flown = flights.sample(now)
         if self.mode in (TAKEOFF, FOLLOW) and self._reference is None and flights.done(now):
             self._change(Event.ARRIVED)
+        if flown is not None and (safe := self._kept_clear(state, flown, now)) is not None:
+            return self._evade(state, safe, flown.yaw, now)
         low = self.mode is TAKEOFF and state.flat[2] < self._lift_off
         chosen.trim.frozen = low or state.age > SEEN
-        return chosen.tracker.command(state, self._flown, now)
+        return self._commanded(chosen.tracker, state, self._flown, now)
+
+    def _kept_clear(self, state: State, reference: Acceleration | FullState, now: float) -> Vec | None:
+        """The acceleration (3,) that keeps it clear of the others; None: it is clear, and may fly as it wants."""
+        collision = self.collision
+        if collision is None:
+            return None
+        collision.traffic.look(now)
+        if isinstance(reference, FullState):
+            return collision.full_state(state, reference.flat, self.reference_limits.gains, now)
+        return collision.acceleration(state, reference.a, self.reference_limits.gains, now)
+
+    def _evade(self, state: State, a: Vec, yaw: float, now: float) -> Command | None:
+        """Fly the acceleration (3,) that the collision filter wants."""
+        assert self.collision is not None  # noqa: S101 - it has spoken
+        other = self.collision.gives_way_to
+        text = "brakes: it does not hear who is near" if other is None else f"keeps clear of drone {other}"
+        self._say("collision", text)
+        self.controls.trim.frozen = True
+        self._flown = FullState(np.array([*state.flat[0:6], *a, 0.0, 0.0, 0.0, yaw, 0.0]))
+        return self._commanded(self.controls.tracker, state, self._flown, now)
+
+    def _commanded(
+        self, controller: CrazyflieController, state: State, reference: Reference | None, now: float
+    ) -> Command | None:
+        """The controller's command; the acceleration that it asks for is told in the next state."""
+        command = controller.command(state, reference, now)
+        self._a = controller.acceleration
+        return command
 
     def _obey(self, verdict: Verdict) -> None:
         """Do what the safety table says, on its edges."""

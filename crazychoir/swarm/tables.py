@@ -61,6 +61,7 @@ Tilt = Annotated[
     tuple[Annotated[float, Meta(ge=-0.5, le=0.5)], Annotated[float, Meta(ge=-0.5, le=0.5)]],
     Meta(description="angles [roll, pitch] in rad, -0.5 to 0.5", examples=[[0.0175, 0.0]]),
 ]
+SemiAxis = Annotated[float, Meta(ge=0.05, le=2, description="a length in m, 0.05 to 2", examples=[0.12])]
 Share = Annotated[float, Meta(gt=0, le=1, description="a share, above 0, at most 1", examples=[0.5])]
 Factor = Annotated[float, Meta(ge=0, le=100, description="a factor, 0 to 100", examples=[1.0])]
 Scale = Annotated[float, Meta(gt=0, le=1000, description="a factor, above 0, at most 1000", examples=[0.001])]
@@ -78,6 +79,14 @@ Sender = Annotated[
 Filter = Annotated[
     Literal["derivative", "kalman"],
     Meta(description='how velocities come from poses: "derivative" or "kalman"', examples=["kalman"]),
+]
+Avoidance = Annotated[
+    Literal["barrier", "cells", "off"],
+    Meta(description='how drones keep clear of each other: "barrier", "cells" or "off"', examples=["cells"]),
+]
+SemiAxes = Annotated[
+    tuple[SemiAxis, SemiAxis, SemiAxis],
+    Meta(description="three lengths in m, 0.05 to 2", examples=[[0.12, 0.12, 0.3]]),
 ]
 Rate = Annotated[float, Meta(ge=0, le=1000, description="a rate in Hz, 0 (each tick) to 1000", examples=[50])]
 Hosts = Annotated[
@@ -232,6 +241,28 @@ class World(Table, frozen=True, kw_only=True):
     options: Free = field(default_factory=dict)
 
 
+class Collision(Table, frozen=True, kw_only=True):
+    """[collision]: how drones keep clear of each other.
+
+    method: "barrier", "cells" or "off";  semi_axes: m, of the ellipsoid around each drone, which no other's meets;
+    margin: m, kept beyond twice the first of them;  brake: m/s2, with which a drone counts on being able to brake;
+    gamma: 1/s, how fast it comes to a limit;  turn: how much it goes to the side where somebody is in its way;
+    range: m, within which others count;  unsure: m/s2, by which one that is not heard may change its acceleration;
+    lag, delay: s, of the drones.
+    """
+
+    method: Avoidance = "cells"
+    semi_axes: SemiAxes = (0.12, 0.12, 0.3)
+    margin: Metres = 0.06
+    brake: Acceleration = 1.0
+    gamma: Timeout = 4.0
+    turn: Factor = 1.0
+    range: Height = 2.0
+    unsure: Factor = 2.0
+    lag: Seconds = 0.15
+    delay: Seconds = 0.03
+
+
 class Control(Table, frozen=True, kw_only=True):
     """[control]: sender: what the drone is sent;  gains: of the tracking controller, instead of the standard;
     position_rate: Hz, of the position strategy, 0: each tick;  filter: of the poses.
@@ -300,5 +331,6 @@ class Swarm(Table, frozen=True, kw_only=True):
     motors: Motors = Motors()
     mujoco: Mujoco = Mujoco()
     world: World = World()
+    collision: Collision = Collision()
     control: Control = Control()
     roles: Roles = ()

@@ -8,7 +8,14 @@ from hypothesis.extra.numpy import arrays
 
 from crazychoir.control.attitude import GeometryAttitudeCtrl
 from crazychoir.control.gains import FORMATION, STANDARD
-from crazychoir.control.position import FlatnessAccelerationCtrl, FlatnessPositionCtrl
+from crazychoir.control.position import (
+    HEADROOM,
+    HEIGHT_SHARE,
+    LEAST_LIFT,
+    FlatnessAccelerationCtrl,
+    FlatnessPositionCtrl,
+)
+from crazychoir.control.trim import Trim
 from crazychoir.math3d import GRAVITY, exponential, quaternion, rotation, rotation_from_flat
 from crazychoir.planning.point_to_point import PointToPoint
 from crazychoir.platforms import PAPER
@@ -63,6 +70,28 @@ def test_thrust_and_attitude_follow_from_the_force(p, v, a, turn, yaw):
     if 2.5 < f[2] < 15.0 and np.hypot(f[0], f[1]) < f[2] and np.linalg.norm(f) < 16.0:
         np.testing.assert_allclose(out[1:10].reshape(3, 3).T, rotation_from_flat(f, yaw), atol=1e-9)
         assert out[0] == pytest.approx(PAPER.mass * f @ rotation(here.q)[:, 2], abs=1e-9)
+
+
+@given(small, small, small, arrays(float, 3, elements=st.floats(-20.0, 20.0)))
+def test_the_commanded_acceleration_is_the_force_after_its_limits_without_gravity_drag_and_trim(p, v, turn, a):
+    here, trim = state(p, v, turn), Trim()
+    trim.flat[:] = trim.sure[:] = 0.1, 0.3, -0.2
+    r = rotation(here.q)
+    bx = r[:2, 0] / np.linalg.norm(r[:2, 0])
+    rest = np.array([bx[0] * 0.3 + bx[1] * 0.2, bx[1] * 0.3 - bx[0] * 0.2, GRAVITY])
+    rest += r @ np.diag(PAPER.drag) @ r.T @ v / PAPER.mass
+    law = FlatnessAccelerationCtrl(trim=trim)
+    out = law.desired(here, FullState.at((0, 0, 0), a=a).flat, 0.0)
+    wish, force = a + rest, law.acceleration + rest
+    np.testing.assert_allclose(np.cross(force, out[7:10]), 0.0, atol=1e-9)
+    most = HEADROOM * PAPER.max_thrust / PAPER.mass
+    tilt = np.hypot(*wish[:2]) / np.tan(FORMATION.max_tilt)
+    if LEAST_LIFT < wish[2] < HEIGHT_SHARE * most and tilt < wish[2] and np.linalg.norm(wish) < most:
+        np.testing.assert_allclose(law.acceleration, a, atol=1e-12)
+    else:
+        assert np.linalg.norm(law.acceleration - a) > 1e-6, "some of it was cut"
+        assert np.hypot(*force[:2]) <= force[2] * np.tan(FORMATION.max_tilt) + 1e-9
+    assert not law.acceleration.flags.writeable
 
 
 @given(small, small)

@@ -58,6 +58,7 @@ def wire(cls, size, floats):
 WIRES = st.one_of(
     wire(Pose, 7, 1),
     wire(State, 13, 1),
+    st.builds(State, hnp.arrays(np.float64, 13), FLOATS, hnp.arrays(np.float64, 3)),
     wire(Acceleration, 3, 1),
     wire(FullState, 14, 0),
     wire(Goto, 3, 2),
@@ -143,6 +144,7 @@ def test_limits_of_integers_and_dimensions():
         (["\ud800"], "value[0]", "surrogates"),
         ([State(np.zeros(2))], "value[0]", "shape (2,), not (13,)"),
         (State(np.zeros(13), "old"), "value", "not a float"),
+        (State(np.zeros(13), 0.0, np.zeros(2)), "value", "shape (2,), not (3,)"),
         (Status(phase=3), "value", "Expected `str`"),
         (PerNeighbor({1: 2.0}), "value", "PerNeighbor"),
         ([{"s": PerNeighbor({})}], "value[0]['s']", "PerNeighbor"),
@@ -311,7 +313,10 @@ def test_numbers_on_the_wire_do_not_change():
     assert encode(1.5) == b"\x41" + struct.pack("<d", 1.5)
     assert encode(np.array([1.0])) == b"\x42" + bytes(7) + struct.pack("<d", 1.0)
     assert encode(Goto(np.array([1.0, 2.0, 3.0]), 4.0, 5.0)) == b"\x54" + bytes(7) + struct.pack("<5d", 4, 5, 1, 2, 3)
-    assert {name: tag for name, (tag, _) in codec.LAYOUTS.items()} == {
+    assert encode(State(np.arange(13.0), 4.0, np.array([5.0, 6.0, 7.0]))) == b"\x51" + bytes(7) + struct.pack(
+        "<17d", 4, *range(13), 5, 6, 7
+    )
+    assert {name: tag for name, (tag, *_) in codec.LAYOUTS.items()} == {
         "Pose": 16, "State": 17, "Acceleration": 18, "FullState": 19, "Goto": 20, "FPQR": 21, "Status": 22,
         "FRPY": 23, "Vel": 24, "XYZ": 25, "Body": 26, "Failure": 27,
     }  # fmt: skip

@@ -194,7 +194,7 @@ def test_names_must_fit_into_keys() -> None:
 
 def test_public_copies_are_plain_json() -> None:
     value = json.loads(as_json(State.at([1.0, 2.0, float("nan")])))
-    assert value == {"p": [1, 2, None], "v": [0, 0, 0], "q": [0, 0, 0, 1], "w": [0, 0, 0], "age": 0}
+    assert value == {"p": [1, 2, None], "v": [0, 0, 0], "q": [0, 0, 0, 1], "w": [0, 0, 0], "age": 0, "a": [0, 0, 0]}
     assert json.loads(as_json(Status("flying", note="ü")))["note"] == "ü"
     assert json.loads(as_json(FullState.at([1, 2, 3], yaw=0.5)))["yaw"] == 0.5
     command = json.loads(as_json(FPQR(np.array([0.3, 1, 2, 3]))))

@@ -187,6 +187,21 @@ async def test_in_a_gap_the_state_is_moved_on_at_constant_velocity(clock):
 
 
 @virtual
+async def test_the_acceleration_that_was_heard_last_is_told_until_the_next_one_comes(clock):
+    neighbor, draw = Neighbor(clock), np.random.default_rng(5)
+    heard = None
+    for k in range(200):
+        await clock.sleep(H)
+        now = clock.now()
+        state = neighbor.filter.update(seen(now, draw), now)
+        if k == 0 or draw.uniform() < 0.5:
+            heard = np.array([k, 0.0, -1.0])
+            neighbor.hearing.put(State(state.flat, state.age, heard), state.age + 0.002 * (k % 3))
+        told = neighbor.hearing.state(clock.now_ns(), 1 + k % 2)
+        assert told.a.tolist() == heard.tolist()
+
+
+@virtual
 async def test_what_is_stale_is_not_told_and_not_made_up_for(clock):
     neighbor = Neighbor(clock)
     for _ in range(20):

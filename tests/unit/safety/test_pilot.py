@@ -9,13 +9,13 @@ import pytest
 from virtual_time import virtual
 
 from crazychoir.bus.local import Bus
-from crazychoir.bus.topics import LOG, POSE
+from crazychoir.bus.topics import LOG, POSE, STATE
 from crazychoir.control.gains import STANDARD
 from crazychoir.errors import ConfigError
 from crazychoir.planning.point_to_point import STOP, stopping
 from crazychoir.platforms import PAPER
 from crazychoir.runtime.clock import run_virtual
-from crazychoir.runtime.mailbox import DropOldest
+from crazychoir.runtime.mailbox import Call, DropOldest
 from crazychoir.runtime.supervisor import Supervisor
 from crazychoir.safety.guard import INSET, Action, Fence
 from crazychoir.safety.limits import ReferenceLimits
@@ -455,6 +455,26 @@ async def test_an_acceleration_beyond_the_limit_is_cut_to_it(clock):
     _, acceleration = fastest(drone, since)
     assert acceleration == pytest.approx(Flight().acceleration_limit, rel=0.15)
     assert drone.p[0] == pytest.approx(drone.p[1], abs=0.01), "its direction stays"
+
+
+@virtual
+async def test_its_state_tells_what_it_has_commanded_after_the_limits(clock):
+    drone, told = Flown(clock), []
+    drone.bus.subscribe(STATE, 0, 0, Call(clock, lambda state, age: told.append(state.a.tolist())))
+    await drone.fly(0.05)
+    assert told[-1] == [0.0, 0.0, 0.0], "on the ground"
+    await drone.fly(drone.pilot.take_off() + 0.5)
+    wanted = [0.8, -0.4, 0.0]
+    await drone.fly(0.2, each=lambda: drone.pilot.follow(Acceleration(np.array(wanted))))
+    assert told[-1] == pytest.approx(wanted, abs=1e-9)
+    await drone.fly(0.1, each=lambda: drone.pilot.follow(Acceleration(np.array([40.0, 0.0, 0.0]))))
+    assert told[-1] == pytest.approx([Flight().acceleration_limit, 0.0, 0.0], abs=1e-9)
+    drone.pilot.hover()
+    await drone.fly(0.2)
+    assert told[-1][0] < -0.2, "it brakes"
+    drone.pilot.cut("test")
+    await drone.fly(0.02)
+    assert told[-1] == [0.0, 0.0, 0.0]
 
 
 @virtual

@@ -1,0 +1,205 @@
+"""The collision filter: the acceleration nearest to the one wanted with which this drone hits nobody."""
+
+import math
+from typing import Any
+
+import numpy as np
+
+from crazychoir.math3d import Triple, Vec, dot, kernel, memory, real, table, vector
+from crazychoir.safety.collision.barrier import barrier
+from crazychoir.safety.collision.cells import cell
+from crazychoir.safety.collision.deadlock import turned
+from crazychoir.safety.collision.motion import late, length, scaled, shrunk
+from crazychoir.safety.collision.projection import nearest
+from crazychoir.safety.collision.traffic import BORN, DISTANCE, SHARE, Traffic
+from crazychoir.safety.guard import Fence
+from crazychoir.swarm.tables import Collision
+from crazychoir.types import State
+
+MOST = 16
+"""Others that count at most, the nearest."""
+STANDING = 0.08
+"""m above the ground, below which a drone stands on the floor, or as good as."""
+BODY = 0.15
+"""m, between the centres of two drones one of which stands on the floor: 0.137 m would touch."""
+USABLE = 0.5
+"""s: a state that is older is no use."""
+GONE = 3.0
+"""s: the motors of a drone that is not heard for so long are off: its pilot or its firmware cuts them after 2 s."""
+CLEAR, ACTS, BRAKES = 0, 1, 2
+"""What the filter does: nothing; it bends what is wanted; it brakes, for want of a usable state."""
+
+# Figures of the kernel.
+LAG, DELAY, SX, SY, SZ, WIDTH, BRAKE, GAMMA, A_XY, A_Z, TURN, RANGE, UNSURE, GROUND, V_MAX, CELLS = range(16)
+
+
+@kernel()
+def _wanted(x: Vec, ref: Vec, gains: Vec, follow: float) -> Triple:
+    """a_d + follow (kp (p_d - p) + kv (v_d - v)): what the controller would ask for, m/s2."""
+    return (
+        ref[6] + follow * (gains[0] * (ref[0] - x[0]) + gains[3] * (ref[3] - x[3])),
+        ref[7] + follow * (gains[1] * (ref[1] - x[1]) + gains[4] * (ref[4] - x[4])),
+        ref[8] + follow * (gains[2] * (ref[2] - x[2]) + gains[5] * (ref[5] - x[5])),
+    )
+
+
+@kernel()
+def _insert(planes: Vec, near: Vec, count: int, d: float, normal: Triple, b: float, row: int) -> int:
+    """Put a half space among the nearest, in the order of d; returns how many there are.
+
+    planes: from row 6 on;  near: (MOST, 2) = d, and the row of the other drone in the traffic.
+    """
+    if count == MOST:
+        if d >= near[MOST - 1, 0]:
+            return count
+        count -= 1
+    k = count
+    while k > 0 and near[k - 1, 0] > d:
+        near[k, 0], near[k, 1] = near[k - 1, 0], near[k - 1, 1]
+        for c in range(4):
+            planes[6 + k, c] = planes[5 + k, c]
+        k -= 1
+    near[k, 0], near[k, 1] = d, row
+    planes[6 + k, 0], planes[6 + k, 1], planes[6 + k, 2], planes[6 + k, 3] = normal[0], normal[1], normal[2], b
+    return count + 1
+
+
+@kernel()
+def _box(planes: Vec, f: Vec) -> None:
+    """The accelerations that the drone can fly: rows 0 to 5."""
+    for c in range(3):
+        for side in range(2):
+            k = 2 * c + side
+            for n in range(3):
+                planes[k, n] = 0.0
+            planes[k, c] = 1.0 - 2.0 * side
+            planes[k, 3] = -(f[A_Z] if c == 2 else f[A_XY])
+
+
+@kernel()
+def _walls(planes: Vec, m: int, p: Triple, v: Triple, box: Vec, f: Vec) -> int:
+    """Half spaces that keep it in its fence; returns how many rows there are then. box: (6,) = low, high."""
+    for c in range(3):
+        for side in range(2):
+            sign = 1.0 - 2.0 * side
+            gap = sign * (p[c] - box[3 * side + c])
+            brake = 0.5 * (f[A_Z] if c == 2 else f[A_XY])
+            if gap < 1.0:
+                for n in range(3):
+                    planes[m, n] = 0.0
+                planes[m, c] = sign
+                root = math.sqrt(2.0 * brake * max(gap, 1e-3))
+                planes[m, 3] = -f[GAMMA] * (root + sign * v[c]) - brake * sign * v[c] / root if gap > 1e-3 else brake
+                m += 1
+    return m
+
+
+@kernel(vector, vector, vector, vector, real, table, real, vector, vector, table, table, memory)
+def _filtered(
+    x: Vec, a: Vec, ref: Vec, gains: Vec, follow: float, others: Vec, now: float, box: Vec, f: Vec, planes: Vec,
+    near: Vec, out: Vec,
+) -> int:  # fmt: skip
+    """The law of CollisionFilter; out: (5,) = the acceleration, the row of the nearest that it gives way to, relaxed."""
+    p, v = late(x, a, f[LAG], f[DELAY])
+    low, count, blind = x[2] < f[GROUND] + STANDING, 0, False
+    for j in range(others.shape[0]):
+        other = others[j]
+        age = now - other[BORN]
+        if not age < GONE:
+            other[DISTANCE] = math.inf
+            continue
+        other[DISTANCE] = length((x[0] - other[0], x[1] - other[1], x[2] - other[2]))
+        if other[DISTANCE] > f[RANGE] + 2.0 * f[V_MAX] * age:
+            continue
+        stands = other[2] < f[GROUND] + STANDING
+        if stands and low:
+            continue
+        scale = (1.0, 1.0, 1.0) if stands else (f[SX], f[SY], f[SZ])
+        width = BODY if stands else f[WIDTH]
+        q, w = late(other, other[13:16], f[LAG], min(age, USABLE) + f[DELAY])
+        r, w = scaled(p, q, scale), scaled(v, w, scale)
+        d = max(length(r), 1e-3)
+        if age > USABLE and not stands:
+            blind = blind or d < width + f[V_MAX] * (age - USABLE) + 0.5
+            continue
+        n = (r[0] / d, r[1] / d, r[2] / d)
+        side = (scale[0] * n[0], scale[1] * n[1], scale[2] * n[2])
+        reach = length(side)
+        gap = d - width - 0.5 * f[UNSURE] * age * age * reach
+        unsure, brake = f[UNSURE] * age * reach, f[BRAKE] * reach
+        if f[CELLS] > 0.0:
+            own = (scale[0] * v[0], scale[1] * v[1], scale[2] * v[2])
+            b = cell(r, w, own, gap, 0.5 * unsure, brake, f[GAMMA])
+        else:
+            share = 1.0 if low or stands else other[SHARE]
+            b = share * barrier(r, w, gap, unsure, 2.0 * brake, f[GAMMA])
+        normal = (side[0] / reach, side[1] / reach, side[2] / reach)
+        count = _insert(planes, near, count, d, normal, b / reach, j)
+    u = _wanted(x, ref, gains, follow)
+    if blind:
+        u = shrunk((-2.0 * v[0], -2.0 * v[1], -2.0 * v[2]), f[A_Z])
+    acts = blind
+    out[3] = -1.0
+    for k in range(6 + count - 1, 5, -1):
+        if dot((planes[k, 0], planes[k, 1], planes[k, 2]), u) < planes[k, 3]:
+            acts, out[3] = True, near[k - 6, 1]
+    if not acts:
+        return CLEAR
+    _box(planes, f)
+    u = turned(u, planes, 6, 6 + count, f[TURN])
+    relaxed, u = nearest(u, planes, _walls(planes, 6 + count, p, v, box, f))
+    out[0], out[1], out[2], out[4] = u[0], u[1], u[2], relaxed
+    return BRAKES if blind else ACTS
+
+
+class CollisionFilter:
+    """The one interface: own state, what is wanted, what is heard of the others -> an acceleration that is safe.
+
+        min |u - u_n|^2   s.t.   n_ij . S u >= share b_ij  for each other drone j in range,  |u_c| <= most,  the fence
+        |S (p_i - p_j)| >= D,   S = diag(1, s_x / s_y, s_x / s_z),   D = 2 s_x + margin
+
+    semi-axes s of the ellipsoid around each drone;  b_ij: of `barrier` or of `cell`;  u_n: what is wanted, turned to
+    the side where somebody is in the way. Places and velocities are those of `late`, so that the lag of the drones
+    counts. What cannot be had all is relaxed, the nearest drone last.  settings: [collision].
+    """
+
+    def __init__(self, settings: Collision, traffic: Traffic, fence: Fence, a_max: float, v_max: float, ground: float) -> None:
+        sx, sy, sz = settings.semi_axes
+        self.traffic = traffic
+        self._figures = np.array([
+            settings.lag, settings.delay, 1.0, sx / sy, sx / sz, 2.0 * sx + settings.margin, settings.brake,
+            settings.gamma, 2.0 * a_max, a_max, settings.turn, settings.range, settings.unsure, ground, v_max,
+            float(settings.method == "cells"),
+        ])  # fmt: skip
+        self._box = np.array([*fence.low, *fence.high]) + np.repeat([1.0, -1.0], 3) * settings.margin
+        self._planes, self._near, self._out = np.zeros((6 + MOST + 6, 4)), np.zeros((MOST, 2)), np.zeros(5)
+        self._accelerates = np.zeros(14)
+        self.acted = self.braked = self.relaxed = 0
+
+    def full_state(self, state: State, reference: Vec, gains: Vec, now: float) -> Vec | None:
+        """The acceleration (3,) for who flies the reference (14,) by these gains; None: as he would."""
+        return self._run(state, reference, gains, 1.0, now)
+
+    def acceleration(self, state: State, a: Vec, gains: Vec, now: float) -> Vec | None:
+        """The same for who flies an acceleration (3,)."""
+        self._accelerates[6:9] = a
+        return self._run(state, self._accelerates, gains, 0.0, now)
+
+    def _run(self, state: State, reference: Vec, gains: Vec, follow: float, now: float) -> Vec | None:
+        traffic = self.traffic
+        does = _filtered(
+            state.flat, state.a, reference, gains, follow, traffic.rows, now, self._box, self._figures, self._planes,
+            self._near, self._out,
+        )  # fmt: skip
+        if does == CLEAR:
+            return None
+        self.acted += 1
+        self.braked += does == BRAKES
+        self.relaxed += self._out[4] > 0.0
+        return self._out[0:3].copy()
+
+    @property
+    def gives_way_to(self) -> int | None:
+        """The nearest drone that it gave way to, the last time it acted; None: it braked."""
+        row = int(self._out[3])
+        return None if row < 0 else self.traffic.ids[row]

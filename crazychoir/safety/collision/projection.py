@@ -1,0 +1,122 @@
+"""The nearest acceleration that half spaces allow; what they cannot all have, the last ones give up."""
+
+import math
+
+from crazychoir.math3d import Triple, Vec, dot, kernel, memory, table, vector
+
+PARALLEL = 1e-9
+"""Squared sine of the angle between two planes, below which they count as parallel."""
+EXACT = 1e-10
+"""m/s2, by which a half space may be left: rounding."""
+SLACK = 1e-6
+"""m/s2, by which a half space is relaxed beyond its least violation: the others leave a face, an edge or a point there."""
+FAR = 1e4
+"""m/s2: the point of a bounded polytope that is nearest to one so far away in a direction is its farthest in it."""
+
+
+@kernel()
+def _plus(p: Triple, s: float, n: Triple) -> Triple:
+    """p + s n."""
+    return (p[0] + s * n[0], p[1] + s * n[1], p[2] + s * n[2])
+
+
+@kernel()
+def _row(planes: Vec, k: int) -> Triple:
+    """The normal of row k."""
+    return (planes[k, 0], planes[k, 1], planes[k, 2])
+
+
+@kernel()
+def _on_line(q: Triple, along: Triple, planes: Vec, m: int) -> tuple[bool, Triple]:
+    """The point of the line through q along a unit vector that is nearest to q in the first m half spaces."""
+    low, high = -math.inf, math.inf
+    for k in range(m):
+        n = _row(planes, k)
+        rate, lack = dot(n, along), planes[k, 3] - dot(n, q)
+        if rate * rate < PARALLEL:
+            if lack > 1e-7:
+                return False, q
+        elif rate > 0.0:
+            low = max(low, lack / rate)
+        else:
+            high = min(high, lack / rate)
+    if low > high + EXACT:
+        return False, q
+    return True, _plus(q, min(max(0.0, low), high), along)
+
+
+@kernel()
+def _on_plane(u: Triple, planes: Vec, at: int) -> tuple[bool, Triple]:
+    """The point of plane `at` that is nearest to u in the half spaces before it."""
+    n = _row(planes, at)
+    start = _plus(u, planes[at, 3] - dot(n, u), n)
+    q = start
+    for k in range(at):
+        other = _row(planes, k)
+        lack = planes[k, 3] - dot(other, q)
+        if lack <= EXACT:
+            continue
+        cosine = dot(n, other)
+        side = _plus(other, -cosine, n)  # of the half space, within the plane
+        length = dot(side, side)
+        if length < PARALLEL:
+            if lack > 1e-7:
+                return False, q
+            continue
+        q = _plus(start, (planes[k, 3] - dot(other, start)) / length, side)
+        root = math.sqrt(length)
+        along = (
+            (n[1] * side[2] - n[2] * side[1]) / root,
+            (n[2] * side[0] - n[0] * side[2]) / root,
+            (n[0] * side[1] - n[1] * side[0]) / root,
+        )
+        found, q = _on_line(q, along, planes, k)
+        if not found:
+            return False, q
+    return True, q
+
+
+@kernel()
+def _nearest(u: Triple, planes: Vec, m: int) -> tuple[int, Triple]:
+    """m and the point nearest to u in the first m half spaces; or the first of them that cannot be had, and no good."""
+    q = u
+    for k in range(m):
+        if dot(_row(planes, k), q) < planes[k, 3] - EXACT:
+            found, at = _on_plane(u, planes, k)
+            if not found:
+                return k, q
+            q = at
+    return m, q
+
+
+@kernel()
+def nearest(u: Triple, planes: Vec, m: int) -> tuple[int, Triple]:
+    """The point nearest to u in half spaces n_k . x >= b_k, the first six of which are a box; and how many were relaxed.
+
+        min |x - u|^2   s.t.   n_k . x >= b_k,   k = 0 ... m - 1
+
+    Row by row: a half space that holds changes nothing; else the answer lies on its plane, where the same is done in
+    two dimensions, and there in one. One that leaves no point is moved, b_k = max n_k . x over those before it, which
+    is its least violation once all before it are as they are; so the rows are in the order of their importance.
+    planes: (>= m, 4), rows n_k (3,) of length 1, b_k; b_k of relaxed ones is changed.
+    Source: Seidel 1991, Small-dimensional linear programming and convex hulls made easy, for the order of the steps.
+    """
+    relaxed, last, (k, q) = 0, -1, _nearest(u, planes, m)
+    while k < m:
+        if k == last:  # rounding has left no point
+            planes[k, 3] -= SLACK
+        else:
+            _, far = _nearest(_plus((0.0, 0.0, 0.0), FAR, _row(planes, k)), planes, k)
+            planes[k, 3] = min(planes[k, 3], dot(_row(planes, k), far)) - SLACK
+            relaxed, last = relaxed + 1, k
+        k, q = _nearest(u, planes, m)
+    return relaxed, q
+
+
+@kernel(vector, table, memory)
+def project(u: Vec, planes: Vec, out: Vec) -> int:
+    """`nearest` for arrays: u (3,), planes (m, 4), into out (3,); returns how many were relaxed."""
+    relaxed, q = nearest((u[0], u[1], u[2]), planes, planes.shape[0])
+    for c in range(3):
+        out[c] = q[c]
+    return relaxed

@@ -1,0 +1,61 @@
+"""What a drone hears of all others of its swarm: the newest state of each, and how often each hears its own."""
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+from crazychoir.bus.local import ANY, Port
+from crazychoir.bus.topics import STATE
+from crazychoir.runtime.clock import SECOND
+from crazychoir.runtime.mailbox import Call
+from crazychoir.types import State
+
+BORN, SHARE, DISTANCE, COLUMNS = 16, 17, 18, 19
+"""Columns after the state (13,) and the acceleration (3,): s, when it was so; the share of keeping clear that is this
+drone's; m, how far away."""
+SELDOM = 5.0
+"""Hz, at which a drone is heard that is far away."""
+NEAR, NEARBY = 1.5, 3.0
+"""m, within which each state is heard, or one in four."""
+LOOK = 0.1
+"""s, between two looks at who is near."""
+
+
+class Traffic:
+    """The table of the others, by their place in `ids`: state, acceleration, when, share, distance.
+
+    Each drone hears all others at SELDOM Hz; it says its own state more often to those that are near, as both know.
+    alone: the drones that do not give way, as they fly by a planner on board.
+    """
+
+    def __init__(self, port: Port, ids: Iterable[int], alone: Sequence[int] = ()) -> None:
+        self.port, self.clock = port, port.bus.clock
+        self.ids = [j for j in ids if j != port.address]
+        self._row = {j: k for k, j in enumerate(self.ids)}
+        self.rows = np.zeros((len(self.ids), COLUMNS))
+        self.rows[:, 9], self.rows[:, BORN], self.rows[:, DISTANCE] = 1.0, -np.inf, np.inf
+        self.rows[:, SHARE] = [1.0 if j in alone else 0.5 for j in self.ids]
+        self._pace = np.zeros(len(self.ids), dtype=np.int64)
+        self._looks = 0.0
+        if self.ids:
+            port.bus.subscribe(STATE, ANY, port.address, Call(self.clock, self._hear, "traffic"), SELDOM)
+
+    def _hear(self, message: tuple[int, State], age: float) -> None:
+        j, state = message
+        k = self._row.get(j)
+        if k is None:
+            return
+        row, born = self.rows[k], self.clock.now_ns() / SECOND - age
+        if born >= row[BORN]:
+            row[0:13], row[13:16], row[BORN] = state.flat, state.a, born
+
+    def look(self, now: float) -> None:
+        """Say the own state more often to who is near, now and then."""
+        if now < self._looks:
+            return
+        self._looks = now + LOOK
+        distance = self.rows[:, DISTANCE]
+        pace = (distance < NEARBY).astype(np.int64) + (distance < NEAR)
+        for k in np.flatnonzero(pace != self._pace).tolist():
+            self.port.pace(STATE, self.ids[k], (0.0, 0.25 * STATE.rate, STATE.rate)[pace[k]])
+        self._pace = pace
