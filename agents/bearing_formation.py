@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from crazychoir import CFDistributedFeedback, SwarmConfig
-from crazychoir.control.gains import AGILE, FORMATION
+from crazychoir.control.gains import AGILE, FORMATION, FORMATION_ON_MOTORS, Gains
 from crazychoir.errors import ConfigError
 from crazychoir.guidance import bearing, leader, shapes
 from crazychoir.guidance.bearing import Law, check_formation
@@ -31,6 +31,8 @@ from crazychoir.swarm.graph import span
 from crazychoir.types import Acceleration, Heard, State, Vec
 
 Results = dict[int, dict[str, Any]]
+REST = 4.0
+"""s of hovering before the law: the slow modes of the paper's law turn mm/s2 that the trim is off into centimetres."""
 TOLERANCE = 0.01
 """m from its place at the end of the law: a drone that is farther away has not formed up."""
 
@@ -52,10 +54,9 @@ class BearingFormation(CFDistributedFeedback):
 
     def __init__(
         self, i: int, shape: Shape, neighbors: Iterable[int], law: Law = "normalised", kp: float = 8.0, kv: float = 4.5,
-        in_height: float = 1.0, moving: bool = False,
+        in_height: float = 1.0, moving: bool = False, gains: Gains = AGILE,
     ) -> None:  # fmt: skip
-        self.neighbors, self.moving = tuple(neighbors), moving
-        self.gains = AGILE if law == "normalised" else FORMATION
+        self.neighbors, self.moving, self.gains = tuple(neighbors), moving, gains
         weights = {j: projector(np.subtract(shape[j], shape[i])) for j in self.neighbors}
         if law == "normalised":
             total = sum(weights.values())
@@ -94,8 +95,10 @@ def guidance(i: int, config: SwarmConfig) -> CFDistributedFeedback:
     """The law of drone i: a leader's or a follower's."""
     if config.drone(i).leader:
         return leader.leader_of(i, config, duration(config))
-    law = BearingFormation(i, shape(config), config.graph().neighbors(i), moving=moving(config), **options(config))
-    law.duration = duration(config)
+    law = BearingFormation(
+        i, shape(config), config.graph().neighbors(i), moving=moving(config), gains=gains(config), **options(config)
+    )
+    law.duration, law.rest = duration(config), REST
     return law
 
 
@@ -112,6 +115,13 @@ def options(config: SwarmConfig) -> dict[str, Any]:
         kp, kv = bearing.KP, bearing.KV
     usual = {"law": law, "kp": kp, "kv": kv, "in_height": in_height}
     return usual | {name: given[name] for name in ("kp", "kv", "in_height") if name in given}
+
+
+def gains(config: SwarmConfig) -> Gains:
+    """Of the control behind the law."""
+    if options(config)["law"] == "normalised":
+        return AGILE
+    return FORMATION_ON_MOTORS if on_motors(config) else FORMATION
 
 
 def on_motors(config: SwarmConfig) -> bool:
@@ -196,9 +206,8 @@ def neighbors(config: SwarmConfig) -> dict[int, tuple[int, ...]]:
 def check(config: SwarmConfig, force: bool = False) -> list[str]:
     """Refuses a graph on which the shape is not held by its bearings, or which needs minutes."""
     chosen = options(config)
-    gains = AGILE if chosen["law"] == "normalised" else FORMATION
     slowest = max((platform(drone.platform) for drone in config.drones), key=lambda found: found.rotor.lag)
-    chain = Chain.of_motors(gains, slowest) if on_motors(config) else Chain(gains)
+    chain = Chain.of_motors(gains(config), slowest) if on_motors(config) else Chain(gains(config))
     report = check_formation(
         shape(config), neighbors(config), list(leader.leaders_of(config)), **chosen, moving=moving(config),
         chain=chain, force=force,

@@ -296,12 +296,14 @@ class CFDistributedFeedback(CFGuidance):
     those that were lost or flown for too long because a step was late, see VelocitySum: a law may sum them up.
     A new state of its own triggers it: what it wants is flown in the same tick.
     rate: Hz, at most that of the poses;  duration: s of the law, after everybody hovers;  gains: of the control that
-    flies its Accelerations.
+    flies its Accelerations;  rest: s that it hovers before: what its control learns of thrust and trim while it hovers
+    is all that it knows while it flies Accelerations.
     """
 
     rate = 100.0
     duration = 20.0
     gains: Gains = FORMATION
+    rest = 0.0
 
     @abstractmethod
     def step(self, me: State, heard: Heard) -> Reference | None:
@@ -337,6 +339,7 @@ class CFDistributedFeedback(CFGuidance):
         has failed if `step` returned references of which none could be flown.
         """
         await self.take_off(self.height())
+        await self.sleep(self.rest)
         await self.rendezvous()
         self.member.report = lambda: {"task": LAW}
         self.member.announce()

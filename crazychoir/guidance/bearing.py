@@ -19,7 +19,7 @@ Law = Literal["paper", "normalised"]
 KP, KV = 1.6, 4.6
 """1/s2, 1/s: of the paper's law for its example, four drones, edges 01 03 12 13 23, leaders 0 and 1, whose body rates
 may be as late as RATE_LAG."""
-KP_ON_MOTORS, KV_ON_MOTORS = 3.0, 7.0
+KP_ON_MOTORS, KV_ON_MOTORS = 4.0, 6.0
 """The same behind rate loops on board."""
 IN_HEIGHT = 0.5
 """Share of the paper's gains with which height is held: thrust follows later than attitude, and where all drones fly
