@@ -32,7 +32,7 @@ from crazychoir.types import Acceleration, Heard, State, Vec
 
 Results = dict[int, dict[str, Any]]
 REST = 4.0
-"""s of hovering before the law: the slow modes of the paper's law turn mm/s2 that the trim is off into centimetres."""
+"""s of hovering before the paper's law, whose slow modes turn mm/s2 that the trim is off into centimetres."""
 TOLERANCE = 0.01
 """m from its place at the end of the law: a drone that is farther away has not formed up."""
 
@@ -98,7 +98,7 @@ def guidance(i: int, config: SwarmConfig) -> CFDistributedFeedback:
     law = BearingFormation(
         i, shape(config), config.graph().neighbors(i), moving=moving(config), gains=gains(config), **options(config)
     )
-    law.duration, law.rest = duration(config), REST
+    law.duration, law.rest = duration(config), REST if options(config)["law"] == "paper" else 0.0
     return law
 
 

@@ -1,6 +1,6 @@
 """Leaders of a formation: they stand, or fly one path side by side, while their followers fly accelerations."""
 
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -15,7 +15,6 @@ from crazychoir.planning.trajectory import Trajectory
 from crazychoir.swarm.config import SwarmConfig
 from crazychoir.types import FullState, Heard, Point, State
 
-Leaders = Literal["still", "circle", "drawn"]
 OPTIONS: dict[str, Any] = {
     "leaders": "still", "radius": 0.4, "period": 40.0, "laps": 1.0, "ramp": 5.0, "drawing": "", "begin": 4.0,
 }  # fmt: skip
@@ -68,9 +67,7 @@ def path_of(config: SwarmConfig) -> Trajectory | None:
     if not options["drawing"]:
         raise ConfigError(f"{where}.drawing", "nothing", "a CSV file of rows stroke, t, x, y")
     limits = Limits(v_max=0.5 * config.flight.speed_limit, a_max=0.25 * config.flight.acceleration_limit)
-    strokes = read_strokes(options["drawing"])
-    return drawing([s[:, 1:] for s in strokes] if options.get("timing") == "even" else strokes, Pen(timing="drawn"),
-                   limits).path  # fmt: skip
+    return drawing(read_strokes(options["drawing"]), Pen(timing="drawn"), limits).path
 
 
 def places(config: SwarmConfig) -> dict[int, Vec]:
