@@ -1,71 +1,152 @@
-"""Bearing formation: leaders stand still, followers take their places by bearings to their neighbours alone.
+"""Bearing formation: leaders stand or fly a path, followers take their places by bearings to their neighbours alone.
 
-crazychoir run bearing_formation --fast
+crazychoir run bearing_formation --fast                 # four in a square
+crazychoir run bearing_formation --fast --drones 30     # a grid
+crazychoir run bearing_formation --fast --drones 11     # a letter S
+crazychoir run deploy/formation_circle.toml --fast      # leaders on a circle
+crazychoir run deploy/formation_drawn.toml --fast       # on one that a hand has drawn
+
+[mission_options]: law = "normalised" | "paper";  kp, kv: of it;  in_height: share of them, of the paper's law;
+shape: {id: (3,) m};  letter, size: "S" or "C", m high, instead;  duration: s;  and those of guidance/leader.py.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
 
 from crazychoir import CFDistributedFeedback, SwarmConfig
+from crazychoir.control.gains import AGILE, FORMATION, FORMATION_ON_MOTORS, Gains
 from crazychoir.errors import ConfigError
-from crazychoir.guidance.bearing import KP, KV, check_formation
+from crazychoir.guidance import bearing, leader, shapes
+from crazychoir.guidance.bearing import Law, check_formation
+from crazychoir.guidance.modes import Chain
+from crazychoir.guidance.scattering import Scatter, scattered
+from crazychoir.guidance.shapes import Shape
 from crazychoir.math3d import projector
+from crazychoir.platforms import platform
+from crazychoir.recording.tracks import draw_tracks
+from crazychoir.swarm.checks import LIGHTWEIGHT
 from crazychoir.swarm.graph import span
-from crazychoir.swarm.tables import Drone
-from crazychoir.types import Acceleration, Heard, Point, State, Vec
+from crazychoir.types import Acceleration, Heard, State, Vec
 
-Shape = Mapping[int, Point]
 Results = dict[int, dict[str, Any]]
-
-SQUARE = {0: (0.0, 0.0, 1.0), 1: (1.0, 0.0, 1.0), 2: (1.0, 1.0, 1.0), 3: (0.0, 1.0, 1.0)}
-EDGES = [[0, 1], [0, 3], [1, 2], [1, 3], [2, 3]]
-LEADERS = (0, 1)
+REST = 4.0
+"""s of hovering before the paper's law, whose slow modes turn mm/s2 that the trim is off into centimetres."""
 TOLERANCE = 0.01
 """m from its place at the end of the law: a drone that is farther away has not formed up."""
 
 
 class BearingFormation(CFDistributedFeedback):
-    """Follower: u_i = - sum_j P_ij [ kp (p_i - p_j) + kv (v_i - v_j) ],  P_ij = I - g_ij g_ij^T.
+    """Follower: by the paper's law, or by the normalised one, which knows what the neighbours accelerate.
 
-    shape: {id: (3,) m}, where the bearings g_ij come from;  neighbors: those that i hears;  kp: 1/s2;  kv: 1/s.
-    Source: Zhao & Zelazo 2017, IEEE TCNS 4(3).
+        paper:       u_i = - D sum_j P_ij [ kp (p_i - p_j) + kv (v_i - v_j) ],   P_ij = I - g_ij g_ij^T
+        normalised:  u_i = K_i^-1 sum_j P_ij [ - kp (p_i - p_j) - kv (v_i - v_j) + a_j ],   K_i = sum_j P_ij
+
+    The modes of the paper's law are s^2 + kv l s + kp l, l an eigenvalue of B_ff; of the normalised law all are
+    s^2 + kv s + kp, whatever the graph: it is the default. a_j was commanded in the tick before, so that p_j, v_j are
+    taken from that tick too: what is late together cancels out, what is not delays the modes of a large graph. Where
+    leaders move, all would be late by more with each neighbour on the way: then p_j, v_j are the newest.
+    shape: {id: (3,) m}, where the bearings g_ij come from;  neighbors: those that i hears;  kp: 1/s2;  kv: 1/s;
+    D = diag(1, 1, in_height);  moving: whether leaders move.
+    Source: Zhao & Zelazo 2017, IEEE TCNS 4(3); the normalised law as their eq. for leaders that accelerate.
     """
 
     def __init__(
-        self, i: int, shape: Shape, neighbors: Iterable[int], leader: bool, kp: float = KP, kv: float = KV
-    ) -> None:
-        self.leader, self.neighbors = leader, tuple(neighbors)
-        # The law as one product, u = K (x_i, x_j, x_k, ...), with states x (13,) of which p and v count.
-        blocks = [np.kron([kp, kv], projector(np.subtract(shape[j], shape[i]))) for j in self.neighbors]
-        self.K = np.hstack([np.pad(block, ((0, 0), (0, 7))) for block in (-sum(blocks), *blocks)])
+        self, i: int, shape: Shape, neighbors: Iterable[int], law: Law = "normalised", kp: float = 8.0, kv: float = 4.5,
+        in_height: float = 1.0, moving: bool = False, gains: Gains = AGILE,
+    ) -> None:  # fmt: skip
+        self.neighbors, self.moving, self.gains = tuple(neighbors), moving, gains
+        weights = {j: projector(np.subtract(shape[j], shape[i])) for j in self.neighbors}
+        if law == "normalised":
+            total = sum(weights.values())
+            weights = {j: np.linalg.solve(total, p) for j, p in weights.items()}
+        else:
+            share = np.array([[1.0], [1.0], [in_height]])
+            weights = {j: share * p for j, p in weights.items()}
+        # The law as one product, u = W (x_i, x_j, ..., a_j, ...), with states x (13,) of which p and v count.
+        blocks = [np.pad(np.kron([kp, kv], w), ((0, 0), (0, 7))) for w in weights.values()]
+        parts = [-sum(blocks), *blocks, *(weights.values() if law == "normalised" else ())]
+        self.W, self.a_counts = np.hstack(parts), law == "normalised"
+        self._before: dict[int, Vec] = {}
+
+    def height(self) -> float | None:
+        """Of its options, so that it may start elsewhere than in the plane."""
+        height: float | None = self.member.config.drone(self.id).options.get("height")
+        return height
 
     def step(self, me: State, heard: Heard) -> Acceleration | None:
-        """The follower's law; a leader hovers, and so does who does not hear all its neighbours."""
-        if self.leader or len(heard) < len(self.neighbors):
+        """The law; who does not hear all its neighbours hovers."""
+        if len(heard) < len(self.neighbors):
+            self._before = {}
             return None
-        states = [me.flat]
-        for j in self.neighbors:
-            states.append(heard[j].flat)
-        return Acceleration(self.K.dot(np.concatenate(states)))
+        states, old = [me.flat], self._before
+        if self.a_counts and not self.moving:
+            states += [old.get(j, heard[j].flat) for j in self.neighbors]
+            self._before = {j: heard[j].flat for j in self.neighbors}
+        else:
+            states += [heard[j].flat for j in self.neighbors]
+        if self.a_counts:
+            states += [heard[j].a for j in self.neighbors]
+        return Acceleration(self.W.dot(np.concatenate(states)))
 
 
-def guidance(i: int, config: SwarmConfig) -> BearingFormation:
-    """The law of drone i."""
-    drone, options = config.drone(i), config.mission_options
+def guidance(i: int, config: SwarmConfig) -> CFDistributedFeedback:
+    """The law of drone i: a leader's or a follower's."""
+    if config.drone(i).leader:
+        return leader.leader_of(i, config, duration(config))
     law = BearingFormation(
-        i, shape(config), config.graph().neighbors(i), drone.leader, options.get("kp", KP), options.get("kv", KV)
+        i, shape(config), config.graph().neighbors(i), moving=moving(config), gains=gains(config), **options(config)
     )
-    law.duration = options.get("duration", 20.0)
+    law.duration, law.rest = duration(config), REST if options(config)["law"] == "paper" else 0.0
     return law
+
+
+def options(config: SwarmConfig) -> dict[str, Any]:
+    """law, kp, kv, in_height: what is not given depends on the law and on what flies."""
+    given = config.mission_options
+    law = given.get("law", "normalised")
+    if law not in ("paper", "normalised"):
+        raise ConfigError(f"swarm {config.name}: mission_options.law", law, '"paper" or "normalised"')
+    kp, kv, in_height = bearing.KP_NORMALISED, bearing.KV_NORMALISED, 1.0
+    if law == "paper" and on_motors(config):
+        kp, kv, in_height = bearing.KP_ON_MOTORS, bearing.KV_ON_MOTORS, bearing.IN_HEIGHT
+    elif law == "paper":
+        kp, kv = bearing.KP, bearing.KV
+    usual = {"law": law, "kp": kp, "kv": kv, "in_height": in_height}
+    return usual | {name: given[name] for name in ("kp", "kv", "in_height") if name in given}
+
+
+def gains(config: SwarmConfig) -> Gains:
+    """Of the control behind the law."""
+    if options(config)["law"] == "normalised":
+        return AGILE
+    return FORMATION_ON_MOTORS if on_motors(config) else FORMATION
+
+
+def on_motors(config: SwarmConfig) -> bool:
+    """Whether every drone has a rate loop on board: all but the lightweight ones."""
+    return all(drone.uri != LIGHTWEIGHT for drone in config.drones)
+
+
+def moving(config: SwarmConfig) -> bool:
+    """Whether the leaders fly a path."""
+    return leader.path_of(config) is not None
+
+
+def duration(config: SwarmConfig) -> float:
+    """s of the law."""
+    return leader.duration_of(config, 20.0)
 
 
 def shape(config: SwarmConfig) -> Shape:
     """{id: (3,) m}: from the mission options; else the square for four drones, for others their homes."""
     given = config.mission_options.get("shape")
+    if "letter" in config.mission_options:
+        return shapes.letter(config.mission_options["letter"], config.mission_options.get("size", 3.0))
     if given is None:
-        return SQUARE if config.ids == tuple(SQUARE) else {drone.id: drone.home for drone in config.drones}
+        homes = {drone.id: drone.home for drone in config.drones}
+        return shapes.SQUARE if config.ids == tuple(shapes.SQUARE) else homes
     found = {int(i): (float(p[0]), float(p[1]), float(p[2])) for i, p in given.items()}
     if tuple(sorted(found)) != config.ids:
         raise ConfigError("mission_options.shape", sorted(found), f"a corner of each drone, {span(config.ids)}")
@@ -73,48 +154,64 @@ def shape(config: SwarmConfig) -> Shape:
 
 
 def swarm(drones: int | None = None) -> SwarmConfig:
-    """The paper's example: the followers start 0.5 to 1 m away from their corners, drawn from the swarm's seed."""
+    """Four: the paper's square.  30: a grid of 0.6 m, leaders at its corners.  11: a letter, led by its ends."""
+    match drones or 4:
+        case 4:
+            return _swarm("bearing", shapes.SQUARE, shapes.SQUARE_EDGES, (0, 1), {"scatter": [1.0, 1.0, 0.5]})
+        case 11:
+            places = shapes.letter("S", 3.0)
+            extra = {"scatter": [0.3, 0.3, 0.2], "letter": "S", "size": 3.0}
+            return _swarm("letter", places, shapes.nearest_edges(places, 31), (0, 1), extra)
+        case 30:
+            extra = {"scatter": [0.2, 0.2, 0.2]}
+            places = shapes.grid(6, 5, 0.6)
+            given = {"shape": {str(i): list(p) for i, p in places.items()}}
+            return _swarm("grid", places, shapes.grid_edges(6, 5), shapes.corners(6, 5), extra | given)
+    raise ConfigError("--drones", drones, "4 (a square), 11 (a letter) or 30 (a grid)", "Or write a swarm file.")
+
+
+def _swarm(
+    name: str, places: Shape, edges: list[list[int]], leaders: tuple[int, ...], extra: dict[str, Any]
+) -> SwarmConfig:
     return SwarmConfig.of(
         {
-            "name": "bearing",
+            "name": name,
             "mission": "bearing_formation",
-            "edges": EDGES,
-            "drones": [{"id": i, "home": [*SQUARE[i][:2], 0.0], "leader": i in LEADERS} for i in SQUARE],
+            "edges": edges,
+            "drones": [{"id": i, "home": [*p[:2], 0.0], "leader": i in leaders} for i, p in places.items()],
+            "flight": {"speed_limit": 2.0, "acceleration_limit": 4.0},
             "plant": {"rate_lag": 0.0, "command_delay": 0.0},
+            "mission_options": extra,
         }
     )
 
 
 def scatter(config: SwarmConfig) -> SwarmConfig:
-    """The same swarm with its followers' homes moved at random, 0.5 to 1 m, clear of the others."""
-    draw = np.random.default_rng(config.seed)
-    homes = {drone.id: np.array(drone.home) for drone in config.drones}
-    for drone in config.drones:
-        if not drone.leader:
-            homes[drone.id] = _clear_place(draw, drone.id, homes)
-    drones = [{**_plain(drone), "home": homes[drone.id].tolist()} for drone in config.drones]
-    return config.replace(drones=drones)
+    """The same swarm, its followers' starts moved at random, clear of each other, by up to `scatter` (3,) m an axis."""
+    return scattered(config, Scatter(*config.mission_options.get("scatter", (1.0, 1.0, 0.5))))
 
 
 def goal(config: SwarmConfig) -> dict[int, Vec]:
-    """Where the shape is when the leaders stand on theirs: scaled as their distance is."""
-    corners = {i: np.array(p) for i, p in shape(config).items()}
-    leaders = [drone for drone in config.drones if drone.leader]
-    height = config.flight.ground + config.flight.takeoff_height
-    a, b = leaders[0], leaders[1]
-    flown = np.subtract(b.home, a.home)
-    scale = np.linalg.norm(flown) / np.linalg.norm(corners[b.id] - corners[a.id])
-    start = np.array([a.home[0], a.home[1], height])
-    return {i: start + scale * (corner - corners[a.id]) for i, corner in corners.items()}
+    """Where the law is at rest with the leaders where they are at last."""
+    at_last = leader.leaders_at_last(config, duration(config))
+    return bearing.equilibrium(shape(config), neighbors(config), {i: tuple(p) for i, p in at_last.items()})
+
+
+def neighbors(config: SwarmConfig) -> dict[int, tuple[int, ...]]:
+    """Whom each drone hears."""
+    graph = config.graph()
+    return {i: graph.in_neighbors(i) for i in graph.ids}
 
 
 def check(config: SwarmConfig, force: bool = False) -> list[str]:
     """Refuses a graph on which the shape is not held by its bearings, or which needs minutes."""
-    options, graph = config.mission_options, config.graph()
-    leaders = [drone.id for drone in config.drones if drone.leader]
-    neighbors = {i: graph.in_neighbors(i) for i in graph.ids}
-    corners = {i: p for i, p in shape(config).items() if i in graph.ids}
-    report = check_formation(corners, neighbors, leaders, options.get("kp", KP), options.get("kv", KV), force=force)
+    chosen = options(config)
+    slowest = max((platform(drone.platform) for drone in config.drones), key=lambda found: found.rotor.lag)
+    chain = Chain.of_motors(gains(config), slowest) if on_motors(config) else Chain(gains(config))
+    report = check_formation(
+        shape(config), neighbors(config), list(leader.leaders_of(config)), **chosen, moving=moving(config),
+        chain=chain, force=force,
+    )  # fmt: skip
     return list(report.warnings)
 
 
@@ -128,18 +225,11 @@ def report(config: SwarmConfig, results: Results) -> dict[str, Any]:
     return {"success": not reasons, "reasons": reasons}
 
 
+def picture(config: SwarmConfig, results: Results, path: str) -> None:
+    """What was flown, from above."""
+    draw_tracks(results, path, leaders=list(leader.leaders_of(config)), edges=config.graph().edges())
+
+
 def _deaf(result: dict[str, Any]) -> str:
     unheard = ", ".join(f"drone {j} for {seconds:.2f} s" for j, seconds in result["unheard_s"].items())
     return f"; did not hear {unheard}" if unheard else ""
-
-
-def _clear_place(draw: np.random.Generator, i: int, homes: dict[int, Vec]) -> Vec:
-    while True:
-        angle, far = draw.uniform(0.0, 2.0 * np.pi), draw.uniform(0.5, 1.0)
-        place: Vec = homes[i] + far * np.array([np.cos(angle), np.sin(angle), 0.0])
-        if all(np.linalg.norm(place - p) > 0.4 for j, p in homes.items() if j != i):
-            return place
-
-
-def _plain(drone: Drone) -> dict[str, object]:
-    return {"id": drone.id, "leader": drone.leader, "yaw": drone.yaw, "uri": drone.uri, "platform": drone.platform}

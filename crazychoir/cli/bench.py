@@ -57,6 +57,21 @@ def tracking(as_json: JsonOption = False, quick: QuickOption = False) -> None:
 
 
 @app.command()
+def formation(
+    as_json: JsonOption = False,
+    quick: QuickOption = False,
+    seeds: Annotated[int, typer.Option(min=1, help="Of the starts.")] = 50,
+    drones: Annotated[int | None, typer.Option(help="4 or 30 alone.")] = None,
+) -> None:
+    """How fast four and thirty drones with motors form up by bearings: the worst of many starts."""
+    from crazychoir.cli import bench_formation
+
+    cases = tuple(case for case in bench_formation.CASES if drones in (None, case.drones))
+    found = range(3 if quick else seeds)
+    _show(lambda say: bench_formation.run(found, cases, say), bench_formation.table, as_json)
+
+
+@app.command()
 def routing(
     as_json: JsonOption = False,
     quick: QuickOption = False,
@@ -97,7 +112,7 @@ def paper(
 
 @app.command(name="all")
 def everything(quick: QuickOption = False) -> None:
-    """All of them but routing and paper, which take long, one after the other."""
+    """All of them but formation, routing and paper, which take long, one after the other."""
     exchange(quick=quick)
     flight(quick=quick)
     tracking(quick=quick)

@@ -104,6 +104,7 @@ def run(
                             flags = ["--force"] if force else []
                             result = fly_real(path, config, mission, flags, progress, progress.say, started, file)
             result["picture"] = _drawn(mission, config, result, picture)
+            del result["tracks"]
     except CrazyChoirError as error:
         fail(error, as_json)
     except KeyboardInterrupt:
@@ -116,7 +117,8 @@ def _drawn(mission: "Mission", config: "SwarmConfig", result: dict[str, Any], pa
     if path is None:
         return None
     path.parent.mkdir(parents=True, exist_ok=True)
-    mission.picture(config, result["results"], str(path))
+    tracks = result["tracks"]
+    mission.picture(config, {i: {**r, "track": tracks[i]} for i, r in result["results"].items()}, str(path))
     return str(path) if path.exists() else None
 
 

@@ -56,6 +56,12 @@ class Controls:
             return {}
         return {name: getattr(self.gains, name) for name in OF_TRACKING}
 
+    def lead_by(self, gains: Gains) -> None:
+        """Fly Accelerations with these gains from the next tick on: a law knows what it needs beneath."""
+        if isinstance(self.follower, HierarchicalController):
+            self.follower.pos_strategy.gains = gains
+            self.follower.attitude_strategy.gains = gains
+
     def retune(self, gains: Gains) -> None:
         """Fly with other gains from the next tick on; ConfigError if they are not stable behind this drone."""
         require_stable(gains, self.platform, self.plant, sender=self.sender.kind)

@@ -81,7 +81,11 @@ STANDARD = Gains(kp=(6.0, 6.0, 10.0), kv=(4.0, 4.0, 5.0), kr=(8.0, 8.0, 4.0), ki
 # Behind a bearing law: a slow attitude loop and some lead leave the delay margin to the formation's modes. Its position
 # gains are as fast as that attitude loop allows.
 FORMATION = Gains(kp=(1.0, 1.0, 10.0), kv=(1.5, 1.5, 5.0), kr=(2.0, 2.0, 4.0), lead=0.4)
-SHIPPED = {"standard": STANDARD, "formation": FORMATION}
+# The same behind a rate loop on board, which is faster than RATE_LAG: what gyros are off by tilts a drone less.
+FORMATION_ON_MOTORS = replace(FORMATION, kr=(3.5, 3.5, 4.0), lead=0.3)
+# Behind a law whose modes are all alike, as the normalised one: 8 1/s2, 4.5 1/s are as fast as 40 ms of margin allow.
+AGILE = Gains(kp=(8.0, 8.0, 10.0), kv=(4.5, 4.5, 5.0), kr=(7.0, 7.0, 4.0), lead=0.5)
+SHIPPED = {"standard": STANDARD, "formation": FORMATION, "formation_on_motors": FORMATION_ON_MOTORS, "agile": AGILE}
 RANGES = {"max_tilt": (0.2, 1.2), "rate_delay": (0.0, 0.2), "thrust_delay": (0.0, 0.2)}
 """What the delay margin does not see, rad and s: below 0.2 rad a drone can hardly brake, from pi/2 on it flees."""
 OF_TRACKING = ("kp", "kv", "kr", *RANGES, "ki_thrust", "ki_trim")

@@ -11,6 +11,7 @@ from typing import Any, Concatenate, Generic, ParamSpec, TypeVar, overload
 import numpy as np
 
 from crazychoir.bus.topics import STATE
+from crazychoir.control.gains import FORMATION, Gains
 from crazychoir.control.position import HEADROOM
 from crazychoir.errors import ConfigError, CrazyChoirError, Refused
 from crazychoir.guidance.hearing import Hearing, VelocitySum
@@ -354,11 +355,15 @@ class CFDistributedFeedback(CFGuidance):
     has come since the last step it is moved on, p + v age, attitude as it was. Velocities, its own too, make up for
     those that were lost or flown for too long because a step was late, see VelocitySum: a law may sum them up.
     A new state of its own triggers it: what it wants is flown in the same tick.
-    rate: Hz, at most that of the poses;  duration: s of the law, after everybody hovers.
+    rate: Hz, at most that of the poses;  duration: s of the law, after everybody hovers;  gains: of the control that
+    flies its Accelerations;  rest: s that it hovers before: what its control learns of thrust and trim while it hovers
+    is all that it knows while it flies Accelerations.
     """
 
     rate = 100.0
     duration = 20.0
+    gains: Gains = FORMATION
+    rest = 0.0
 
     @abstractmethod
     def step(self, me: State, heard: Heard) -> Reference | None:
@@ -367,6 +372,7 @@ class CFDistributedFeedback(CFGuidance):
     def bind(self, member: Member) -> None:
         """Meet the drone, and listen to the neighbours' states."""
         super().bind(member)
+        member.pilot.controls.lead_by(self.gains)
         bus = member.communicator.port.bus
         self._hearings: dict[int, Hearing] = {}
         for j in self.graph.in_neighbors(self.id):
@@ -393,6 +399,7 @@ class CFDistributedFeedback(CFGuidance):
         has failed if `step` returned references of which none could be flown.
         """
         await self.take_off(self.height())
+        await self.sleep(self.rest)
         await self.rendezvous()
         self.member.report = lambda: {"task": LAW}
         self.member.announce()

@@ -1,32 +1,33 @@
-"""Bearing formations before they fly: is the formation rigid, how slow is it, does the attitude loop bear it?"""
+"""Bearing formations before they fly: is the formation rigid, how slow is it, do the drones bear it?"""
 
-import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
-from crazychoir.control.gains import FORMATION, HOLD, Gains
-from crazychoir.control.margin import (
-    RATE_LAG,
-    REQUIRED,
-    Inner,
-    command_loop,
-    delay_margin,
-    guidance_loop,
-    vertical_loop,
-)
+from crazychoir.control.gains import AGILE, FORMATION
+from crazychoir.control.margin import REQUIRED
 from crazychoir.errors import ConfigError, Refused
-from crazychoir.math3d import Mat, projector
+from crazychoir.guidance.modes import LEVEL, Chain, age_margin, mode_margin, slowest_mode, slowest_normalised
+from crazychoir.math3d import Mat, Vec, projector
 from crazychoir.types import Point
 
 Shape = Mapping[int, Point]
 Neighbors = Mapping[int, Collection[int]]
-# The paper's example, four drones, edges 01 03 12 13 23, leaders 0 and 1, behind FORMATION: 1 cm in 13 s.
+Law = Literal["paper", "normalised"]
 KP, KV = 1.6, 4.6
+"""1/s2, 1/s: of the paper's law for its example, four drones, edges 01 03 12 13 23, leaders 0 and 1, whose body rates
+may be as late as RATE_LAG."""
+KP_ON_MOTORS, KV_ON_MOTORS = 4.0, 6.0
+"""The same behind rate loops on board."""
+IN_HEIGHT = 0.5
+"""Share of the paper's gains with which height is held: thrust follows later than attitude, and where all drones fly
+at one height it is held by all their edges, so its modes are faster."""
+KP_NORMALISED, KV_NORMALISED = 8.0, 4.5
+"""1/s2, 1/s: of the normalised law, for any graph."""
 SLOWEST = 0.02  # 1/s, a formation slower than this needs minutes and is flown only if that is wanted
 FLEXIBLE = 1e-9  # of the largest eigenvalue: below this an eigenvalue is taken for zero
-LEVEL = 1e-6  # a mode with a smaller horizontal part moves in height only
 
 
 def bearing_laplacian(shape: Shape, neighbors: Neighbors, leaders: Collection[int]) -> tuple[Mat, Mat, list[int]]:
@@ -59,17 +60,39 @@ def _indices(row: Mapping[int, slice], ids: Sequence[int]) -> list[int]:
     return [n for i in ids for n in range(row[i].start, row[i].stop)]
 
 
-def slowest_mode(eigenvalues: Sequence[complex], kp: float, kv: float) -> float:
-    """Rate in 1/s at which the slowest mode decays: the smallest -Re s over s^2 + kv l s + kp l = 0."""
-    return float(min(-np.roots([1.0, kv * e, kp * e]).real.max() for e in eigenvalues))
+def normalised(b_ff: Mat, followers: Sequence[int]) -> Mat:
+    """K^-1 B_ff (3 F, 3 F) with K the blocks K_i = sum_j P_ij on the diagonal of B_ff.
+
+    Its eigenvalues l say how much a mode depends on leaders: 1 - l of it comes from other followers.
+    Refused, naming drones, where K_i has no inverse: all bearings of i are parallel, and nothing holds it along them.
+    """
+    blocks = [b_ff[k : k + 3, k : k + 3] for k in range(0, len(b_ff), 3)]
+    alone = [i for i, k in zip(followers, blocks, strict=True) if np.linalg.eigvalsh(k)[0] < FLEXIBLE]
+    if alone:
+        raise Refused("bearing formation", _parallel(alone))
+    return np.vstack([np.linalg.solve(k, b_ff[3 * n : 3 * n + 3]) for n, k in enumerate(blocks)])
+
+
+def equilibrium(shape: Shape, neighbors: Neighbors, leaders: Mapping[int, Point]) -> dict[int, Vec]:
+    """Where everybody is when the followers are at rest and the leaders at these places.
+
+        p_f = - B_ff^-1 B_fl p_l
+
+    The shape itself, moved and scaled as its leaders are; distorted where the leaders' bearings are not those of the
+    shape.  leaders: {id: (3,) m}.
+    """
+    b_ff, b_fl, followers = bearing_laplacian(shape, neighbors, leaders)
+    led = {i: np.array(leaders[i], dtype=float) for i in sorted(leaders)}
+    p = -np.linalg.solve(b_ff, b_fl @ np.concatenate([*led.values()])).reshape(-1, 3)
+    return led | dict(zip(followers, p, strict=True))
 
 
 @dataclass(frozen=True)
 class FormationReport:
     """What a bearing formation will do.
 
-    lambda_min, lambda_max: of B_ff;  slowest: 1/s, the rate of the slowest mode;
-    margin: s, the delay that the most delicate mode bears;  warnings: what to look at.
+    lambda_min, lambda_max: of B_ff, or of K^-1 B_ff for the normalised law;  slowest: 1/s, the rate of the slowest
+    mode;  margin: s, the delay that the most delicate mode bears;  warnings: what to look at.
     """
 
     lambda_min: float
@@ -86,58 +109,47 @@ def check_formation(
     kp: float,
     kv: float,
     *,
-    gains: Gains = FORMATION,
-    lag: float = RATE_LAG,
+    law: Law = "paper",
+    in_height: float = 1.0,
+    moving: bool = False,
+    chain: Chain | None = None,
     force: bool = False,
 ) -> FormationReport:
     """What the bearing law with these gains will do on this graph; Refused if it cannot work.
 
-    kp: 1/s2;  kv: 1/s;  gains: of the controller;  lag: s, of the body rates;  force: fly it though very slow.
-    Refused: not bearing-rigid; slower than 0.02 1/s without force; unstable behind the attitude loop.
+    kp: 1/s2;  kv: 1/s;  in_height: share of them, of the paper's law;  moving: whether leaders move, see age_margin;
+    chain: of the drones, None: the slowest body rates behind the gains of the law;  force: fly it though very slow.
+    Refused: all bearings of a follower parallel; not bearing-rigid; slower than 0.02 1/s without force; unstable.
     """
     b_ff, _, followers = bearing_laplacian(shape, neighbors, leaders)
     if not followers:
         raise Refused("bearing formation", "every drone is a leader. Name only those that are to stand still.")
-    values, vectors = np.linalg.eig(b_ff)
+    scaled = normalised(b_ff, followers)
+    matrix = scaled if law == "normalised" else np.tile([1.0, 1.0, in_height], len(followers))[:, None] * b_ff
+    values, vectors = np.linalg.eig(matrix)
     size = np.abs(values)
     if size.min() <= FLEXIBLE * max(size.max(), 1.0):
         raise Refused("bearing formation", _flexible(vectors[:, size.argmin()], followers, sorted(leaders)))
-    slowest = slowest_mode(values.tolist(), kp, kv)
+    least = float(size.min())
+    slowest = (slowest_normalised if law == "normalised" else slowest_mode)(values.tolist(), kp, kv)
     if slowest < SLOWEST and not force:
-        raise Refused("bearing formation", _slow(float(size.min()), slowest))
-    horizontal = np.abs(vectors.reshape(-1, 3, len(values))[:, :2]).max(axis=(0, 1)) > LEVEL
-    fastest = float(size.max())
-    margin = mode_margin(size.tolist(), horizontal.tolist(), kp, kv, gains, lag)
+        raise Refused("bearing formation", _slow(least, slowest))
+    if law == "normalised":
+        chain = chain or Chain(AGILE)
+        alike = mode_margin([1.0, 1.0], [True, False], kp, kv, chain)
+        margin = min(alike, age_margin(values.tolist(), kp, kv, chain, moving))
+        what = f"kp = {kp:g} 1/s2, kv = {kv:g} 1/s with a smallest eigenvalue of {least:.4f}"
+    else:
+        chain = chain or Chain(FORMATION)
+        horizontal = np.abs(vectors.reshape(-1, 3, len(values))[:, :2]).max(axis=(0, 1)) > LEVEL
+        margin = mode_margin(size.tolist(), horizontal.tolist(), kp, kv, chain)
+        what = f"kv * lambda_max = {kv * float(size.max()):.1f} 1/s"
     if margin <= 0.0:
-        raise Refused("bearing formation", _fast(kv * fastest, "unstable", gains, lag))
-    warnings = [_slow(float(size.min()), slowest)] if slowest < SLOWEST else []
+        raise Refused("bearing formation", _fast(what, "unstable", chain))
+    warnings = [_slow(least, slowest)] if slowest < SLOWEST else []
     if margin < REQUIRED:
-        warnings.append(_fast(kv * fastest, f"left with {1e3 * margin:.0f} ms of delay margin", gains, lag))
-    return FormationReport(float(size.min()), fastest, slowest, margin, tuple(warnings))
-
-
-def mode_margin(
-    eigenvalues: Sequence[float],
-    horizontal: Sequence[bool],
-    kp: float,
-    kv: float,
-    gains: Gains = FORMATION,
-    lag: float = RATE_LAG,
-) -> float:
-    """Smallest delay margin in s over the modes l, each with the gains kp l, kv l.
-
-    A horizontal mode acts through the attitude; its delay may enter with the neighbours' data (guidance_loop) or with
-    everything (command_loop). A mode in height alone acts through the thrust, of the same lag. Half a tick of 100 Hz
-    is spent already; velocities come through a filter of 50 rad/s.
-    """
-    inner = Inner(min(gains.kr[:2]), lag, lead=gains.lead, lead_cutoff=gains.lead_cutoff)
-    loops = []
-    for e, tilts in zip(eigenvalues, horizontal, strict=True):
-        if tilts:
-            loops += [command_loop(kp * e, kv * e, inner), guidance_loop(kp * e, kv * e, inner)]
-        else:
-            loops.append(vertical_loop(kp * e, kv * e, lag))
-    return max(min(map(delay_margin, loops), default=math.inf) - HOLD, 0.0)
+        warnings.append(_fast(what, f"left with {1e3 * margin:.0f} ms of delay margin", chain))
+    return FormationReport(least, float(size.max()), slowest, margin, tuple(warnings))
 
 
 def _flexible(mode: Mat, followers: list[int], leaders: list[int]) -> str:
@@ -156,8 +168,17 @@ def _slow(lambda_min: float, slowest: float) -> str:
     )
 
 
-def _fast(speed: float, found: str, gains: Gains, lag: float) -> str:
+def _parallel(alone: Sequence[int]) -> str:
+    drones = f"drone {alone[0]}" if len(alone) == 1 else f"each of the drones {list(alone)}"
     return (
-        f"kv * lambda_max = {speed:.1f} 1/s is {found} behind an attitude loop of KR = {gains.kr[0]:g} 1/s "
-        f"and {1e3 * lag:.0f} ms of lag; {1e3 * REQUIRED:.0f} ms are required. Lower kv, or remove neighbours."
+        f"all bearings of {drones} are parallel: nothing holds it along them, and sum_j P_ij has no inverse. "
+        "Add a neighbour in another direction, or make it a leader."
+    )
+
+
+def _fast(what: str, found: str, chain: Chain) -> str:
+    behind = f"{1e3 * chain.lag:.0f} ms of lag" if chain.rates is None else "the rate loop of its motors"
+    return (
+        f"{what} is {found} behind an attitude loop of KR = {chain.gains.kr[0]:g} 1/s and {behind}; "
+        f"{1e3 * REQUIRED:.0f} ms are required. Lower kv, or remove neighbours."
     )

@@ -131,6 +131,7 @@ def summary(
         "flown_m": {i: round(length, 4) for i, length in score.flown.items()},
         "log": list(score.log),
         "results": results,
+        "tracks": score.tracks,
         **score.formation(),
     }
 

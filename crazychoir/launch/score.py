@@ -27,6 +27,8 @@ SETTLED = 0.01
 COMPARABLE = 0.15
 """s: places that are older are not compared. Moved on by their velocity, two that brake with 2 m/s2 each are 0.05 m off
 by then: enough to tell whether drones touch."""
+DRAWN, LONGEST = 0.1, 2000
+"""s between two places of a track, at first; and how many are kept: beyond that every other one goes."""
 LOGGED = 1000
 """Log lines that a score keeps: the newest."""
 
@@ -58,6 +60,8 @@ class Score(Actor):
         self.touching: dict[tuple[int, int], float] = {}
         self.flown: dict[int, float] = dict.fromkeys(self.ids, 0.0)
         self.errors: list[tuple[float, float]] = []
+        self._tracks: dict[int, list[tuple[float, ...]]] = {i: [] for i in self.ids}
+        self._apart = dict.fromkeys(self.ids, DRAWN)
         self._truth: dict[int, tuple[Vec, Vec, float]] = {}  # p, v, and when they were so
         self._law_began: float | None = None
         self._law_ended = False
@@ -82,6 +86,33 @@ class Score(Actor):
         if before is not None:
             self.flown[i] += math.dist(state.p.tolist(), before[0].tolist())
         self._truth[i] = (state.p, state.v, self.bus.clock.now() - age)
+        self._keep(i, self.bus.clock.now() - age, state.p)
+
+    def _keep(self, i: int, t: float, p: Vec) -> None:
+        """A place of the track, if it is time for one."""
+        track = self._tracks[i]
+        if track and t - track[-1][0] < self._apart[i] - 1e-6:
+            return
+        track.append((t, *p.tolist()))
+        if len(track) > LONGEST:
+            del track[1::2]
+            self._apart[i] *= 2.0
+
+    @property
+    def places(self) -> dict[int, Vec]:
+        """(3,) m, world: where each drone was last seen, in truth."""
+        return {i: p for i, (p, _, _) in self._truth.items()}
+
+    @property
+    def tracks(self) -> dict[int, list[tuple[float, ...]]]:
+        """Rows t s, p m, world, of each drone, in truth."""
+        return self._tracks
+
+    @property
+    def law_s(self) -> float | None:
+        """s since the law began; None before and after it."""
+        began = self._law_began
+        return None if began is None or self._law_ended else self.bus.clock.now() - began
 
     def _hear_status(self, i: int, status: Status, age: float) -> None:
         self.statuses[i] = status

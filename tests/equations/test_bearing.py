@@ -4,9 +4,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from crazychoir.control.gains import FORMATION
 from crazychoir.control.margin import REQUIRED
-from crazychoir.guidance.bearing import KP, KV, bearing_laplacian, check_formation, slowest_mode
+from crazychoir.guidance.bearing import KP, KV, bearing_laplacian, check_formation
+from crazychoir.guidance.modes import slowest_mode
 
 SQUARE = {0: (0, 0, 1), 1: (1, 0, 1), 2: (1, 1, 1), 3: (0, 1, 1)}
 PAPER_GRAPH = {0: {1, 3}, 1: {0, 2, 3}, 2: {1, 3}, 3: {0, 1, 2}}
@@ -50,7 +50,7 @@ def test_the_slowest_mode_is_the_slowest_of_the_coupled_system():
 
 
 def test_the_papers_example_is_flown_with_the_required_margin():
-    report = check_formation(SQUARE, PAPER_GRAPH, [0, 1], KP, KV, gains=FORMATION)
+    report = check_formation(SQUARE, PAPER_GRAPH, [0, 1], KP, KV)
     assert report.lambda_min == pytest.approx(0.1454, abs=1e-4)
     assert report.lambda_max == pytest.approx(3.618, abs=1e-3)
     assert report.slowest == pytest.approx(0.334, abs=1e-3)

@@ -1,0 +1,154 @@
+"""Distance-based formation: followers know how far they are to be from their neighbours, not in which direction.
+
+crazychoir run distance_formation --fast
+
+[mission_options]: shape: {id: (3,) m}, whose distances are wanted;  k: 1/(m2 s2), kv: 1/s;  duration: s;  scatter: (3,)
+m;  and those of guidance/leader.py, as leaders = "circle".
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from crazychoir import CFDistributedFeedback, SwarmConfig
+from crazychoir.control.gains import AGILE
+from crazychoir.errors import ConfigError, Refused
+from crazychoir.guidance import leader
+from crazychoir.guidance.modes import Chain, mode_margin
+from crazychoir.guidance.rigidity import require_rigid
+from crazychoir.guidance.scattering import Scatter, scattered
+from crazychoir.recording.tracks import draw_tracks
+from crazychoir.swarm.graph import span
+from crazychoir.types import Acceleration, Heard, State, Vec
+
+Results = dict[int, dict[str, Any]]
+DEFAULTS: dict[str, Any] = {"k": 0.6, "kv": 1.2}
+HEIGHT = 2.0, 2.5
+"""1/s2, 1/s: with which a flat formation holds its height, of which distances say nothing."""
+TOLERANCE = 0.02
+"""m that a distance may be off at the end of the law."""
+
+
+class DistanceFormation(CFDistributedFeedback):
+    """u_i = sum_j [ k (|p_j - p_i|^2 - d_ij^2) (p_j - p_i) - kv (v_i - v_j) ]
+
+    d: {j: m}, the distances that are wanted;  k: 1/(m2 s2);  kv: 1/s;  height: m, world, of a flat formation: then p
+    and v count without z, and  u_z = - kz (z - height) - kvz v_z.  None: in space.
+    The first term goes down the gradient of k/4 sum_ij (|p_i - p_j|^2 - d_ij^2)^2 over all edges, the second brakes.
+    Mirror images have the same distances: a start near the shape decides.
+    Source: Krick, Broucke & Francis 2009, Int. J. Control 82(3), for single integrators.
+    """
+
+    gains = AGILE
+
+    def __init__(self, d: Mapping[int, float], k: float, kv: float, height: float | None) -> None:
+        self.d, self.k, self.kv, self.level = dict(d), k, kv, height
+
+    def height(self) -> float | None:
+        """Of its options, so that it may start elsewhere."""
+        height: float | None = self.member.config.drone(self.id).options.get("height")
+        return height
+
+    def step(self, me: State, heard: Heard) -> Acceleration | None:
+        """The law; who does not hear all its neighbours hovers."""
+        if len(heard) < len(self.d):
+            return None
+        u, axes = np.zeros(3), 3 if self.level is None else 2
+        for j, d in self.d.items():
+            gap = (heard[j].p - me.p)[:axes]
+            u[:axes] += self.k * (gap @ gap - d * d) * gap + self.kv * (heard[j].v - me.v)[:axes]
+        if self.level is not None:
+            u[2] = HEIGHT[0] * (self.level - me.p[2]) - HEIGHT[1] * me.v[2]
+        return Acceleration(u)
+
+
+def guidance(i: int, config: SwarmConfig) -> CFDistributedFeedback:
+    """The law of drone i: a leader's or a follower's."""
+    duration = leader.duration_of(config, 20.0)
+    if config.drone(i).leader:
+        return leader.leader_of(i, config, duration)
+    places, chosen = shape(config), options(config)
+    d = {j: float(np.linalg.norm(places[i] - places[j])) for j in config.graph().neighbors(i)}
+    level = config.flight.ground + config.flight.takeoff_height if flat(config) else None
+    law = DistanceFormation(d, chosen["k"], chosen["kv"], level)
+    law.duration = duration
+    return law
+
+
+def options(config: SwarmConfig) -> dict[str, Any]:
+    """k and kv."""
+    return DEFAULTS | {key: config.mission_options[key] for key in DEFAULTS if key in config.mission_options}
+
+
+def shape(config: SwarmConfig) -> dict[int, Vec]:
+    """{id: (3,) m}: of the mission options, else the homes."""
+    given = config.mission_options.get("shape")
+    if given is None:
+        return {drone.id: np.array(drone.home) for drone in config.drones}
+    found = {int(i): np.array(p, dtype=float) for i, p in given.items()}
+    if tuple(sorted(found)) != config.ids or any(p.shape != (3,) for p in found.values()):
+        raise ConfigError("mission_options.shape", sorted(found), f"a corner (3,) of each drone, {span(config.ids)}")
+    return found
+
+
+def flat(config: SwarmConfig) -> bool:
+    """Whether all of the shape is at one height: distances would not hold it there."""
+    return len({float(p[2]) for p in shape(config).values()}) == 1
+
+
+def swarm(drones: int | None = None) -> SwarmConfig:
+    """A hexagon, two neighbours of it lead; each hears the next two on both sides."""
+    n = drones or 6
+    if n < 5:
+        raise ConfigError("--drones", drones, "5 or more")
+    radius = max(1.0, 0.16 * n)
+    places = [[radius * np.cos(2 * np.pi * k / n), radius * np.sin(2 * np.pi * k / n), 1.0] for k in range(n)]
+    rounded = {str(k): [round(float(x), 4) for x in p] for k, p in enumerate(places)}
+    return SwarmConfig.of(
+        {
+            "name": "distances",
+            "mission": "distance_formation",
+            "edges": [[k, (k + step) % n] for k in range(n) for step in (1, 2)],
+            "drones": [{"id": k, "home": [*rounded[str(k)][:2], 0.0], "leader": k < 2} for k in range(n)],
+            "mission_options": {"shape": rounded, "scatter": [0.3, 0.3, 0.2]},
+        }
+    )
+
+
+def scatter(config: SwarmConfig) -> SwarmConfig:
+    """The same swarm, its followers' starts moved at random, clear of each other, by up to `scatter` (3,) m an axis."""
+    return scattered(config, Scatter(*config.mission_options.get("scatter", (0.3, 0.3, 0.2))))
+
+
+def check(config: SwarmConfig, force: bool = False) -> list[str]:
+    """Refuses a graph that is not infinitesimally rigid with these leaders, and gains that are not stable."""
+    chosen, leaders = options(config), leader.leaders_of(config)
+    axes = 2 if flat(config) else 3
+    r = require_rigid({i: p[:axes] for i, p in shape(config).items()}, config.graph().edges(), leaders)
+    stiffest = 2.0 * chosen["k"] * float(np.linalg.norm(r, 2) ** 2)
+    heard = [len(config.graph().neighbors(i)) for i in config.ids if i not in leaders]
+    for damping in (chosen["kv"] * min(heard) * 0.5, chosen["kv"] * max(heard)):
+        if mode_margin([1.0], [True], stiffest, damping, Chain(AGILE)) <= 0.0:
+            text = f"k = {chosen['k']:g}, kv = {chosen['kv']:g}: its stiffest mode, {stiffest:.1f} 1/s2, is unstable"
+            raise Refused("distance formation", f"{text} behind the attitude loop. Lower k, or raise kv.")
+    return []
+
+
+def report(config: SwarmConfig, results: Results) -> dict[str, Any]:
+    """Every distance is what it should be at the end of the law, by the drones' own estimates."""
+    at, places = {i: r["place"] for i, r in results.items() if "place" in r}, shape(config)
+    axes = 2 if flat(config) else 3
+    off, reasons = 0.0, {}
+    for i, j in config.graph().edges():
+        if i in at and j in at:
+            found, wanted = (np.linalg.norm(np.subtract(p[i], p[j])[:axes]) for p in (at, places))
+            off = max(off, abs(float(found - wanted)))
+            if abs(found - wanted) > TOLERANCE:
+                reasons[i] = f"{found:.3f} m from drone {j} at the end of the law, {wanted:.3f} m wanted"
+    return {"distance_error_m": off, "success": not reasons, "reasons": reasons}
+
+
+def picture(config: SwarmConfig, results: Results, path: str) -> None:
+    """What was flown, from above."""
+    draw_tracks(results, path, leaders=list(leader.leaders_of(config)), edges=config.graph().edges())

@@ -1,0 +1,62 @@
+"""Shapes for formations: a square, a grid, letters; and who of them talks to whom."""
+
+import math
+from collections.abc import Mapping
+from itertools import combinations
+
+from crazychoir.errors import ConfigError
+
+Shape = Mapping[int, tuple[float, float, float]]
+SQUARE: Shape = {0: (0.0, 0.0, 1.0), 1: (1.0, 0.0, 1.0), 2: (1.0, 1.0, 1.0), 3: (0.0, 1.0, 1.0)}
+SQUARE_EDGES = [[0, 1], [0, 3], [1, 2], [1, 3], [2, 3]]
+"""The paper's: one diagonal."""
+LETTERS: Mapping[str, tuple[tuple[float, float], ...]] = {
+    "S": (
+        (0.5, 0.667), (-0.5, -0.667), (0.0, 0.833), (-0.45, 0.667), (-0.5, 0.3), (-0.25, 0.08), (0.25, -0.08),
+        (0.5, -0.3), (0.45, -0.667), (0.0, -0.833), (0.0, 0.0),
+    ),
+    "C": (
+        (0.5, 0.667), (0.5, -0.667), (0.25, 0.79), (-0.05, 0.833), (-0.35, 0.7), (-0.5, 0.38), (-0.5, 0.0),
+        (-0.5, -0.38), (-0.35, -0.7), (-0.05, -0.833), (0.25, -0.79),
+    ),
+}  # fmt: skip
+"""Eleven places of a stroke each; the first two, its leaders', are the ends of the letter."""
+
+
+def grid(columns: int, rows: int, spacing: float, height: float = 1.0) -> Shape:
+    """Row by row, from the origin."""
+    return {
+        columns * r + c: (round(spacing * c, 6), round(spacing * r, 6), height)
+        for r in range(rows)
+        for c in range(columns)
+    }
+
+
+def grid_edges(columns: int, rows: int) -> list[list[int]]:
+    """Each with the nearest eight: the sides and both diagonals of every cell."""
+    ids = [(c, r) for r in range(rows) for c in range(columns)]
+    return [
+        [columns * r + c, columns * y + x]
+        for (c, r), (x, y) in combinations(ids, 2)
+        if max(abs(c - x), abs(r - y)) == 1
+    ]
+
+
+def corners(columns: int, rows: int) -> tuple[int, int, int, int]:
+    """The drones at the corners of a grid."""
+    return 0, columns - 1, columns * (rows - 1), columns * rows - 1
+
+
+def letter(name: str, size: float, height: float = 1.0) -> Shape:
+    """Eleven places of a letter, `size` m high."""
+    if name not in LETTERS:
+        raise ConfigError("letter", name, f"one of {', '.join(LETTERS)}")
+    points = LETTERS[name]
+    scale = size / (max(y for _, y in points) - min(y for _, y in points))
+    return {i: (round(scale * x, 6), round(scale * y, 6), height) for i, (x, y) in enumerate(points)}
+
+
+def nearest_edges(shape: Shape, count: int) -> list[list[int]]:
+    """The `count` shortest pairs of a shape: who is near talks."""
+    pairs = sorted(combinations(sorted(shape), 2), key=lambda pair: (math.dist(shape[pair[0]], shape[pair[1]]), pair))
+    return [list(pair) for pair in sorted(pairs[:count])]

@@ -1,0 +1,149 @@
+"""Formations reach their places, by each of their laws; at motor level in the time that is promised."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from crazychoir.cli.bench_formation import CASES, summary, table, times
+from crazychoir.errors import Refused
+from crazychoir.guidance.bearing import bearing_laplacian
+from crazychoir.guidance.mission import load
+from crazychoir.launch.flight import fly_fast
+from crazychoir.swarm.config import SwarmConfig
+
+pytestmark = pytest.mark.system
+DEPLOY = Path(__file__).parents[2] / "deploy"
+
+
+def flown(name, drones=None, seed=1, **changes):
+    """A mission's own swarm, in virtual time."""
+    mission = load(name)
+    config = mission.swarm(drones).replace(seed=seed, **changes)
+    if hasattr(mission._module, "scatter"):
+        config = mission.scatter(config)
+    assert mission.check(config, False) == []
+    return fly_fast(config, mission)
+
+
+def of_file(name, watch=None, **options):
+    """A swarm file in virtual time, with these options besides."""
+    config = SwarmConfig.load(DEPLOY / f"{name}.toml")
+    config = config.replace(mission_options=config.mission_options | options)
+    mission = load(config.mission)
+    assert mission.check(config, False) == []
+    return fly_fast(config, mission, watch), config, mission
+
+
+@pytest.mark.parametrize("case", [c for c in CASES if (c.drones, c.network) in {(4, "perfect"), (4, "lossy")}], ids=str)
+def test_four_with_motors_form_up_in_time(case):
+    [settled] = times(case, range(1, 2))
+    assert settled is not None
+    assert 0.5 < settled <= case.limit
+
+
+@pytest.mark.timeout(180)
+def test_thirty_with_motors_form_up_in_time_by_the_normalised_law():
+    case = next(c for c in CASES if (c.drones, c.law, c.network) == (30, "normalised", "perfect"))
+    [settled] = times(case, range(1, 2))
+    assert settled is not None
+    assert settled <= case.limit
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(7200)
+@pytest.mark.parametrize("case", CASES, ids=str)
+def test_the_worst_of_fifty_starts_is_in_time(case):
+    found = summary(case, times(case, range(50), print))
+    assert found["reached"], found
+    assert str(case.drones) in str(table({"seeds": 50, "rows": [found]}).columns[0]._cells)
+
+
+def test_eleven_take_the_places_of_a_letter():
+    result = flown("bearing_formation", 11)
+    assert result["success"], result["reasons"]
+    assert result["settling_s"] <= 6.0
+
+
+def worst_beside_leaders(config, rows):
+    """(n,) m: how far followers are from where the leaders' true places want them; rows: {i: (3,) m}."""
+    mission = load("bearing_formation")
+    leaders = [i for i in config.ids if config.drone(i).leader]
+    b_ff, b_fl, followers = bearing_laplacian(mission.shape(config), mission.neighbors(config), leaders)
+    wanted = [-np.linalg.solve(b_ff, b_fl @ np.concatenate([at[i] for i in leaders])).reshape(-1, 3) for at in rows]
+    pairs = zip(rows, wanted, strict=True)
+    return [max(np.linalg.norm(at[i] - p) for i, p in zip(followers, w, strict=True)) for at, w in pairs]
+
+
+@pytest.mark.parametrize("uri", ["sim://", "sim://motors"])
+def test_followers_of_leaders_on_a_circle_are_within_2_mm(uri):
+    config = SwarmConfig.load(DEPLOY / "formation_circle.toml")
+    drones = [{"id": d.id, "home": d.home, "leader": d.leader, "uri": uri, "platform": "cf21"} for d in config.drones]
+    config = config.replace(drones=drones, mission_options=config.mission_options | {"duration": 20.0})
+    mission, rows = load("bearing_formation"), []
+
+    def watch(score):
+        if score.law_s is not None and 12.0 < score.law_s < 19.9:
+            rows.append(dict(score.places))
+
+    assert mission.check(config, False) == []
+    fly_fast(config, mission, watch)
+    assert len(rows) > 100
+    assert max(np.linalg.norm(row[0] - rows[0][0]) for row in rows) > 0.3, "the leaders move"
+    assert max(worst_beside_leaders(config, rows)) <= 0.002
+
+
+def test_followers_of_leaders_on_a_drawn_circle_end_in_their_places():
+    result, config, _ = of_file("formation_drawn")
+    assert result["success"], result["reasons"]
+    flown_m = result["flown_m"]
+    assert min(flown_m[i] for i in config.ids) > 2.0 + 2.2, "up, down, and around 0.4 m"
+
+
+@pytest.mark.parametrize("edges", ["static", "random"])
+def test_containment_ends_among_the_leaders(edges):
+    result = flown("containment", mission_options={"edges": edges})
+    assert result["success"], result["reasons"]
+    assert result["outside_m"] <= 0.02
+    if edges == "static":
+        assert result["settling_s"] <= 12.0
+
+
+@pytest.mark.slow
+def test_containment_over_random_edges_follows_its_leaders_on_a_circle():
+    result, *_ = of_file("containment_random", leaders="circle")
+    assert result["success"], result["reasons"]
+
+
+@pytest.mark.parametrize("drones", [6, 9])
+def test_distances_are_what_they_should_be(drones):
+    result = flown("distance_formation", drones)
+    assert result["success"], result["reasons"]
+    assert result["distance_error_m"] <= 0.01
+
+
+def test_what_distances_do_not_hold_is_refused_with_the_loose_drones():
+    mission = load("distance_formation")
+    config = mission.swarm(6)
+    ring = [[k, (k + 1) % 6] for k in range(6)]
+    with pytest.raises(Refused, match=r"not infinitesimally rigid with leaders \[0, 1\]: drones \[2, 3, 4, 5\]"):
+        mission.check(config.replace(edges=ring))
+    cube = {str(k): [float(k % 2), float(k // 2 % 2), 1.0 + 0.2 * k] for k in range(6)}
+    options = config.mission_options | {"shape": cube}
+    with pytest.raises(Refused, match=r"drones \["):
+        mission.check(config.replace(edges=ring, mission_options=options))
+
+
+def test_followers_that_hear_no_leader_are_refused_with_their_names():
+    mission = load("containment")
+    config = mission.swarm(None)
+    edges = [[4, 0], [4, 1], [5, 1], [6, 7], [0, 2], [2, 3]]
+    with pytest.raises(Refused, match=r"drones \[6, 7\] hear no leader"):
+        mission.check(config.replace(edges=edges))
+
+
+def test_a_drone_whose_bearings_are_all_parallel_is_refused_by_name():
+    mission = load("bearing_formation")
+    config = mission.swarm(4).replace(edges=[[0, 1], [0, 3], [1, 3], [1, 2]])
+    with pytest.raises(Refused, match="all bearings of drone 2 are parallel"):
+        mission.check(config)
