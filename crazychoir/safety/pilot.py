@@ -116,7 +116,7 @@ class Pilot(Actor):
     """Flies one drone; guidance calls `take_off`, `go_to`, `follow`, `hover`, `land`, its operator `hold` too.
 
     limits: [flight];  fence: where it flies, from the ground up at most;  rate: Hz, of its poses;  body: the address
-    that they come from, None: its own.
+    that they come from, None: its own;  limit_area: beyond which its motors are cut, None: the guard's.
     """
 
     name = "pilot"
@@ -124,6 +124,7 @@ class Pilot(Actor):
     def __init__(
         self, port: Port, link: Link, limits: Flight, fence: Fence, rate: float = 100.0,
         chosen: Controls | None = None, state_filter: StateFilter | None = None, body: int | None = None,
+        limit_area: Fence | None = None,
     ) -> None:  # fmt: skip
         self.port, self.link, self.limits = port, link, limits
         self.controls = controls() if chosen is None else chosen
@@ -132,7 +133,7 @@ class Pilot(Actor):
         a_max = braking(limits, platform, HEIGHT_SHARE * HEADROOM)
         self.fence = fence.with_floor(max(fence.low[2], limits.ground))
         self.flights = Flights(limits, self.fence, a_max)
-        self.guard = Guard(self.fence, a_max=a_max, ground=limits.ground)
+        self.guard = Guard(self.fence, a_max=a_max, ground=limits.ground, limit=limit_area)
         self.reference_limits = ReferenceLimits(limits, self.controls.gains)
         self.clock, self._stages = port.bus.clock, port.bus.stages
         self.drone = port.address

@@ -125,7 +125,7 @@ def test_a_latched_rule_acts_for_good_and_says_why_it_began():
     guard.check(0.1, State.at((4.0, 0.0, 1.0)), 0.0, 0.0)
     verdict = guard.check(99.0, HERE, 0.0, 0.0)
     assert verdict.action == Action.CUT
-    assert verdict.reason == "1.00 m outside the fence, limit 0.50 m: motors cut, for good"
+    assert verdict.reason == "0.50 m outside the limit area, in the keep-out zone: motors cut, for good"
     assert guard.latched == "0.30 m outside the fence, limit 0.25 m: landing, for good"
 
 

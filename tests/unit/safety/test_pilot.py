@@ -205,7 +205,8 @@ async def test_whoever_leaves_the_fence_brakes_then_lands_then_falls(clock):
     assert list(first) == [Mode.HOVER, Mode.LAND, Mode.CUT]
     said = [note.split(" m outside")[1] for note in dict.fromkeys(notes) if note]
     assert [text.partition(",")[2] for text in dict.fromkeys(said)] == [
-        " limit 0.00 m: braking", " limit 0.25 m: landing, for good", " limit 0.50 m: motors cut, for good",
+        " limit 0.00 m: braking", " limit 0.25 m: landing, for good",
+        " in the keep-out zone: motors cut, for good",
     ]  # fmt: skip
 
 
