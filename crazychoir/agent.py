@@ -25,8 +25,9 @@ from crazychoir.guidance.sensors import Sensors
 from crazychoir.platforms import platform
 from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import Clock
+from crazychoir.runtime.hanging import Guards
 from crazychoir.runtime.supervisor import Supervisor
-from crazychoir.runtime.watchdog import Stall, Watchdog
+from crazychoir.runtime.watchdog import Stall
 from crazychoir.safety.collision.filter import CollisionFilter
 from crazychoir.safety.collision.traffic import Traffic
 from crazychoir.safety.flights import braking
@@ -36,7 +37,7 @@ from crazychoir.simulation.remote import OwnerWatch, RemoteLink
 from crazychoir.simulation.telemetry import names_of
 from crazychoir.simulation.trace import Trace
 from crazychoir.simulation.world import Link
-from crazychoir.swarm.checks import LIGHTWEIGHT
+from crazychoir.swarm.checks import LIGHTWEIGHT, limit_area
 from crazychoir.swarm.communicator import Communicator
 from crazychoir.swarm.config import SwarmConfig
 from crazychoir.swarm.impairment import impairment_of
@@ -103,7 +104,7 @@ class Agent:
         self.bus = Bus(clock, impairment_of(config), process, host)
         self.bus.tap = trace.message if trace else None
         self.incarnation = incarnation
-        self.watchdog: Watchdog | None = None
+        self.watchdog: Guards | None = None
         self.alarm: Callable[[int, str], None] = lambda drone, text: None
         for i in ids:
             self.bus.port(i, incarnation)
@@ -135,7 +136,9 @@ class Agent:
         seen = filter_of(config.control_of(i).filter, chosen, config.flight.ground, rate)
         link, harm = self._body(i, chosen.sender.kind)
         seen_at = config.source(POSE, i) if i in self.owned else i
-        pilot = Pilot(port, link, config.flight, fence, rate, chosen, seen, seen_at, self._collision(i, chosen))
+        limit = Fence.box(*limit_area(config))
+        collision = self._collision(i, chosen)
+        pilot = Pilot(port, link, config.flight, fence, rate, chosen, seen, seen_at, collision, limit)
         if i in self._remotes:
             self._remotes[i].found_flying = pilot.take_over
         supervisor = self._supervisor(i)

@@ -37,19 +37,19 @@ def run_agent(
         link = _link(agent, config, ids, listen, connect)
         link.open()
         agent.alarm = link.alarm
-        agent.watchdog = Watchdog(clock, agent.stalled)
-        agent.watchdog.start()
+        agent.watchdog = watchdog = Watchdog(clock, agent.stalled, soon=bool(agent.owned))
+        watchdog.start()
         agent.services += [link, *(PublicCopies(link, i) for i in ids)]
         try:
             results = await agent.run()
             await clock.sleep(0.3)  # the last statuses leave
         finally:
-            agent.watchdog.stop()
+            watchdog.stop()
         return {
             "results": results,
             "network": asdict(link.counters),
             "worst_put_s": link.counters.worst_put_s,
-            "late_s": agent.watchdog.worst,
+            "late_s": watchdog.worst,
             "presence": {i: drone.barrier.history for i, drone in agent.drones.items()},
         }
 

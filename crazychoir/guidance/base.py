@@ -20,8 +20,8 @@ from crazychoir.optimization.checks import require_graph
 from crazychoir.planning.feasibility import Limits, check
 from crazychoir.planning.trajectory import Trajectory
 from crazychoir.runtime.clock import SECOND, Clock, wake
+from crazychoir.runtime.hanging import Guards
 from crazychoir.runtime.mailbox import Call
-from crazychoir.runtime.watchdog import Watchdog
 from crazychoir.safety.modes import Mode
 from crazychoir.safety.pilot import Pilot
 from crazychoir.swarm.communicator import Communicator
@@ -47,6 +47,8 @@ THERE, STILL, STOOD = 0.003, 0.02, 0.3
 PATIENT = 5.0
 """s that it gets for that."""
 ATTEMPTS = 5
+BLOWN = 2.0
+"""s after the planned time of a flight in which a drone may still arrive: in a wind that it has yet to learn."""
 PATIENCE = 300.0
 """s that a flight waits for a pilot that is held, or that the safety table has stopped; and for a first pose."""
 TOUCHDOWN = 5.0
@@ -67,7 +69,7 @@ class Member:
     clock: Clock
     communicator: Communicator
     pilot: Pilot
-    watchdog: Watchdog | None = None
+    watchdog: Guards | None = None
     report: Callable[[], dict[str, Any]] = dict
     """Says how the mission goes: task, round, cost, for the status."""
     announce: Callable[[], None] = lambda: None  # publishes the status now, not at its next tick
@@ -251,10 +253,12 @@ class CFGuidance:
             seconds = self.member.pilot.go_to(p, yaw, duration)
             attempts += seconds > 0.0
             await self._while(seconds or SETTLE, Mode.TAKEOFF, Mode.FOLLOW)
-            if self.member.pilot.gap(p) < ARRIVED:
+            blown = self.member.clock.now() + BLOWN if seconds > 0.0 else 0.0
+            while (gap := self.member.pilot.gap(p)) >= ARRIVED and self.member.clock.now() < blown:
+                await self._while(SETTLE, Mode.TAKEOFF, Mode.FOLLOW)
+            if gap < ARRIVED:
                 return
         place = np.round(np.asarray(p), 2).tolist()
-        gap = self.member.pilot.gap(p)
         why = "held by its operator" if self.member.pilot.held else self.member.pilot.note
         raise Interrupted(f"drone {self.id}: does not reach {place}, still {gap:.2f} m from it: {why or 'no reason'}")
 

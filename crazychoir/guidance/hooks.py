@@ -16,8 +16,9 @@ from typing import Any
 
 import numpy as np
 
-from crazychoir.errors import ConfigError, CrazyChoirError
+from crazychoir.errors import ConfigError, CrazyChoirError, Hung
 from crazychoir.guidance.base import CFDistributedFeedback, CFGuidance
+from crazychoir.runtime.hanging import HOOK, limited
 from crazychoir.swarm.config import SwarmConfig
 from crazychoir.swarm.graph import span
 
@@ -54,7 +55,10 @@ class Hook:
     def __call__(self, *values: Any) -> Any:
         """Call it; an error that is no word of this package becomes one that names file, line and hook."""
         try:
-            return self.function(*values)
+            with limited(HOOK):
+                return self.function(*values)
+        except Hung as error:
+            raise self.wrong(f"no end within {HOOK:g} s", self._line(error)) from error
         except CrazyChoirError:
             raise
         except Exception as error:

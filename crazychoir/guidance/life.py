@@ -3,6 +3,7 @@
 import asyncio
 import logging
 import traceback
+from collections.abc import Awaitable, Coroutine
 from typing import Any
 
 from crazychoir.bus.codec import decode, encode
@@ -11,7 +12,7 @@ from crazychoir.errors import AgentFailed, CodecError, CrazyChoirError, Hung, Re
 from crazychoir.guidance.base import Member, raisable, touch_down
 from crazychoir.guidance.drone import Drone
 from crazychoir.runtime.actor import Actor
-from crazychoir.runtime.watchdog import Watchdog
+from crazychoir.runtime.hanging import Guarded, Guards
 from crazychoir.safety.modes import Mode
 from crazychoir.swarm.config import SwarmConfig
 from crazychoir.types import Failure
@@ -37,7 +38,7 @@ class GuidanceActor(Actor):
 
     name = "guidance"
 
-    def __init__(self, drone: Drone, config: SwarmConfig, watchdog: Watchdog | None) -> None:
+    def __init__(self, drone: Drone, config: SwarmConfig, watchdog: Guards | None) -> None:
         self.drone, self.config, self.watchdog = drone, config, watchdog
         self._life: asyncio.Task[Result] | None = None
         self._member: Member | None = None
@@ -109,13 +110,20 @@ class GuidanceActor(Actor):
         self._member = member
         drone.guidance.bind(member)
         try:
-            return checked(await drone.guidance.mission())
+            return checked(await self._guarded(drone.guidance.mission()))
         except SystemExit as end:
             raise RuntimeError(f"the mission called sys.exit({end.code!r})") from end
         except asyncio.CancelledError as cancelled:
             if self._life is not None and self._life.cancelling():
                 raise
             raise raisable(cancelled, "the mission") from cancelled
+
+    def _guarded(self, mission: Coroutine[Any, Any, Any]) -> Awaitable[Any]:
+        """It may not hang; on the ground it may compute for a while."""
+        if self.watchdog is None:
+            return mission
+        pilot, name = self.drone.pilot, f"drone {self.drone.id} guidance"
+        return Guarded(mission, self.watchdog, name, lambda: not pilot.airborne)
 
     async def _until_cleared(self, why: str) -> None:
         """An emergency stop outlives its mission: who starts, or restarts, hears of it from those who stay."""

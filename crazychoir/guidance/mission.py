@@ -5,13 +5,15 @@ import importlib
 import importlib.util
 import pkgutil
 import sys
+import traceback
 from pathlib import Path
 from types import ModuleType
 from typing import Any, Protocol, cast
 
-from crazychoir.errors import ConfigError
+from crazychoir.errors import ConfigError, Hung
 from crazychoir.guidance.base import CFGuidance
 from crazychoir.guidance.hooks import MissionFile
+from crazychoir.runtime.hanging import HOOK, limited
 from crazychoir.swarm.config import SwarmConfig
 from crazychoir.types import Point
 
@@ -94,7 +96,12 @@ def from_file(path: Path, kind: str) -> ModuleType:
     module = importlib.util.module_from_spec(spec)
     _see_neighbors(path)
     try:
-        spec.loader.exec_module(module)
+        with limited(HOOK):
+            spec.loader.exec_module(module)
+    except Hung as error:
+        lines = [at.lineno for at in traceback.extract_tb(error.__traceback__) if at.filename == str(path)]
+        raise ConfigError(f"{kind} {path}{f':{lines[-1]}' if lines else ''}", f"no end within {HOOK:g} s of its import",
+                          "a file that Python can import") from error  # fmt: skip
     except Exception as error:
         found = f"{type(error).__name__}: {error}"
         raise ConfigError(f"{kind} {path}", found, "a file that Python can import") from error

@@ -18,6 +18,7 @@ from crazychoir.launch.score import Score, Watch, goal_of
 from crazychoir.recording.file import RecordingFile
 from crazychoir.recording.recorder import Recorder
 from crazychoir.runtime.clock import Clock, run_virtual, run_wall
+from crazychoir.runtime.hanging import HangWatch
 from crazychoir.simulation.trace import Trace
 from crazychoir.swarm.checks import TOUCHING
 from crazychoir.swarm.config import SwarmConfig
@@ -42,7 +43,8 @@ def fly_fast(
         agent.services.append(score)
         recorder = Recorder(agent.bus, config.ids, file) if file else None
         agent.services += [recorder] if recorder else []
-        results = await agent.run()
+        with HangWatch() as agent.watchdog:
+            results = await agent.run()
         rounds = max(drone.communicator.rounds for drone in agent.drones.values())
         counters = [drone.port.counters for drone in agent.drones.values()]
         messages = {name: sum(getattr(c, name) for c in counters) for name in ("sent", "lost", "resent")}

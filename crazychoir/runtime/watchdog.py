@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from crazychoir.errors import Hung
-from crazychoir.runtime.clock import SECOND, Clock
+from crazychoir.runtime.clock import SECOND, Clock, thread_seconds
 
 log = logging.getLogger(__name__)
 LATE = 0.100
@@ -21,12 +21,16 @@ HAND_OVER = 0.300
 """s: the owner of a radio hands its drones to the onboard landing."""
 INTERRUPT = 1.000
 """s: user code that runs under `guard` is interrupted."""
+PATIENT = 8.000
+"""s: the same of code that may take its time, as a mission that plans on the ground; before the process gives up."""
 GIVE_UP = 10.000
 """s: the process ends itself: its drones' own safety, and the other drones, must not wait for it."""
 FROZEN = 0.500
 """s between two looks of the watchdog: then the whole process stood still (SIGSTOP), and the loop is not to blame."""
 QUIET = 10.000
 """s in which short stalls, below HAND_OVER, of one actor, or of nobody, are said once."""
+STUCK = 15.000
+"""s without a turn of this thread, because foreign code keeps the interpreter's lock: the process is ended from C."""
 EXIT_CODE = 70
 BEAT = 0.020
 
@@ -53,11 +57,14 @@ class Watchdog:
 
     A stall is reported when it reaches LATE, HAND_OVER and INTERRUPT, and then whenever it has doubled; short ones of
     one actor, or of no task and no guarded code, once in QUIET s, with their number.
+    soon: code under `guard` is interrupted when it has computed for HAND_OVER s: bodies elsewhere would fall.
     stalls: how many there were;  worst: s, the longest.
     """
 
-    def __init__(self, clock: Clock, on_stall: Callable[[Stall], None] = lambda stall: None) -> None:
-        self.clock, self.on_stall = clock, on_stall
+    def __init__(
+        self, clock: Clock, on_stall: Callable[[Stall], None] = lambda stall: None, soon: bool = False
+    ) -> None:
+        self.clock, self.on_stall, self.soon = clock, on_stall, soon
         self.stalls = 0
         self.worst = 0.0
         self._loop = asyncio.get_running_loop()
@@ -67,6 +74,7 @@ class Watchdog:
         self._ending = threading.Event()
         self._report_at = LATE
         self._said: dict[str, tuple[int, int]] = {}  # by actor: when, and how many short ones were not said since
+        self._entered: tuple[int, float] = 0, 0.0  # when guarded code began, and s of processor time by then
         self._thread = threading.Thread(target=self._watch, name="watchdog", daemon=True)
 
     def start(self) -> None:
@@ -78,13 +86,13 @@ class Watchdog:
         """End the thread."""
         self._ending.set()
 
-    def guard(self, actor: str) -> "Guard":
+    def guard(self, actor: str, patient: bool = False) -> "Guard":
         """Code in `with watchdog.guard(actor):` is interrupted by `Hung` once it has kept the loop for a second.
 
         It may not await and not nest. Code that swallows Hung gets it again a second later.
-        actor: who is named in a report.
+        actor: who is named in a report;  patient: only after PATIENT s.
         """
-        self._guard.actor = actor
+        self._guard.actor, self._guard.limit = actor, PATIENT if patient else INTERRUPT
         return self._guard
 
     def _beat(self) -> None:
@@ -94,10 +102,15 @@ class Watchdog:
             self.clock.call_at(self._beat_ns + round(BEAT * SECOND), self._beat)
 
     def _watch(self) -> None:
-        looked_ns, frozen = self.clock.now_ns(), 0.0
+        looked_ns, frozen, armed_ns = self.clock.now_ns(), 0.0, 0
         while not self._ending.wait(BEAT):
             now_ns = self.clock.now_ns()
+            if now_ns - armed_ns > SECOND:
+                armed_ns = now_ns
+                faulthandler.dump_traceback_later(STUCK, exit=True)
             late = (now_ns - self._beat_ns) / SECOND - BEAT
+            if self.soon and late > BEAT:
+                self._computed()
             looked_ns, gap = now_ns, (now_ns - looked_ns) / SECOND
             frozen = 0.0 if late < LATE else frozen + gap if gap > FROZEN else frozen
             self.worst = max(self.worst, late)
@@ -108,8 +121,18 @@ class Watchdog:
                 self._report(late)
             if late - frozen >= INTERRUPT:
                 self._guard.interrupt(self._loop_thread)
+            elif self.soon and late >= HAND_OVER and self._computed() >= HAND_OVER - 2.0 * BEAT:
+                self._guard.interrupt(self._loop_thread, HAND_OVER)
             if late - frozen >= GIVE_UP:
                 self._give_up(late)
+        faulthandler.cancel_dump_traceback_later()
+
+    def _computed(self) -> float:
+        """s of processor time that the guarded code has used since the watchdog saw it first: not those it waited."""
+        since_ns, used = self._guard.since_ns, thread_seconds(self._loop_thread)
+        if since_ns != self._entered[0]:
+            self._entered = since_ns, used
+        return used - self._entered[1] if since_ns else 0.0
 
     def _give_up(self, late: float) -> None:
         """Nothing of ours can free a loop that hangs in foreign code."""
@@ -148,6 +171,7 @@ class Guard:
     def __init__(self, clock: Clock) -> None:
         self.clock = clock
         self.actor = ""
+        self.limit = INTERRUPT
         self.since_ns = 0
         self._lock = threading.Lock()
 
@@ -160,10 +184,14 @@ class Guard:
         with self._lock:
             self.since_ns = 0
 
-    def interrupt(self, thread: int) -> None:
-        """Raise Hung in that thread, if it has been inside for INTERRUPT s; from another thread."""
+    def interrupt(self, thread: int, sooner: float | None = None) -> None:
+        """Raise Hung in that thread, if it has been inside for its limit; from another thread.
+
+        sooner: s, instead of the limit of code that is not patient.
+        """
+        limit = self.limit if sooner is None or self.limit > INTERRUPT else sooner
         with self._lock:
             now_ns = self.clock.now_ns()
-            if self.since_ns and now_ns - self.since_ns >= INTERRUPT * SECOND:
+            if self.since_ns and now_ns - self.since_ns >= limit * SECOND:
                 self.since_ns = now_ns
                 ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread), ctypes.py_object(Hung))

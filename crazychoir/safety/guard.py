@@ -9,6 +9,7 @@ import numpy as np
 from crazychoir.errors import ConfigError
 from crazychoir.math3d import kernel, real, vector
 from crazychoir.planning.point_to_point import STOP
+from crazychoir.swarm.checks import AROUND
 from crazychoir.types import Point, State, Vec
 
 
@@ -31,9 +32,9 @@ class Rule:
     """One row of the safety table.
 
     measure: "pose" (s since the last pose), "reference" (s since the last one), "fence" (m outside the fence), "stop"
-    (m outside the fence, there or where it comes to rest if it brakes now, the worse) or "broken" (1 if the state is
-    not finite);  limit: exceeded, the rule acts;  clear: it acts until the measure has been at or below this for
-    `settle` seconds;  latched: it acts for good.
+    (m outside the fence, there or where it comes to rest if it brakes now, the worse), "limit area" (m outside it) or
+    "broken" (1 if the state is not finite);  limit: exceeded, the rule acts;  clear: it acts until the measure has been
+    at or below this for `settle` seconds;  latched: it acts for good.
     """
 
     measure: str
@@ -45,8 +46,8 @@ class Rule:
 
 
 # Poses: 0.10 s is ten of them missed at 100 Hz, 0.1 m at 1 m/s; after 0.50 s a prediction is worth little; after 2.00 s
-# without commands the firmware cuts by itself. Fence: it brakes while it can still stop inside; like the paper's
-# keep-out zone it ends in a shut-down.
+# without commands the firmware cuts by itself. Fence: it brakes while it can still stop inside, and lands if it does
+# not. Beyond the limit area it is the paper's keep-out zone: shut down at once.
 TABLE = (
     Rule("pose", 0.10, Action.BRAKE, clear=0.05),
     Rule("pose", 0.50, Action.LAND, clear=0.05, settle=1.0),
@@ -55,7 +56,7 @@ TABLE = (
     Rule("reference", 5.00, Action.LAND, clear=0.15, settle=1.0),
     Rule("stop", 0.00, Action.BRAKE, clear=-0.05),
     Rule("fence", 0.25, Action.LAND, latched=True),
-    Rule("fence", 0.50, Action.CUT, latched=True),
+    Rule("limit area", 0.00, Action.CUT, latched=True),
     Rule("broken", 0.00, Action.CUT, latched=True),
 )
 
@@ -64,6 +65,7 @@ TEXT = {
     "reference": "reference {value:.2f} s old, limit {limit:.2f} s: {doing}",
     "fence": "{value:.2f} m outside the fence, limit {limit:.2f} m: {doing}",
     "stop": "comes to rest {value:.2f} m outside the fence, limit {limit:.2f} m: {doing}",
+    "limit area": "{value:.2f} m outside the limit area, in the keep-out zone: {doing}",
     "broken": "state is not finite: {doing}",
 }
 EDGE = 0.005
@@ -90,6 +92,10 @@ class Fence:
     def with_floor(self, z: float) -> "Fence":
         """The same box from the height z m upwards."""
         return Fence.box((*self.low[:2], z), self.high)
+
+    def grown(self, margin: float) -> "Fence":
+        """The same box, its sides `margin` m further out."""
+        return Fence.box([x - margin for x in self.low], [x + margin for x in self.high])
 
     def outside(self, x: float, y: float, z: float) -> float:
         """m by which a position is outside, the largest over the six sides; negative inside."""
@@ -144,7 +150,8 @@ class Guard:
     A rule starts to act when its measure exceeds its limit and stops after `settle` seconds at or below `clear`;
     a latched one never stops: an operator looks at the drone and starts its agent again.
 
-    fence: where it flies;  ground: m. To take off and to land it leaves the fence downwards, and so far no rule but
+    fence: where it flies;  limit: the area beyond which its motors are cut, None: AROUND m around the fence;
+    ground: m. To take off and to land it leaves the fence downwards, and so far no rule but
     "stop" knows its floor.
     a_max: m/s2, with which it brakes. It brakes at the distance STOP |v|^2 / a_max from the fence that `stopping`
     needs, REACTION s before, so a drone that follows references comes to rest at the fence; one that flies a plan of
@@ -152,8 +159,9 @@ class Guard:
     """
 
     def __init__(
-        self, fence: Fence = ROOM, table: tuple[Rule, ...] = TABLE, a_max: float = 2.0, ground: float = 0.0
-    ) -> None:
+        self, fence: Fence = ROOM, table: tuple[Rule, ...] = TABLE, a_max: float = 2.0, ground: float = 0.0,
+        limit: Fence | None = None,
+    ) -> None:  # fmt: skip
         for rule in table:
             if rule.measure not in TEXT or (rule.clear > rule.limit and not rule.latched):
                 raise ConfigError("Guard: table", rule, f"a measure of {', '.join(TEXT)}; clear at or below limit")
@@ -163,9 +171,11 @@ class Guard:
         self._latched: dict[Rule, str] = {}  # a latched one, and why it began to act
         least = {m: min((r.limit for r in table if r.measure == m), default=math.inf) for m in TEXT}
         self._least_pose, self._least_reference = least["pose"], least["reference"]
-        self._least_stop = min(least["fence"], least["stop"])
+        self._least_stop = min(least["fence"], least["stop"], least["limit area"])
         self._reach = STOP / a_max
         self._whole = fence.with_floor(min(fence.low[2], ground - BELOW_GROUND))
+        limit = self._whole.grown(AROUND) if limit is None else limit
+        self._limit = limit.with_floor(min(limit.low[2], self._whole.low[2] - AROUND))
         self._flying, self._low = (np.array([*box.low, *box.high]) for box in (fence, self._whole))
 
     @property
@@ -196,12 +206,15 @@ class Guard:
 
     def _measured(self, state: State | None, pose_age: float, reference_age: float, stop: float) -> dict[str, float]:
         """The measures of the table."""
-        outside, broken = -math.inf, 0.0
+        outside, beyond, broken = -math.inf, -math.inf, 0.0
         if state is not None:
             x, y, z, *rest = state.flat.tolist()
-            outside = self._whole.outside(x, y, z)
+            outside, beyond = self._whole.outside(x, y, z), self._limit.outside(x, y, z)
             broken = 0.0 if math.isfinite(x + y + z + sum(rest)) else 1.0
-        return {"pose": pose_age, "reference": reference_age, "fence": outside, "stop": stop, "broken": broken}
+        return {
+            "pose": pose_age, "reference": reference_age, "fence": outside, "stop": stop, "limit area": beyond,
+            "broken": broken,
+        }  # fmt: skip
 
     def _judge(self, now: float, values: dict[str, float]) -> Verdict:
         """Start and stop rules, then let the worst one that acts speak."""

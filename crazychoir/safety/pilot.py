@@ -132,7 +132,7 @@ class Pilot(Actor):
     """Flies one drone; guidance calls `take_off`, `go_to`, `follow`, `hover`, `land`, its operator `hold` too.
 
     limits: [flight];  fence: where it flies, from the ground up at most;  rate: Hz, of its poses;  body: the address
-    that they come from, None: its own.
+    that they come from, None: its own;  limit_area: beyond which its motors are cut, None: the guard's.
     """
 
     name = "pilot"
@@ -140,7 +140,7 @@ class Pilot(Actor):
     def __init__(
         self, port: Port, link: Link, limits: Flight, fence: Fence, rate: float = 100.0,
         chosen: Controls | None = None, state_filter: StateFilter | None = None, body: int | None = None,
-        collision: CollisionFilter | None = None,
+        collision: CollisionFilter | None = None, limit_area: Fence | None = None,
     ) -> None:  # fmt: skip
         self.collision = collision
         self.port, self.link, self.limits = port, link, limits
@@ -152,7 +152,7 @@ class Pilot(Actor):
         ground = max(fence.low[2], limits.ground)
         self.fence = fence.with_floor(ground if self._takes_off else ground - BELOW_GROUND)
         self.flights = Flights(limits, self.fence, a_max)
-        self.guard = Guard(self.fence, a_max=a_max, ground=limits.ground)
+        self.guard = Guard(self.fence, a_max=a_max, ground=limits.ground, limit=limit_area)
         self.reference_limits = ReferenceLimits(limits, self.controls.gains)
         self.clock, self._stages = port.bus.clock, port.bus.stages
         self.drone = port.address

@@ -27,8 +27,11 @@ SIZES: dict[type[Any], int] = {FPQR: 4, FRPY: 4, Vel: 4, XYZ: 5, FullState: 14, 
 """Numbers in a command of each kind."""
 GONE = 3.0
 """s of silence after which a world's owner does not come back: all its drones have stopped their motors by then."""
+HANDS_OVER = 0.4
+"""s without a command after which a drone that is streamed commands is told to land by itself, if its firmware can:
+before that would level it out (0.5 s), and let it fall (2 s)."""
 LANDS = 1.0
-"""s without a command after which a drone whose planner is on board, which would fly on for good, is told to land."""
+"""The same of one that is sent places, seldom, and would fly on for good."""
 ASKS = 30.0
 """s for which a drone asks for log variables until its world's owner answers."""
 PATIENT = 5.0
@@ -161,15 +164,19 @@ class RemoteBody:
         return self._commanded_ns is not None and not self._was_cut and not self.world.resting(self.drone)
 
     def look(self) -> None:
-        """Nobody flies it any more: its motors stop, unless it has firmware that knows what to do, or lands it."""
-        planned = self.kind == "xyz"
-        limit = LANDS if planned else self.world.command_timeout
+        """Nobody flies it any more, as its agent is gone or hangs: its planner on board lands it, if it has one.
+
+        One that has none gets no thrust, as soon as its world says so; without that it is left to its engine.
+        """
+        on_board = "xyz" in self.world.flies
+        limit = self.world.command_timeout if not on_board else LANDS if self.kind == "xyz" else HANDS_OVER
         if limit is None or self._idle or not limit < self.silence < math.inf:
             return
         self._idle, rests = True, self.world.resting(self.drone)
-        self.link.send(self._down(rests) if planned else self._nothing())
+        if not self._was_cut:
+            self.link.send(self._down(rests) if on_board else self._nothing())
         if not rests:
-            does = "landing" if planned else "no thrust"
+            does = "landing" if on_board else "no thrust"
             log.warning("drone %d: no command for %.2f s, limit %.2f s: %s", self.drone, self.silence, limit, does)
 
     def _nothing(self) -> Command:

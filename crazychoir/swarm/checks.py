@@ -33,6 +33,10 @@ TOUCHING = 0.137
 sheet of the Crazyflie 2.1, Bitcraze), and half a propeller of 45 mm beyond each end."""
 FASTEST_PLANNED = 1.0
 """m/s, to which the firmware limits a drone that flies to places."""
+AROUND = 0.5
+"""m from the fence to the limit area, where the swarm file has none."""
+OUTSIDE = 0.3
+"""m, the least from the fence to the limit area: at 0.25 m a drone lands, see safety/guard.py."""
 OLDEST_POSE = 0.10
 """s: a drone whose pose is older brakes, see safety/guard.py; one that always is never flies."""
 
@@ -209,6 +213,28 @@ def _box(swarm: Swarm, where: str) -> None:
         )
 
 
+def limit_area(swarm: Swarm) -> tuple[Position, Position]:
+    """The corners of the area beyond which motors stop at once: [keep_out], else AROUND m around [fence]."""
+    (a, b, c), (d, e, f) = swarm.fence.min, swarm.fence.max
+    low, high = swarm.keep_out.min, swarm.keep_out.max
+    return low or (a - AROUND, b - AROUND, c - AROUND), high or (d + AROUND, e + AROUND, f + AROUND)
+
+
+def _limit_area(swarm: Swarm, where: str) -> None:
+    """A drone that leaves the fence lands before its motors are cut: it needs room for that, above and on each side."""
+    fence, (low, high) = swarm.fence, limit_area(swarm)
+    room = [a - b for a, b in zip(fence.min[:2], low[:2], strict=True)]
+    room += [b - a for a, b in zip(fence.max, high, strict=True)]
+    if min(room) < OUTSIDE or low[2] > fence.min[2]:
+        raise ConfigError(
+            f"{where}: keep_out",
+            _between(low, high),
+            f"{OUTSIDE:g} m or more around [fence], which goes from {_between(fence.min, fence.max)}",
+            "Widen it, shrink [fence], or leave [keep_out] out: 0.5 m around the fence.",
+            f"{min(room):.2g} m from a side of the fence" if min(room) < OUTSIDE else "its floor is above the fence's",
+        )
+
+
 def _homes(swarm: Swarm, where: str) -> None:
     low, high = swarm.fence.min, swarm.fence.max
     for n, drone in enumerate(swarm.drones):
@@ -371,7 +397,7 @@ def _partitions(swarm: Swarm, where: str) -> None:
 
 
 RULES = (
-    _uris, _platforms, _delay, _roles, _speed, _box, _homes, _cameras, _hosts, _placement, _world, _processes, _start,
-    _ports, _links, _partitions,
+    _uris, _platforms, _delay, _roles, _speed, _box, _limit_area, _homes, _cameras, _hosts, _placement, _world,
+    _processes, _start, _ports, _links, _partitions,
 )  # fmt: skip
 """In the order of their errors."""

@@ -157,6 +157,13 @@ class Fence(Table, frozen=True, kw_only=True):
     max: Position = (4.0, 4.0, 3.0)
 
 
+class KeepOut(Table, frozen=True, kw_only=True):
+    """[keep_out]: the limit area, world frame, beyond which motors stop at once; without it 0.5 m around the fence."""
+
+    min: Position | None = None
+    max: Position | None = None
+
+
 class Flight(Table, frozen=True, kw_only=True):
     """[flight]: ground: height of the floor, world frame; takeoff_height: above it; limits of references;
     operator: drones wait for an operator's take-off, and their missions for his start.
@@ -326,6 +333,7 @@ class Swarm(Table, frozen=True, kw_only=True):
     network: Network = Network()
     flight: Flight = Flight()
     fence: Fence = Fence()
+    keep_out: KeepOut = KeepOut()
     mocap: Mocap = Mocap()
     plant: Plant = Plant()
     motors: Motors = Motors()

@@ -125,8 +125,26 @@ def test_a_latched_rule_acts_for_good_and_says_why_it_began():
     guard.check(0.1, State.at((4.0, 0.0, 1.0)), 0.0, 0.0)
     verdict = guard.check(99.0, HERE, 0.0, 0.0)
     assert verdict.action == Action.CUT
-    assert verdict.reason == "1.00 m outside the fence, limit 0.50 m: motors cut, for good"
+    assert verdict.reason == "0.50 m outside the limit area, in the keep-out zone: motors cut, for good"
     assert guard.latched == "0.30 m outside the fence, limit 0.25 m: landing, for good"
+
+
+@pytest.mark.parametrize("limit", [None, Fence.box((-4.0, -4.0, -1.0), (4.0, 4.0, 3.2))], ids=["default", "given"])
+@pytest.mark.parametrize("side", range(5), ids=["-x", "-y", "x", "y", "z"])
+def test_beyond_the_limit_area_motors_are_cut_at_once(limit, side):
+    area = Fence.box((-3.5, -3.5, -0.7), (3.5, 3.5, 3.0)) if limit is None else limit
+    corners = [*area.low[:2], *area.high]
+    for beyond, action in ((-0.001, Action.LAND), (0.001, Action.CUT)):
+        p = np.array([0.0, 0.0, 1.0])
+        p[side if side < 2 else side - 2] = corners[side] + (beyond if side > 1 else -beyond)
+        verdict = Guard(limit=limit).check(0.0, State.at(p), 0.0, 0.0)
+        assert verdict.action == action, "the fence lands it, the limit area cuts"
+    assert verdict.measure == "limit area"
+
+
+def test_a_limit_area_cuts_nobody_who_lands_below_the_floor_of_the_fence():
+    guard = Guard(Fence.box((-3.0, -3.0, 0.0), (3.0, 3.0, 2.5)), limit=Fence.box((-4.0, -4.0, 0.0), (4.0, 4.0, 3.0)))
+    assert guard.check(0.0, State.at((0.0, 0.0, -0.1)), 0.0, None, True).action == Action.NOMINAL
 
 
 def test_a_rule_that_is_not_latched_is_forgotten():

@@ -192,6 +192,24 @@ async def test_a_long_gap_lands_it_and_a_longer_one_cuts_the_motors(clock):
 
 
 @virtual
+async def test_whoever_is_carried_beyond_the_limit_area_is_cut_within_a_tick(clock):
+    drone = Flown(clock, fence=((-0.5, -0.5, -0.2), (0.5, 0.5, 2.0)))
+    await drone.hovering()
+    crossed = []
+
+    def look():
+        drone.world.states[0, 3] += 0.3  # m/s a tick: by 3 g
+        crossed.append((drone.p[0] > 1.0, drone.pilot.mode is Mode.CUT))
+
+    await drone.fly(0.4, each=look)
+    before = sum(not out for out, _ in crossed)
+    assert 5 < before < len(crossed) - 5
+    assert not any(cut for _, cut in crossed[: before + 1]), "looked at before the tick"
+    assert all(cut for _, cut in crossed[before + 2 :])
+    assert drone.world._alive[0] == 0.0
+
+
+@virtual
 async def test_whoever_leaves_the_fence_brakes_then_lands_then_falls(clock):
     drone = Flown(clock, fence=((-0.5, -0.5, -0.2), (0.5, 0.5, 2.0)))
     await drone.hovering()
@@ -205,7 +223,8 @@ async def test_whoever_leaves_the_fence_brakes_then_lands_then_falls(clock):
     assert list(first) == [Mode.HOVER, Mode.LAND, Mode.CUT]
     said = [note.split(" m outside")[1] for note in dict.fromkeys(notes) if note]
     assert [text.partition(",")[2] for text in dict.fromkeys(said)] == [
-        " limit 0.00 m: braking", " limit 0.25 m: landing, for good", " limit 0.50 m: motors cut, for good",
+        " limit 0.00 m: braking", " limit 0.25 m: landing, for good",
+        " in the keep-out zone: motors cut, for good",
     ]  # fmt: skip
 
 

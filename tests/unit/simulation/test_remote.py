@@ -1,6 +1,7 @@
 """A drone and its body at two ports: what is obeyed, what is refused, who stops when nobody commands."""
 
 import asyncio
+from functools import partial
 
 import numpy as np
 import pytest
@@ -11,11 +12,12 @@ from crazychoir.bus.local import BODIES, Bus
 from crazychoir.bus.topics import BODY, COMMAND, CUT
 from crazychoir.math3d import yaw_of
 from crazychoir.platforms import PAPER
+from crazychoir.runtime.clock import run_virtual
 from crazychoir.simulation import remote
 from crazychoir.simulation.crazyflies import CrazyflieWorld
 from crazychoir.simulation.integrator import SILENCE, CFIntegrator
 from crazychoir.simulation.remote import GONE, OwnerWatch, RemoteBody, RemoteLink
-from crazychoir.types import FPQR, FRPY, XYZ, Body, Pose
+from crazychoir.types import FPQR, FRPY, XYZ, Body, Pose, Vel
 
 said: list[str] = []
 HOVER = FPQR(np.array([PAPER.weight, 0.0, 0.0, 0.0]))
@@ -166,6 +168,46 @@ async def test_an_engine_with_firmware_is_left_alone(clock):
     await clock.sleep(10.0)
     pair.body.look()
     assert pair.thrust == PAPER.weight
+
+
+def rises(k, weight):
+    """Rates of zero, with the thrust for a climb, then of hovering."""
+    return FPQR(np.array([weight * (1.06 if k < 100 else 0.97 if k < 180 else 1.0), 0.0, 0.0, 0.0]))
+
+
+def flies(k, weight):
+    """Velocities: up, then aside."""
+    return Vel(np.array([0.3 * (k > 150), 0.0, 0.4 if k < 150 else 0.0, 0.0]))
+
+
+@pytest.mark.parametrize(("kind", "command"), [("fpqr", rises), ("vel", flies)])
+def test_a_drone_whose_streamed_commands_end_is_landed_by_its_planner_on_board(kind, command):
+    run_virtual(partial(landed_by_its_planner, kind, command))
+
+
+async def landed_by_its_planner(kind, command, clock):
+    bus = Bus(clock)
+    drone, there = bus.port(3), bus.port(BODIES + 3)
+    world = CrazyflieWorld((3,), np.zeros((1, 3)), np.array([1.0]))
+    body = RemoteBody(there, world, world.link(3, kind), kind)
+    link = RemoteLink(drone)
+    there.publish(BODY, Body())
+    highest = lowest = 0.0
+    for k in range(900):
+        await clock.sleep(world.dt)
+        if k < 300:
+            link.send(command(k, world.platforms[0].weight))
+        world.step()
+        world.see(3, Pose(world.states[0, [0, 1, 2, 6, 7, 8, 9]]))
+        body.look()
+        state = world.state(3)
+        highest, lowest = max(highest, state.p[2]), min(lowest, state.v[2])
+    assert highest > 0.2
+    assert (world.resting(3), world.harm(3)) == (True, "")
+    assert lowest > -0.6, "it does not fall"
+    assert state.p[0] < 1.5
+    assert not any(world.onboard[3].record["motors"])
+    assert said == ["drone 3: no command for 0.41 s, limit 0.40 s: landing"]
 
 
 @virtual

@@ -16,8 +16,8 @@ CASES = {
         "",
         'x.toml: colour = "red": there is no such key; the keys here are name, drones, mission, mission_options, seed, '
         "graph, edges, directed, start, start_deadline, lost_after, lease, base_port, processes, hosts, network, "
-        "flight, fence, mocap, plant, motors, mujoco, world, control, roles. Remove it; keys of your own go into "
-        "[mission_options].",
+        "flight, fence, keep_out, mocap, plant, motors, mujoco, world, collision, control, roles. Remove it; keys of "
+        "your own go into [mission_options].",
     ),
     "misspelt key of a drone": (
         "",
@@ -45,7 +45,7 @@ CASES = {
         "flight = 3",
         "",
         "x.toml: flight: found 3; allowed: a table with ground, takeoff_height, speed_limit, acceleration_limit, "
-        "landing_speed.",
+        "landing_speed, operator.",
     ),
     "out of range in a table": (
         "network = { loss = 1.5 }",
@@ -194,6 +194,20 @@ CASES = {
         "",
         "x.toml: drones[2].home = [1.0, 1.0, 0.0]: outside the fence; [fence] goes from "
         "[-4.0, -4.0, 0.0] to [4.0, 0.9, 3.0]. Move the drone, or widen [fence].",
+    ),
+    "limit area at the fence": (
+        "keep_out.max = [4.5, 4.2, 3.5]",
+        "",
+        "x.toml: keep_out = [-4.5, -4.5, -0.5] to [4.5, 4.2, 3.5]: 0.2 m from a side of the fence; 0.3 m or more "
+        "around [fence], which goes from [-4.0, -4.0, 0.0] to [4.0, 4.0, 3.0]. "
+        "Widen it, shrink [fence], or leave [keep_out] out: 0.5 m around the fence.",
+    ),
+    "limit area above the floor": (
+        "keep_out.min = [-5, -5, 0.1]",
+        "",
+        "x.toml: keep_out = [-5.0, -5.0, 0.1] to [4.5, 4.5, 3.5]: its floor is above the fence's; 0.3 m or more around "
+        "[fence], which goes from [-4.0, -4.0, 0.0] to [4.0, 4.0, 3.0]. "
+        "Widen it, shrink [fence], or leave [keep_out] out: 0.5 m around the fence.",
     ),
     "fence upside down": (
         "fence.min = [0, 5, 0]",
