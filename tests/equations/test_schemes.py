@@ -6,7 +6,7 @@ from scipy.integrate import quad
 from scipy.linalg import expm, solve_discrete_are
 
 from crazychoir.guidance.aggregative import Defence
-from crazychoir.optimization.predictive_control import PredictiveControl, Prediction, integrators
+from crazychoir.optimization.predictive_control import Prediction, PredictiveControl, integrators
 from crazychoir.planning import smoothing
 from crazychoir.planning.smoothing import transition
 
@@ -81,7 +81,7 @@ def test_the_condensed_program_is_the_cost_of_the_steps():
     Q, P, R = np.diag([1.0, 0.5, 0.2]), np.diag([3.0, 2.0, 1.0]), np.array([[0.3]])
     free = np.zeros((0, 3)), np.zeros(0), np.zeros((0, 1)), np.zeros(0)
     of = Prediction(A, B, np.eye(1, 3), Q, R, *free, T, P=P)
-    program, x = PredictiveControl(of).program, draw.normal(size=3)
+    program, x = PredictiveControl(of).program.program, draw.normal(size=3)
     slope = PredictiveControl(of)._slope @ x
 
     def steps(u):

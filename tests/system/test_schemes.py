@@ -3,10 +3,13 @@
 import numpy as np
 import pytest
 
+from crazychoir.agent import Agent
 from crazychoir.errors import ConfigError
 from crazychoir.guidance.mission import load
+from crazychoir.guidance.mpc import MPCGuidance
 from crazychoir.launch.flight import fly_fast
 from crazychoir.launch.recording import recording_file
+from crazychoir.runtime.clock import SECOND, run_virtual
 from crazychoir.swarm.config import SwarmConfig
 
 pytestmark = pytest.mark.system
@@ -55,13 +58,81 @@ def test_defenders_follow_intruders_that_fly_and_the_same_ones_replayed_from_a_r
     assert again["flown_m"][3] == pytest.approx(first["flown_m"][3], abs=0.05)
 
 
-def test_a_row_moves_on_together_though_one_is_slow_and_messages_are_lost():
-    config, result = flown("mpc", 0.3, flight=QUICK, mission_options={"shift": [1.0, 0.5], "duration": 9.0})
+def test_a_row_moves_on_together_though_one_is_slow_and_messages_are_lost(monkeypatch):
+    flat, step = [], MPCGuidance.step
+
+    def kept(self, me, heard):
+        wanted = step(self, me, heard)
+        if self.id == 0:
+            flat.append(wanted.flat)
+        return wanted
+
+    monkeypatch.setattr(MPCGuidance, "step", kept)
+    _, result = flown("mpc", 0.3, flight=QUICK, mission_options={"shift": [1.0, 0.5], "duration": 9.0})
     assert result["success"], result["reasons"]
     assert result["formation_error_m"] < 0.02
     assert 0.25 < result["most_ahead_m"] <= result["reach_m"] == 0.35, "the constraint counts, and holds"
     assert all(count >= 10 for count in result["solved"].values())
     assert set(result["infeasible"].values()) == {0}
+    p, v, a, j = (np.array(flat)[:, 3 * n : 3 * n + 3] for n in range(4))
+    for slope, x, most in ((v, p, 1e-4), (a, v, 1e-3), (j, a, 0.05)):  # a reference of which only the jerk jumps
+        assert np.abs(np.diff(x, axis=0) - 0.005 * (slope[1:] + slope[:-1])).max() < most
+
+
+def test_a_row_waits_for_a_drone_that_its_operator_holds():
+    mission = load("mpc")
+    options = {"shift": [1.5, 0.0], "duration": 14.0}
+    config = mission.swarm(None).replace(flight=QUICK, mission_options=options)
+
+    async def main(clock):
+        agent = Agent(clock, config, mission, config.ids)
+        for seconds, on in ((4.0, True), (8.0, False)):
+            clock.call_at(round(seconds * SECOND), agent.drones[1].pilot.hold, on)
+        return await agent.run()
+
+    results = run_virtual(main)
+    way = {i: np.array(result["way"]) for i, result in results.items()}
+    held = (way[1][:, 0] > 4.0) & (way[1][:, 0] < 5.0)
+    assert np.ptp(way[1][held, 1]) < 0.01, "it stood"
+    ahead, _ = mission.most_ahead(config, results)
+    assert 0.3 < ahead < 0.9, "they waited: a step until it is seen, one until it is decided, and brakes; of 1.5 m"
+    assert all(result["infeasible"] == 0 for result in results.values())
+    for i, result in results.items():
+        assert np.linalg.norm(result["place"][:2] - mission.goal(config)[i][:2]) < 0.03
+
+
+@pytest.mark.parametrize("until", [{"until": 8.0}, {}])
+def test_defenders_go_on_after_a_partition_and_land_when_a_mate_is_lost(until):
+    network = {"partitions": [{"at": 6.0, "groups": [[0], [1, 2]], **until}]}
+    options = {"duration": 9.0}
+    _, result = flown("aggregative", flight=QUICK, network=network, lost_after=3.0, mission_options=options)
+    assert result["success"] is bool(until)
+    assert result["results"][0]["success"] is bool(until)
+    assert (result["reasons"] == {}) is bool(until)
+    assert all(result["results"][i]["success"] or "left [" in result["reasons"][i] for i in range(3)), result["reasons"]
+
+
+def test_defenders_that_stand_wrong_or_follow_late_are_no_success():
+    mission = load("aggregative")
+    config = mission.swarm(None)
+    t = np.arange(0.0, 12.0, 0.1)
+    seen = {i: np.column_stack([t, *np.outer([x, y], 1.0 + 0.1 * t), 0 * t]) for i, (x, y) in enumerate(mission.STILL)}
+
+    def judged(late, off):
+        """Defenders that are half-way `late` s late, the first one also `off` m aside."""
+        results = {}
+        for i, rows in seen.items():
+            way = rows.copy()
+            way[:, 1:3] = 0.5 * rows[:, 1:3] * ((1.0 + 0.1 * (t - late)) / (1.0 + 0.1 * t))[:, None]
+            way[-1, 1:3] = 0.5 * rows[-1, 1:3] + [off if i == 0 else 0.0, 0.0]
+            results[i] = {"way": way.tolist(), "intruder_way": rows.tolist(), "rounds": 1}
+        return mission.report(config, results)
+
+    assert judged(1.0, 0.0)["success"] is True
+    assert judged(1.0, 0.0)["lag_s"] == pytest.approx(1.0, abs=0.05)
+    assert "s late, allowed 1.5 s" in judged(2.5, 0.0)["reasons"][0]
+    assert "0.030 m from its place" in judged(0.0, 0.03)["reasons"][0]
+    assert judged(0.0, 0.0).keys() >= {"lag_s", "following_rms_m", "final_error_m"}
 
 
 def test_four_cross_a_square_in_time():
@@ -77,7 +148,7 @@ def test_four_cross_a_square_in_time():
 
 
 def test_two_exchange_their_places_head_on():
-    config, result = flown("head_on", flight=QUICK)
+    _, result = flown("head_on", flight=QUICK)
     assert result["success"], result["reasons"]
     for i, end in ((0, [1.0, -0.1]), (1, [-1.0, 0.1])):
         assert np.linalg.norm(np.subtract(result["results"][i]["way"][-1][1:3], end)) < 0.02

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from crazychoir.errors import ConfigError
-from crazychoir.optimization.predictive_control import PredictiveControl, Prediction, SequentialMPC, integrators
+from crazychoir.optimization.predictive_control import Prediction, PredictiveControl, SequentialMPC, integrators
 
 ONE, BOTH = np.eye(1), np.array([[1.0], [-1.0]])
 H, T, REACH, X_MAX, TALKS = 1.0, 10, 2.0, 10.0, 10
@@ -106,12 +106,23 @@ def test_who_hears_nobody_goes_on_with_its_plan_and_stops_at_its_end():
     np.testing.assert_array_equal(x[-1], x[-2])
 
 
+def test_who_is_out_of_reach_gets_no_further_and_comes_back():
+    agents = team([0.5, 0.5], starts=(5.0, 8.0))
+    x, _ = run(agents, 20)
+    apart = np.ptp(x, axis=1)
+    assert (np.diff(apart[:8]) <= 1e-9).all()
+    assert apart[0] == 3.0
+    assert apart[3:].max() <= REACH + 1e-9
+    assert agents[0].tally.loosened > 0
+    assert agents[0].tally.infeasible == 0
+
+
 def test_what_is_infeasible_is_said_and_the_last_plan_goes_on():
-    lonely = team([0.5, 0.5], starts=(5.0, 8.0), reach=2.0)  # further apart than they may be, and than an input mends
-    x, _ = run(lonely, 1)
-    assert lonely[0].tally.infeasible == 1
-    assert lonely[0].tally.why == "step 0: infeasible"
-    assert lonely[0].x[0] == x[0, 0], "its first plan: to stay"
+    outside = team([0.5, 0.5], starts=(11.0, 10.0))  # |x| <= 10 is further away than an input goes
+    x, _ = run(outside, 1)
+    assert outside[0].tally.infeasible == 1
+    assert outside[0].tally.why == "step 0: infeasible"
+    assert outside[0].x[0] == x[0, 0], "its first plan: to stay"
 
 
 def test_one_that_is_elsewhere_says_so():

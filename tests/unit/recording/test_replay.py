@@ -12,7 +12,7 @@ from crazychoir.swarm.config import SwarmConfig
 from crazychoir.types import FPQR, State
 
 DT = 0.01
-ROWS = "t,x,y,z,yaw,vx,vy,vz\n0,1,0,0,0,0,0,0\n1,1,0,1,0.5,0,0,1\n2,1,1,1,1,0,0,0\n"
+ROWS = "t,x,y,z,yaw,vx,vy,vz\n0,1,0,0,0,0,0,0\n1,1,0,1,0.5,0,0,1\n2,1,1,1,1,0,0.4,0\n"
 
 
 @pytest.fixture
