@@ -35,7 +35,7 @@ TOLERANCE = 0.02
 """m from its place at the end, when the intruders stand."""
 LATEST = 1.5
 """s that a defender may be behind what moves."""
-TRANSIENT = 8.0
+TRANSIENT = 4.0
 """s of the law in which the team comes together: not counted as lag."""
 
 
@@ -194,8 +194,8 @@ def report(config: SwarmConfig, results: Results) -> dict[str, Any]:
     t, flown, wanted = ways(config, results)
     far = np.linalg.norm(flown - wanted, axis=2)
     moving = t > TRANSIENT
-    moves = float(np.ptp(wanted[moving], axis=0).max()) > TOLERANCE
-    late = lag(t[moving], flown[moving], wanted[moving]) if moves else 0.0
+    moves = bool(moving.any()) and float(np.ptp(wanted[moving], axis=0).max()) > TOLERANCE
+    late = lag(t, flown, wanted) if moves else 0.0
     reasons = {
         i: f"{end:.3f} m from its place between intruder and target at the end, allowed {TOLERANCE} m"
         for i, end in zip(team, far[-1].tolist(), strict=True) if end > TOLERANCE
@@ -224,9 +224,9 @@ def ways(config: SwarmConfig, results: Results) -> tuple[Vec, Mat, Mat]:
     return np.array(results[team[0]]["way"])[:rows, 0], flown.swapaxes(0, 1), wanted
 
 
-def lag(t: Vec, flown: Mat, wanted: Mat, most: float = 3.0) -> float:
-    """s by which `flown` is late: the shift of `wanted` (T, N, 2), known at t (T,), that fits it best."""
-    shifts, inner = np.arange(0.0, most, 0.02), t >= t[0] + most
+def lag(t: Vec, flown: Mat, wanted: Mat) -> float:
+    """s by which `flown` is late after the transient: the shift of `wanted` (T, N, 2), at t (T,), that fits it best."""
+    shifts, inner = np.arange(0.0, 3.0, 0.02), t > TRANSIENT
     series = wanted.reshape(len(t), -1).T
 
     def misfit(shift: float) -> float:

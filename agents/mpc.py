@@ -154,7 +154,7 @@ def report(config: SwarmConfig, results: Results) -> dict[str, Any]:
     reach = given(config).reach
     if ahead > reach:
         reasons[pair[0]] = f"{ahead:.3f} m ahead of or behind drone {pair[1]}, allowed {reach} m"
-    count = {name: {i: results[i][name] for i in config.ids} for name in ("solved", "kept", "infeasible")}
+    count = {name: {i: results[i][name] for i in config.ids} for name in ("solved", "loosened", "kept", "infeasible")}
     return {"success": not reasons, "reasons": reasons, "reach_m": reach, "most_ahead_m": ahead, **count}
 
 

@@ -19,7 +19,7 @@ log = logging.getLogger(__name__)
 CHANNEL = "mpc"
 TALKS = 10
 """Times in a step that a drone listens, and says again what it has decided: so often it may be lost."""
-TUBE = 0.2
+TUBE = 0.1
 """m, off its plan, from which on a drone plans from where it is."""
 
 
@@ -64,7 +64,7 @@ class MPCGuidance(CFDistributedFeedback):
     flies what was decided when the step begins, else its own last plan. A plan begins where the last one leads (the
     nominal state of a tube controller; what flies it holds the drone in the tube); a drone that is pushed further than
     TUBE off stays there, and plans from there.
-    goal: (2,) m;  reach: m.  Result: solved, kept, infeasible, steps of each kind;  why, the last;  way, of `Way`.
+    goal: (2,) m;  reach: m.  Result: how many steps were solved, loosened, kept, infeasible, see Tally;  way, of `Way`.
     Source: Richards & How 2007, see SequentialMPC; Mayne, Seron & Rakovic 2005, Automatica 41(2), for the tube.
     """
 

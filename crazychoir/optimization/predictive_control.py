@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,8 @@ from crazychoir.math3d import Mat, Vec
 from crazychoir.optimization.messages import INTEGER, malformed, parts
 from crazychoir.optimization.quadratic import MovingProgram, Polyhedron
 
+DEAR = 1e4
+"""Price of being out of reach by 1: beyond what it is worth to anybody."""
 LEAST = 1e-12
 """A row of constraints whose length is below this is not in the hands of the inputs."""
 
@@ -54,6 +57,26 @@ class Prediction:
         return np.array(found)
 
 
+class _Program:
+    """A quadratic program over z whose bounds and slopes move, its rows scaled once.
+
+    P: (n, n);  rows: (m, n), of rows z <= bounds;  ends: (l, n), of ends z = e.
+    """
+
+    def __init__(self, P: Mat, rows: Mat, ends: Mat) -> None:
+        lengths = np.linalg.norm(rows, axis=1)
+        self._kept = lengths > LEAST
+        self._lengths = lengths[self._kept]
+        scaled = np.ascontiguousarray(rows[self._kept] / self._lengths[:, None])
+        over = Polyhedron(scaled, np.zeros(len(scaled)), ends, np.zeros(len(ends)))
+        self.program = MovingProgram(0.5 * (P + P.T), np.zeros(len(P)), over)
+
+    def solve(self, slope: Vec, bounds: Vec, e: Vec) -> Vec | str:
+        """z (n,), or why there is none."""
+        self.program.move(bounds[self._kept] / self._lengths, e)
+        return self.program.solve(slope)
+
+
 class PredictiveControl:
     """The quadratic program of a Prediction, over its inputs alone, compiled once for all states and neighbours.
 
@@ -62,7 +85,7 @@ class PredictiveControl:
 
     reach: m, or whatever y is in:  |y_t - y_j,t| <= reach, in each entry, for t = 1..T and all others j; None: no such
     constraint. That is  max_j y_j,t - reach <= C x_t <= min_j y_j,t + reach:  two rows however many others there are.
-    Raises ConfigError where R is not positive definite, or a shape is wrong.
+    Raises ConfigError where R is not positive definite.
     """
 
     def __init__(self, of: Prediction, reach: float | None = None) -> None:
@@ -70,18 +93,13 @@ class PredictiveControl:
         self.F, self.H = _condensed(of.A, of.B, of.T)
         weights = np.kron(np.eye(of.T), of.Q)
         weights[-len(of.A) :, -len(of.A) :] = 0.0 if of.P is None else of.P
-        hessian = 2.0 * (self.H.T @ weights @ self.H + np.kron(np.eye(of.T), of.R))
+        self._hessian = 2.0 * (self.H.T @ weights @ self.H + np.kron(np.eye(of.T), of.R))
         self._slope = 2.0 * self.H.T @ weights @ self.F
         end = np.zeros((0, len(of.A))) if of.Z is None else of.Z
-        self._end, ends = end @ self.F[-len(of.A) :], end @ self.H[-len(of.A) :]
-        rows, self._moved, self._fixed = self._constraints()
-        lengths = np.linalg.norm(rows, axis=1)
-        self._kept = lengths > LEAST
-        self._lengths = lengths[self._kept]
-        rows = np.ascontiguousarray(rows[self._kept] / self._lengths[:, None])
-        over = Polyhedron(rows, np.zeros(len(rows)), ends, np.zeros(len(ends)))
+        self._end, self._ends = end @ self.F[-len(of.A) :], end @ self.H[-len(of.A) :]
+        self._rows, self._moved, self._fixed = self._constraints()
         try:
-            self.program = MovingProgram(0.5 * (hessian + hessian.T), np.zeros(len(hessian)), over)
+            self.program = _Program(self._hessian, self._rows, self._ends)
         except np.linalg.LinAlgError as error:
             raise ConfigError("Prediction: R", f"{error}", "a positive definite matrix") from error
 
@@ -97,18 +115,38 @@ class PredictiveControl:
         moved = np.vstack([state @ self.F, none, *(part @ self.F for part in near)])
         return rows, moved, np.concatenate([np.tile(of.f, of.T), np.tile(of.h, of.T)])
 
+    @cached_property
+    def _soft(self) -> _Program:
+        """The program with one variable more, s: the excess of the reach."""
+        size, near = len(self._hessian), np.arange(len(self._rows)) >= len(self._fixed)
+        P = np.zeros((size + 1, size + 1))
+        P[:size, :size], P[size, size] = self._hessian, 1.0
+        rows = np.vstack([np.column_stack([self._rows, -1.0 * near]), -np.eye(1, size + 1, size)])
+        return _Program(P, rows, np.column_stack([self._ends, np.zeros(len(self._ends))]))
+
     def solve(self, x: Vec, others: Mat) -> Mat | str:
         """The inputs (T, m) from x (n,), or why there are none: "infeasible", "too many steps", "not finite".
 
         others: (J, T, d), what y of the J others will be at t = 1..T.
         """
+        found = self.program.solve(self._slope @ x, self._bounds(x, others), -self._end @ x)
+        return found if isinstance(found, str) else found.reshape(self.of.T, -1)
+
+    def approach(self, x: Vec, others: Mat) -> Mat | str:
+        """The same where it is infeasible, as x is out of reach: as little out of reach as it can be.
+
+            |y_t - y_j,t| <= reach + s,  s >= 0,  with DEAR s + s^2 / 2 more to minimise
+        """
+        slope, bounds = np.append(self._slope @ x, DEAR), np.append(self._bounds(x, others), 0.0)
+        found = self._soft.solve(slope, bounds, -self._end @ x)
+        return found if isinstance(found, str) else found[:-1].reshape(self.of.T, -1)
+
+    def _bounds(self, x: Vec, others: Mat) -> Vec:
         bounds = [self._fixed]
         if self.reach is not None:
             bounds += [self.reach + others.min(axis=0).reshape(-1), self.reach - others.max(axis=0).reshape(-1)]
-        left = (np.concatenate(bounds) - self._moved @ x)[self._kept] / self._lengths
-        self.program.move(left, -self._end @ x)
-        found = self.program.solve(self._slope @ x)
-        return found if isinstance(found, str) else found.reshape(self.of.T, -1)
+        left: Vec = np.concatenate(bounds) - self._moved @ x
+        return left
 
 
 def _condensed(A: Mat, B: Mat, T: int) -> tuple[Mat, Mat]:
@@ -126,9 +164,14 @@ def _condensed(A: Mat, B: Mat, T: int) -> tuple[Mat, Mat]:
 
 @dataclass
 class Tally:
-    """How the steps went: solved; kept, as not all neighbours were heard of in time; infeasible, and kept; why last."""
+    """How the steps went.
+
+    solved;  loosened: of these, out of reach of neighbours, on the way back;  kept: not all neighbours were heard of in
+    time;  infeasible, and kept;  why, the last time.
+    """
 
     solved: int = 0
+    loosened: int = 0
     kept: int = 0
     infeasible: int = 0
     why: str = ""
@@ -145,6 +188,7 @@ class SequentialMPC:
     plans that do not. A robot that does not hear enough before the step begins, or whose problem is infeasible, goes on
     with its own last plan, which all know already: where plans end in a set that K keeps (Z x = 0 with K = 0, say) that
     always fits, whatever is lost. Nothing is waited for, and messages may come late, twice or never.
+    Where nothing fits, as one of them was pushed away, a plan is as little out of reach as it can be.
     x: (n,), where it is when step k begins;  inputs: (T, m), its plan from then on;  k: the step that is being decided.
     Source: Richards & How 2007, "Robust distributed model predictive control", Int. Journal of Control 80(9).
     """
@@ -214,11 +258,14 @@ class SequentialMPC:
         T = self.control.of.T
         plans = [self._told_of[j] for j in self.neighbors]
         others = np.array([y[self.k - k + 1 : self.k - k + 1 + T] for k, y in plans])
-        found = self.control.solve(self.x, others)
+        tally, found = self.tally, self.control.solve(self.x, others)
+        if isinstance(found, str) and self.control.reach is not None:
+            tally.loosened += 1
+            found = self.control.approach(self.x, others)
         if isinstance(found, str):
-            self.tally.infeasible, self.tally.why = self.tally.infeasible + 1, f"step {self.k}: {found}"
+            tally.infeasible, tally.why = tally.infeasible + 1, f"step {self.k}: {found}"
         else:
-            self.tally.solved += 1
+            tally.solved += 1
         self._decide(self.inputs if isinstance(found, str) else found)
 
     def _decide(self, inputs: Mat) -> None:

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog
 
-from crazychoir.optimization.quadratic import Polyhedron, QuadraticProgram
+from crazychoir.optimization.quadratic import MovingProgram, Polyhedron, QuadraticProgram
 
 NONE = np.zeros((0, 2)), np.zeros(0)
 
@@ -119,3 +119,18 @@ def test_a_hessian_that_is_flat_where_the_equalities_forbid_to_go_is_not():
     over = Polyhedron.of(*NONE, np.array([[0.0, 1.0]]), np.array([3.0]))
     program = QuadraticProgram(np.diag([1.0, 0.0]), np.zeros(2), over)
     np.testing.assert_allclose(program.solve(np.array([-2.0, 7.0])), [2, 3])
+
+
+def test_a_program_whose_bounds_move_is_the_one_with_those_bounds():
+    draw, n, m = np.random.default_rng(4), 6, 9
+    L, A, E = draw.normal(size=(n, n)), draw.normal(size=(m, n)), draw.normal(size=(2, n))
+    A /= np.linalg.norm(A, axis=1)[:, None]
+    P, q = L @ L.T + np.eye(n), draw.normal(size=n)
+    moving = MovingProgram(P, q, Polyhedron(A, np.zeros(m), E, np.zeros(2)))
+    for _ in range(10):
+        x, p = draw.normal(size=(2, n))
+        b, e = A @ x + draw.uniform(0.0, 0.5, m), E @ x
+        moving.move(b, e)
+        found = moving.solve(p)
+        np.testing.assert_allclose(found, QuadraticProgram(P, q, Polyhedron(A, b, E, e)).solve(p), atol=1e-10)
+        np.testing.assert_allclose(E @ found, e, atol=1e-10)

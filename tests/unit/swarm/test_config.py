@@ -302,3 +302,19 @@ def test_files_of_options_are_relative_to_the_swarm_file(tmp_path: Path, monkeyp
     found = {"instance": str(tmp_path / "own.json"), "drawing": str(tmp_path / "lab" / "a.csv"), "method": "x"}
     assert config.mission_options == found
     assert SwarmConfig.loads(config.dumps()) == config
+
+
+def test_recordings_that_drones_replay_are_relative_to_the_swarm_file_and_count_by_content(tmp_path: Path) -> None:
+    drones = [{"id": 0, "home": [0, 0, 0], "uri": "replay://../a.csv?drone=2"}, {"id": 1, "home": [1, 0, 0]}]
+    for lab in ("here", "there"):
+        (tmp_path / lab / "lab").mkdir(parents=True)
+        (tmp_path / lab / "a.csv").write_text("t,x,y,z,yaw")
+        text = square().replace(drones=drones, graph="path").dumps()
+        (tmp_path / lab / "lab" / "own.json").write_text(text)
+    here, there = (SwarmConfig.load(tmp_path / lab / "lab" / "own.json") for lab in ("here", "there"))
+    assert here.drone(0).uri == f"replay://{tmp_path / 'here' / 'a.csv'}?drone=2"
+    assert here.drone(1).uri == "sim://"
+    assert here.digest() == there.digest()
+    (tmp_path / "there" / "a.csv").write_text("x,y")
+    assert here.digest() != there.digest()
+    assert SwarmConfig.loads(here.dumps()) == here

@@ -1,0 +1,237 @@
+"""The cooperative schemes fly to their goals, headless, over lossy links, and refuse what they cannot fly."""
+
+import numpy as np
+import pytest
+
+from crazychoir.agent import Agent
+from crazychoir.errors import ConfigError
+from crazychoir.guidance.mission import load
+from crazychoir.guidance.mpc import MPCGuidance
+from crazychoir.launch.flight import fly_fast
+from crazychoir.launch.recording import recording_file
+from crazychoir.runtime.clock import SECOND, run_virtual
+from crazychoir.swarm.config import SwarmConfig
+
+pytestmark = pytest.mark.system
+QUICK = {"takeoff_height": 0.5, "landing_speed": 1.0}
+
+
+def flown(name, loss=0.0, file=None, config=None, **changes):
+    """A mission's own swarm, or this one, with changes, in virtual time; checked first, as `run` does."""
+    mission = load(name)
+    config = (config or mission.swarm(None)).replace(**{"network": {"loss": loss}, **changes})
+    mission.check(config, False)
+    return config, fly_fast(config, mission, file=file)
+
+
+@pytest.mark.parametrize(
+    ("x", "loss", "places"),
+    [(0.0, 0.3, {0: [-0.5, 0.5], 1: [-0.5, -0.5], 2: [0.5, 0.0]}),
+     (0.2, 0.0, {0: [-0.3, 0.5], 1: [-0.3, -0.5], 2: [0.7, 0.0]})],
+)  # fmt: skip
+def test_defenders_end_between_their_intruders_and_the_target(x, loss, places):
+    intruders = [[x - 1.0, 1.0], [x - 1.0, -1.0], [x + 1.0, 0.0]]
+    options = {"target": [x, 0.0], "intruders": intruders, "duration": 6.0}
+    _, result = flown("aggregative", loss, flight=QUICK, mission_options=options)
+    assert result["success"], result["reasons"]
+    for i, place in places.items():
+        assert np.linalg.norm(np.subtract(result["places"][i], place)) < 0.01
+    assert result["final_error_m"] < 0.01
+
+
+def test_defenders_follow_intruders_that_fly_and_the_same_ones_replayed_from_a_recording(repository, tmp_path):
+    config = SwarmConfig.load(repository / "deploy" / "aggregative_moving.toml")
+    options, path = {"leg": 7.0, "legs": 1}, tmp_path / "a.mcap"
+    with recording_file(path, config, virtual=True) as file:
+        config, first = flown("aggregative", file=file, config=config, flight=QUICK, mission_options=options)
+    drones = [
+        {"id": i, "home": config.drone(i).home, "role": config.drone(i).role, **replayed}
+        for i, replayed in enumerate([{}] * 3 + [{"uri": f"replay://{path}"}] * 3)
+    ]
+    _, again = flown("aggregative", config=config, drones=drones)
+    for result in (first, again):
+        assert result["success"], result["reasons"]
+        assert result["final_error_m"] < 0.01
+        assert 0.3 < result["lag_s"] < 1.0
+        assert result["min_separation_m"] > 0.3
+    assert again["results"][3] == {"success": True}, "it has flown nothing by itself"
+    assert again["flown_m"][3] == pytest.approx(first["flown_m"][3], abs=0.05)
+
+
+def test_a_row_moves_on_together_though_one_is_slow_and_messages_are_lost(monkeypatch):
+    flat, step = [], MPCGuidance.step
+
+    def kept(self, me, heard):
+        wanted = step(self, me, heard)
+        if self.id == 0:
+            flat.append(wanted.flat)
+        return wanted
+
+    monkeypatch.setattr(MPCGuidance, "step", kept)
+    _, result = flown("mpc", 0.3, flight=QUICK, mission_options={"shift": [1.0, 0.5], "duration": 9.0})
+    assert result["success"], result["reasons"]
+    assert result["formation_error_m"] < 0.02
+    assert 0.25 < result["most_ahead_m"] <= result["reach_m"] == 0.35, "the constraint counts, and holds"
+    assert all(count >= 10 for count in result["solved"].values())
+    assert set(result["infeasible"].values()) == {0}
+    p, v, a, j = (np.array(flat)[:, 3 * n : 3 * n + 3] for n in range(4))
+    for slope, x, most in ((v, p, 1e-4), (a, v, 1e-3), (j, a, 0.05)):  # a reference of which only the jerk jumps
+        assert np.abs(np.diff(x, axis=0) - 0.005 * (slope[1:] + slope[:-1])).max() < most
+
+
+def test_a_row_waits_for_a_drone_that_its_operator_holds():
+    mission = load("mpc")
+    options = {"shift": [1.5, 0.0], "duration": 14.0}
+    config = mission.swarm(None).replace(flight=QUICK, mission_options=options)
+
+    async def main(clock):
+        agent = Agent(clock, config, mission, config.ids)
+        for seconds, on in ((4.0, True), (8.0, False)):
+            clock.call_at(round(seconds * SECOND), agent.drones[1].pilot.hold, on)
+        return await agent.run()
+
+    results = run_virtual(main)
+    way = {i: np.array(result["way"]) for i, result in results.items()}
+    held = (way[1][:, 0] > 4.0) & (way[1][:, 0] < 5.0)
+    assert np.ptp(way[1][held, 1]) < 0.01, "it stood"
+    ahead, _ = mission.most_ahead(config, results)
+    assert 0.3 < ahead < 0.9, "they waited: a step until it is seen, one until it is decided, and brakes; of 1.5 m"
+    assert all(result["infeasible"] == 0 for result in results.values())
+    for i, result in results.items():
+        assert np.linalg.norm(result["place"][:2] - mission.goal(config)[i][:2]) < 0.03
+
+
+@pytest.mark.parametrize("until", [{"until": 8.0}, {}])
+def test_defenders_go_on_after_a_partition_and_land_when_a_mate_is_lost(until):
+    network = {"partitions": [{"at": 6.0, "groups": [[0], [1, 2]], **until}]}
+    options = {"duration": 9.0}
+    _, result = flown("aggregative", flight=QUICK, network=network, lost_after=3.0, mission_options=options)
+    assert result["success"] is bool(until)
+    assert result["results"][0]["success"] is bool(until)
+    assert (result["reasons"] == {}) is bool(until)
+    assert all(result["results"][i]["success"] or "left [" in result["reasons"][i] for i in range(3)), result["reasons"]
+
+
+def test_defenders_that_stand_wrong_or_follow_late_are_no_success():
+    mission = load("aggregative")
+    config = mission.swarm(None)
+    t = np.arange(0.0, 12.0, 0.1)
+    seen = {i: np.column_stack([t, *np.outer([x, y], 1.0 + 0.1 * t), 0 * t]) for i, (x, y) in enumerate(mission.STILL)}
+
+    def judged(late, off):
+        """Defenders that are half-way `late` s late, the first one also `off` m aside."""
+        results = {}
+        for i, rows in seen.items():
+            way = rows.copy()
+            way[:, 1:3] = 0.5 * rows[:, 1:3] * ((1.0 + 0.1 * (t - late)) / (1.0 + 0.1 * t))[:, None]
+            way[-1, 1:3] = 0.5 * rows[-1, 1:3] + [off if i == 0 else 0.0, 0.0]
+            results[i] = {"way": way.tolist(), "intruder_way": rows.tolist(), "rounds": 1}
+        return mission.report(config, results)
+
+    assert judged(1.0, 0.0)["success"] is True
+    assert judged(1.0, 0.0)["lag_s"] == pytest.approx(1.0, abs=0.05)
+    assert "s late, allowed 1.5 s" in judged(2.5, 0.0)["reasons"][0]
+    assert "0.030 m from its place" in judged(0.0, 0.03)["reasons"][0]
+    assert judged(0.0, 0.0).keys() >= {"lag_s", "following_rms_m", "final_error_m"}
+
+
+def test_four_cross_a_square_in_time():
+    goals = {
+        str(k): [[2.5, x, y, z], [9.5, -x, -y, z], [14.5, y, -x, z]]
+        for k, (x, y, z) in enumerate([(1, 1, 0.55), (-1, 1, 0.85), (-1, -1, 1.15), (1, -1, 1.45)])
+    }
+    _, result = flown("goto", flight=QUICK, graph="path", mission_options={"goals": goals})
+    assert result["success"], result["reasons"]
+    assert max(max(errors) for errors in result["goal_errors_m"].values()) < 0.02
+    assert [len(errors) for errors in result["goal_errors_m"].values()] == [3] * 4
+    assert result["min_separation_m"] > 0.25
+
+
+def test_two_exchange_their_places_head_on():
+    _, result = flown("head_on", flight=QUICK)
+    assert result["success"], result["reasons"]
+    for i, end in ((0, [1.0, -0.1]), (1, [-1.0, 0.1])):
+        assert np.linalg.norm(np.subtract(result["results"][i]["way"][-1][1:3], end)) < 0.02
+    assert result["min_separation_m"] > 0.25
+
+
+def test_targets_are_reached_one_after_the_other_by_one_command(here):
+    said = here("crazychoir", "run", "targets", "--fast", "--json")
+    assert said.code == 0, said.err
+    times = said.json["reached_s"]["0"]
+    assert len(times) == said.json["targets"] == 5
+    assert times == sorted(times)
+
+
+def test_a_word_that_is_not_flown_as_it_was_drawn_is_no_success():
+    mission = load("drawn_path")
+    config = mission.swarm(1)
+    path = mission.drawn(config, 0).path
+    rows = [[t, *path.sample(t).p.tolist()] for t in np.arange(0.0, path.duration, 0.1)]
+    good = mission.report(config, {0: {"way": rows}})
+    assert good["success"]
+    assert good["written_mm"][0] < 15.0
+    for wrong in (rows[: len(rows) // 2], [[t, x, y + 0.05, z] for t, x, y, z in rows], []):
+        report = mission.report(config, {0: {"way": wrong}})
+        assert report["success"] is False
+        assert "from its drawing, allowed 30 mm" in report["reasons"][0]
+
+
+def six(edges, role="intruder"):
+    """Three defenders and three others in a row."""
+    drones = [{"id": i, "home": [0.5 * i, 0.0, 0.0], "role": role if i > 2 else ""} for i in range(6)]
+    return {"name": "six", "drones": drones, "edges": edges}
+
+
+def goals_of(**goals):
+    return {"graph": "path", "mission_options": {"goals": goals}}
+
+
+PATH = [[0, 1], [1, 2], [0, 3], [1, 4]]
+
+
+@pytest.mark.parametrize(
+    ("name", "changes", "says"),
+    [
+        ("aggregative", {"graph": "empty"}, "graph.*not connected by themselves"),
+        ("aggregative", {"mission_options": {"intruders": [[1, 1]]}}, "1 places in mission_options.intruders.*3: one"),
+        ("aggregative", {"mission_options": {"intruders": [[9, 9], [1, 1], [1, 0]]}}, "drone 0 would end at.*fence"),
+        ("aggregative", {"mission_options": {"step_size": -1}}, "step_size: found -1.*positive"),
+        ("aggregative", {"mission_options": {"weights": [0, 1, 0]}}, "weights"),
+        ("aggregative", {"mission_options": {"target": "here"}}, "target.*see agents/aggregative.py"),
+        ("aggregative", six([*PATH, [4, 5]]), "no edge 2-5.*Add the edge .2, 5."),
+        ("aggregative", six([[0, 3], [1, 3], [2, 3], [3, 4], [3, 5]]), "not connected by themselves"),
+        ("aggregative", six([*PATH, [2, 5]], role="scout"), "3 places in mission_options.intruders.*6: one"),
+        ("mpc", {"graph": "empty"}, "graph.*undirected and connected"),
+        ("mpc", {"mission_options": {"shift": [9, 0]}}, "drone 0: goal.*inside .fence"),
+        ("mpc", {"mission_options": {"reach": 0.05}}, "reach: found 0.05.*more than 0.05"),
+        ("mpc", {"mission_options": {"speed": 3.0}}, "drone 0: speed: found 3.0.*flight.speed_limit"),
+        ("mpc", {"mission_options": {"horizon": 2}}, "horizon: found 2.*3 steps"),
+        (
+            "mpc",
+            {"graph": "path", "drones": [{"id": 0, "home": [0, 0, 0]}, {"id": 1, "home": [1, 0, 0],
+             "options": {"goal": [1.0, 0.0]}}], "mission_options": {"shift": [1.0, 0.0]}},
+            "drone 0: goal.*1.00 m more or less to go than drone 1.*infeasible at the start",
+        ),
+        ("goto", {"mission_options": {"goals": {"0": [[5, 0, 0, 1]]}}}, "goals of drones .0.*0 to 3"),
+        ("goto", {"mission_options": {"levels": 2.0}}, r"drone 0: goals.*\[-2.0, -2.0, 0.0\]"),
+        ("goto", {"mission_options": {"levels": "none"}}, "levels.*see agents/goto.py"),
+        ("head_on", {"mission_options": {"goals": {"0": [[1, 1, 0, 1]], "1": [[9, -1, 0, 1]]}}}, "drone 0: goals.0."),
+        ("targets", {"mission_options": {"targets": [[0, 0, 9]]}}, r"targets\[0\].*fence"),
+        ("targets", {"mission_options": {"targets": []}}, "targets: found none"),
+        ("targets", {"mission_options": {"targets": [1]}}, "mission_options"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_flown_is_refused(name, changes, says):
+    mission = load(name)
+    base = SwarmConfig.of({"name": "a", **changes}) if "drones" in changes else mission.swarm(None).replace(**changes)
+    with pytest.raises(ConfigError, match=says):
+        mission.check(base, False)
+
+
+def test_flights_that_meet_are_named_before_the_flight():
+    mission = load("goto")
+    assert mission.check(mission.swarm(None), False) == []
+    notes = mission.check(mission.swarm(None).replace(mission_options={"levels": 0.0}), False)
+    assert len(notes) == 1
+    assert "are planned 0.00 m from each other" in notes[0]

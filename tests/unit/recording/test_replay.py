@@ -1,0 +1,98 @@
+"""Drones that follow recordings: tables of samples and flights, and what is said of those that cannot be followed."""
+
+import numpy as np
+import pytest
+
+from crazychoir.errors import ConfigError
+from crazychoir.recording.file import Entry, RecordingFile, Series
+from crazychoir.recording.messages import MESSAGES, packer
+from crazychoir.recording.replay import states_of
+from crazychoir.simulation.engines import worlds
+from crazychoir.swarm.config import SwarmConfig
+from crazychoir.types import FPQR, State
+
+DT = 0.01
+ROWS = "t,x,y,z,yaw,vx,vy,vz\n0,1,0,0,0,0,0,0\n1,1,0,1,0.5,0,0,1\n2,1,1,1,1,0,0.4,0\n"
+
+
+@pytest.fixture
+def table(tmp_path):
+    (tmp_path / "a.csv").write_text(ROWS)
+    return tmp_path / "a.csv"
+
+
+def recorded(path, topic=State, name="truth", drone=4):
+    """A flight of two seconds along x, with its truth at 20 Hz, from 0.3 s after the begin of the recording on."""
+    file = RecordingFile(path, {"version": "1"}, "{}", False)
+    series, other = Series(drone, name, MESSAGES[topic]), Series(2, "truth", MESSAGES[State])
+    pack, also = packer(series.message, drone), packer(other.message, 2)
+    entries = [Entry(other, 0, 0, also(State.at((9, 9, 9)), 0))]
+    for k in range(41):
+        t, ns = 0.05 * k, round(1e9 * (0.3 + 0.05 * k))
+        state = State.at((np.sin(t), 0, 1), (np.cos(t), 0, 0))
+        entries.append(Entry(series, ns, ns, pack(state, ns)))
+    file.write(entries)
+    file.close()
+    return path
+
+
+def swarm(uri, home):
+    drones = [{"id": 0, "home": [0, 0, 0]}, {"id": 4, "home": home, "uri": uri}]
+    return SwarmConfig.of({"name": "a", "graph": "path", "drones": drones})
+
+
+def test_a_body_follows_its_table_and_stays_where_it_ends(table):
+    config = swarm(f"replay://{table}", [1, 0, 0])
+    _, world = worlds(config, config.ids)
+    assert world.ids == (4,)
+    seen = []
+    for _ in range(250):
+        world.step()
+        seen.append(world.state(4).flat)
+    np.testing.assert_allclose(seen[99][:6], [1, 0, 1, 0, 0, 1], atol=1e-9)
+    assert 2 * np.arctan2(*seen[-1][8:10]) == pytest.approx(1.0), "its yaw"
+    np.testing.assert_allclose(seen[-1][:6], [1, 1, 1, 0, 0, 0], atol=1e-9)
+    assert np.linalg.norm(seen[150][3:6]) > 0.5
+    np.testing.assert_allclose(np.linalg.norm(np.array(seen)[:, 6:10], axis=1), 1.0)
+
+
+def test_it_obeys_nothing_and_nobody_has_to_bring_it_down(table):
+    config = swarm(f"replay://{table}", [1, 0, 0])
+    one, other = worlds(config, (4,))[0], worlds(config, (4,))[0]
+    link = one.link(4, "fpqr")
+    for _ in range(100):
+        link.send(FPQR(np.array([9.0, 9.0, 9.0, 9.0])))
+        link.cut()
+        one.step()
+        other.step()
+    np.testing.assert_array_equal(one.states, other.states)
+    assert one.resting(4)
+    assert one.harm(4) == ""
+    assert one.crashed == []
+
+
+def test_the_truth_of_a_recorded_flight_is_joined_by_its_velocities(tmp_path):
+    path = recorded(tmp_path / "a.mcap")
+    x = states_of(f"replay://{path}?drone=4", 0, DT)
+    np.testing.assert_array_equal(x[:30, 0:3], np.tile([0, 0, 1], (30, 1)))
+    t = np.arange(31, 220) * DT - 0.3
+    np.testing.assert_allclose(x[31:220, 0], np.sin(t), atol=1e-6)
+    np.testing.assert_allclose(x[31:220, 3], np.cos(t), atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("uri", "says"),
+    [
+        ("replay://{}/none.csv", "none.csv.*readable CSV"),
+        ("replay://{}/none.mcap", "none.mcap.*can be read"),
+        ("replay://{}/a.mcap?drone=7", "truth of drone 7.*nothing.*drone= one of .2, 4."),
+        ("replay://{}/a.mcap?drone=x", "uri.*FILE.drone=NUMBER"),
+        ("replay://{}/a.bag", "a.bag.*a table of samples, .csv"),
+        ("replay://{}/a.csv", r"drone 4: home.*begins.*Set home = \[1.0, 0.0, 0.0\]"),
+    ],
+)
+def test_what_cannot_be_followed_is_refused(tmp_path, table, uri, says):
+    recorded(tmp_path / "a.mcap")
+    config = swarm(uri.format(tmp_path), [2, 0, 0])
+    with pytest.raises(ConfigError, match=says):
+        worlds(config, config.ids)
