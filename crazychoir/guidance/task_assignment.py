@@ -28,6 +28,8 @@ POLL = 0.05
 """s between two looks, and two tellings of the news."""
 REACHED = 0.05
 """m from a task, in the plane, at which it is done."""
+NOTED = 0.2
+"""s between two places of a way that is written down."""
 REUNION = 20.0
 """s that a robot over its home waits for the others, and one that is cut off for more than half of the team."""
 UNREACHED = "cut off from more than half of the team"
@@ -70,7 +72,7 @@ class TaskAssignmentGuidance(CFGuidance):
         self.work = work
         self.generation: Generation | None = None
         self.tables: list[dict[str, Any]] = []
-        self.way: list[Place] = []  # home, where tasks were done, where it has ended
+        self.way: list[list[float]] = []  # t s since the start, x, y m, m from its task, nan without one
         self.done: list[tuple[int, int]] = []
         self.reason = ""
         self._shares = True  # a planning runs: nothing is completed
@@ -78,7 +80,7 @@ class TaskAssignmentGuidance(CFGuidance):
     def bind(self, member: Member) -> None:
         """Meet the drone."""
         super().bind(member)
-        self.way = [self._here()]
+        self._born = self._now
         self.news = TeamNews(member.communicator, (), self._here, recover=True, period=POLL)
         self.source = TaskSource(self.news, Room(member.config), may_end=self._may_end)
         member.report = lambda: {"task": self._doing(), "cost": self.tables[-1]["cost"] if self.tables else None}
@@ -215,8 +217,10 @@ class TaskAssignmentGuidance(CFGuidance):
             await self.take_off(self._level())
             while not self.news.ended:
                 self._pursue()
+                self._note()
                 await self.sleep(POLL)
             await self._go_home()
+            self._note()
             await self.land()
         except CrazyChoirError as error:
             log.warning("drone %d: %s", self.id, error)
@@ -224,7 +228,6 @@ class TaskAssignmentGuidance(CFGuidance):
             self.member.pilot.land()
             await touch_down(self.member.pilot, TOUCHDOWN)
             self.news.say(out=True)
-        self.way.append(self._here())
 
     def _level(self) -> float:
         return self.work.levels.get(self.id, self.member.config.flight.takeoff_height)
@@ -234,17 +237,29 @@ class TaskAssignmentGuidance(CFGuidance):
         pilot = self.member.pilot
         if pilot.mode not in FLIES:
             raise Interrupted(f"drone {self.id}: {pilot.mode.value}: {pilot.note}")
-        generation = self.generation
-        mine = None if generation is None else generation.mine
-        if generation is None or mine is None or mine not in self._open():
+        generation, mine = self.generation, self._mine
+        if generation is None or mine is None:
             pilot.hover()
             return
         x, y = self.news.book.tasks[mine].pickup
         self.follow(Goto(np.array([x, y, self.member.config.flight.ground + self._level()])))
         if not self._shares and math.dist(self._here(), (x, y)) < REACHED:
             self.done.append((mine, generation.number))
-            self.way.append(self._here())
             self.news.say(deeds=(*self.news.record.deeds, Deed(mine, "delivery", 1)))
+
+    @property
+    def _mine(self) -> int | None:
+        """The task to fly to: one of this generation that is still open."""
+        mine = None if self.generation is None else self.generation.mine
+        return mine if mine is not None and mine in self._open() else None
+
+    def _note(self) -> None:
+        """Write the way down, every NOTED s."""
+        t = self._now - self._born
+        if self.way and t < self.way[-1][0] + NOTED:
+            return
+        left = math.nan if self._mine is None else math.dist(self._here(), self.news.book.tasks[self._mine].pickup)
+        self.way.append([round(t, 2), *(round(x, 3) for x in self._here()), round(left, 3)])
 
     async def _go_home(self) -> None:
         """Over the own home; nobody comes down while somebody flies about above."""
