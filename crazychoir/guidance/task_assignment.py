@@ -65,7 +65,8 @@ class TaskAssignmentGuidance(CFGuidance):
     than its own task, which another gets in the next generation. It flies on while the team plans.
     No task is done twice: from its first message of a planning until it has the next generation a robot completes no
     task, so that any two who may complete one have the same generation. A part of the team that is cut off, with not
-    more than half of it, goes home. But what a robot has done and told nobody before it was lost is done again.
+    more than half of it, waits for the others, and goes home after REUNION s. But what a robot has done and
+    told nobody before it was lost, or cut off, is done again.
     """
 
     def __init__(self, work: Work) -> None:
@@ -76,6 +77,7 @@ class TaskAssignmentGuidance(CFGuidance):
         self.done: list[tuple[int, int]] = []
         self.reason = ""
         self._shares = True  # a planning runs: nothing is completed
+        self._alone, self._said = False, ""
 
     def bind(self, member: Member) -> None:
         """Meet the drone."""
@@ -91,7 +93,8 @@ class TaskAssignmentGuidance(CFGuidance):
             async with asyncio.TaskGroup() as group:
                 jobs = [group.create_task(job) for job in (self.news.gossip(), self._fly())]
                 await self._plan()
-                await self.news.farewell()
+                if not self._alone:
+                    await self.news.farewell()
                 await asyncio.wait(jobs[1:])
                 jobs[0].cancel()
         except BaseException as error:
@@ -133,7 +136,7 @@ class TaskAssignmentGuidance(CFGuidance):
 
     async def _plan(self) -> None:
         """One generation after the other, of one team after the other; until the team has ended."""
-        while not self.news.ended:
+        while not (self.news.ended or self._alone):
             key = self.news.key()
             self.news.changed.clear()
             try:
@@ -194,19 +197,22 @@ class TaskAssignmentGuidance(CFGuidance):
              "mine": generation.mine, "cost": outcome.cost, "infeasible": outcome.infeasible,
              "unserved": list(outcome.unserved), "rounds": outcome.rounds, "seconds": seconds}
         )  # fmt: skip
-        if outcome.infeasible and self.id == min(self.news.alive_ids(), default=self.id):
-            log.warning("drone %d: generation %d: %s", self.id, generation.number, outcome.infeasible)
+        if outcome.infeasible != self._said and self.id == min(self.news.alive_ids(), default=self.id):
+            log.warning("drone %d: generation %d: %s", self.id, generation.number, outcome.infeasible or "all have tasks")
+        self._said = outcome.infeasible
         if generation.idle:
             self.news.say(ended=True)
 
     async def _cut_off(self, key: Key) -> None:
-        """Too few to decide: go home, unless the others come back."""
+        """Too few to decide: wait in the air for the others, then go home."""
         log.warning("drone %d: %s", self.id, UNREACHED)
         self._shares, ends = True, self._now + REUNION
         self.generation = None
         while self.news.key() == key and not self.news.ended:
             if self._now > ends:
-                raise Interrupted(f"drone {self.id}: {UNREACHED} for {REUNION:g} s")
+                self._alone, self.reason = True, f"drone {self.id}: {UNREACHED} for {REUNION:g} s"
+                self.news.say(out=True)
+                return
             await self.sleep(POLL)
 
     # Flying ---------------------------------------------------------------------------------------------------
@@ -215,7 +221,7 @@ class TaskAssignmentGuidance(CFGuidance):
         """Up, from task to task, home, and down with the others. Who cannot fly on says so, and stays a talker."""
         try:
             await self.take_off(self._level())
-            while not self.news.ended:
+            while not (self.news.ended or self._alone):
                 self._pursue()
                 self._note()
                 await self.sleep(POLL)
@@ -267,8 +273,11 @@ class TaskAssignmentGuidance(CFGuidance):
         await self.go_to([home[0], home[1], self.member.config.flight.ground + self._level()])
         self.news.say(idle=True)
         ends = self._now + REUNION
-        while self._now < ends and not all(r.idle for r in self.news.book.alive(self.news.members).values()):
+        while self._now < ends and not (self._alone or self._all_home()):
             await self.sleep(POLL)
+
+    def _all_home(self) -> bool:
+        return all(record.idle for record in self.news.book.alive(self.news.members).values())
 
 
 class Room:

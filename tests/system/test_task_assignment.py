@@ -8,8 +8,10 @@ from system.online import crash
 from crazychoir.agent import Agent
 from crazychoir.guidance.mission import load
 from crazychoir.guidance.task_source import ADDED
+from crazychoir.launch.flight import fly_fast
 from crazychoir.launch.score import Score
 from crazychoir.runtime.clock import run_virtual
+from crazychoir.swarm.checks import TOUCHING
 
 pytestmark = pytest.mark.system
 MISSION = load("task_assignment")
@@ -96,3 +98,16 @@ def test_over_many_seeds(seed, loss):
     assert all(result["success"] for result in results.values())
     assert all("no robot" in why for why in report["left"].values())
     assert report["worst_cost_gap_m"] < 1e-9
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("until", [11.0, None])
+def test_a_part_that_is_cut_off_comes_back_or_goes_home(until):
+    cut = {"at": 5.0, "groups": [[1, 4]], **({"until": until} if until else {})}
+    config = MISSION.swarm(None).replace(network={"loss": 0.1, "partitions": [cut]})
+    result = fly_fast(config, MISSION)
+    assert result["min_separation_m"] > TOUCHING
+    assert all(not ("touched" in why or "twice" in why) for why in result["reasons"].values())
+    ends = {i: one.get("reason", "") for i, one in result["results"].items()}
+    assert [i for i, why in ends.items() if "cut off" in why] == ([] if until else [1, 4])
+    assert result["success"] == (until is not None)
