@@ -197,8 +197,9 @@ class TaskAssignmentGuidance(CFGuidance):
              "mine": generation.mine, "cost": outcome.cost, "infeasible": outcome.infeasible,
              "unserved": list(outcome.unserved), "rounds": outcome.rounds, "seconds": seconds}
         )  # fmt: skip
-        if outcome.infeasible != self._said and self.id == min(self.news.alive_ids(), default=self.id):
-            log.warning("drone %d: generation %d: %s", self.id, generation.number, outcome.infeasible or "all have tasks")
+        speaks = self.id == min(self.news.alive_ids(), default=self.id)
+        if outcome.infeasible not in ("", self._said) and speaks:
+            log.warning("drone %d: generation %d: %s", self.id, generation.number, outcome.infeasible)
         self._said = outcome.infeasible
         if generation.idle:
             self.news.say(ended=True)
