@@ -32,6 +32,7 @@ def test_points_with_and_without_inertia_are_drawn_into_the_triangle():
     )
 
 
+@pytest.mark.slow
 def test_robots_that_would_leave_the_fence_stop_at_it_and_are_not_where_they_should_be():
     """The square is wider than the fence."""
     mission = load("unicycles")
