@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from crazychoir import Acceleration, CFDistributedFeedback, SwarmConfig, Velocity
+from crazychoir.guidance.way_picture import draw_ways
 from crazychoir.swarm.checks import DOUBLE, SINGLE
 from crazychoir.types import Heard, State, Vec
 
@@ -27,13 +28,19 @@ class Containment(CFDistributedFeedback):
     Source: Ji, Ferrari-Trecate, Egerstedt & Buffa 2008, IEEE TAC 53(8), 1972-1975.
     """
 
-    duration = 20.0
+    rate, duration = 25.0, 12.0
 
     def __init__(self, leader: bool, inertia: bool, k: float = 0.6, c: float = 2.0) -> None:
         self.leader, self.inertia, self.k, self.c = leader, inertia, k, c
 
+    async def mission(self) -> dict[str, Any]:
+        """As any law, with the way that it was: rows [t s of the law, x, y m], one a step."""
+        self.way: list[list[float]] = []
+        return {**await super().mission(), "way": self.way}
+
     def step(self, me: State, heard: Heard) -> Velocity | Acceleration | None:
         """The law; None for a leader."""
+        self.way.append([len(self.way) / self.rate, *me.p[0:2].tolist()])
         if self.leader:
             return None
         pull = self.k * sum((other.p - me.p for other in heard.values()), np.zeros(3))
@@ -76,3 +83,10 @@ def report(config: SwarmConfig, results: Results) -> dict[str, Any]:
         if far > TOLERANCE:
             off[i] = f"{far:.3f} m from its equilibrium, allowed {TOLERANCE} m"
     return {"success": not off, "reasons": off}
+
+
+def picture(config: SwarmConfig, results: Results, path: str) -> None:
+    """The ways from above, and how far each was from its equilibrium."""
+    ways, goals = {i: np.array(results[i]["way"]) for i in config.ids}, goal(config)
+    far = {i: np.linalg.norm(way[:, 1:3] - goals[i][0:2], axis=1) for i, way in ways.items()}
+    draw_ways(path, {i: way.tolist() for i, way in ways.items()}, far, "m from its equilibrium", goals)

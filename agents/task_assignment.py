@@ -14,6 +14,7 @@ from crazychoir.errors import ConfigError
 from crazychoir.guidance.airspace import levels
 from crazychoir.guidance.task_assignment import TaskAssignmentGuidance, Work
 from crazychoir.guidance.task_book import Task
+from crazychoir.guidance.way_picture import draw_ways
 from crazychoir.safety.guard import EDGE
 from crazychoir.swarm.reading import read
 from crazychoir.swarm.tables import Metres, Probability, Table
@@ -179,4 +180,9 @@ def may_be_done(config: SwarmConfig, j: int) -> bool:
 
 
 def picture(config: SwarmConfig, results: Results, path: str) -> None:
-    """Draw the ways and the tasks."""
+    """The ways from above, over the tasks, grey; and how far each robot was from its task."""
+    ways = {i: results[i]["way"] for i in config.ids if results.get(i, {}).get("way")}
+    left = {i: np.array(way)[:, 3] for i, way in ways.items()}
+    tables = [table for result in results.values() for table in result.get("tables", [])]
+    tasks = {j: place for table in tables for j, place in zip(table["tasks"], table["places"], strict=True)}
+    draw_ways(path, ways, left, "m from its task", seen={j: [[0.0, *place]] for j, place in tasks.items()})

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from crazychoir import CFDistributedFeedback, SwarmConfig, Velocity
+from crazychoir.guidance.way_picture import draw_ways
 from crazychoir.swarm.checks import UNICYCLE
 from crazychoir.types import Heard, State, Vec
 
@@ -26,13 +27,19 @@ class Formation(CFDistributedFeedback):
     Source: consensus with offsets, Ren & Beard 2008, Distributed Consensus in Multi-vehicle Cooperative Control, 3.
     """
 
-    duration = 25.0
+    rate, duration = 25.0, 16.0
 
-    def __init__(self, i: int, corners: dict[int, Vec], k: float = 0.5) -> None:
+    def __init__(self, i: int, corners: dict[int, Vec], k: float = 0.8) -> None:
         self.k, self.to = k, {j: corner - corners[i] for j, corner in corners.items()}
+
+    async def mission(self) -> dict[str, Any]:
+        """As any law, with the way that it was: rows [t s of the law, x, y m], one a step."""
+        self.way: list[list[float]] = []
+        return {**await super().mission(), "way": self.way}
 
     def step(self, me: State, heard: Heard) -> Velocity:
         """A velocity in the plane; who hears nobody stands."""
+        self.way.append([len(self.way) / self.rate, *me.p[0:2].tolist()])
         u = np.zeros(3)
         for j, other in heard.items():
             u[0:2] += self.k * (other.p[0:2] - me.p[0:2] - self.to[j])
@@ -72,3 +79,12 @@ def report(config: SwarmConfig, results: Results) -> dict[str, Any]:
     errors = {i: float(np.linalg.norm(offset - middle)) for i, offset in offsets.items()}
     off = {i: f"{far:.3f} m from its corner, allowed {TOLERANCE} m" for i, far in errors.items() if far > TOLERANCE}
     return {"worst_error_m": max(errors.values(), default=0.0), "success": not off, "reasons": off}
+
+
+def picture(config: SwarmConfig, results: Results, path: str) -> None:
+    """The ways from above, and how far each was from where its corner came to be."""
+    ways, wanted = {i: np.array(results[i]["way"]) for i in config.ids}, corners(config)
+    middle = np.mean([way[-1, 1:3] - wanted[i] for i, way in ways.items()], axis=0)
+    goals = {i: corner + middle for i, corner in wanted.items()}
+    far = {i: np.linalg.norm(way[:, 1:3] - goals[i], axis=1) for i, way in ways.items()}
+    draw_ways(path, {i: way.tolist() for i, way in ways.items()}, far, "m from its corner", goals)

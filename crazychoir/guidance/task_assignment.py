@@ -28,6 +28,8 @@ POLL = 0.05
 """s between two looks, and two tellings of the news."""
 REACHED = 0.05
 """m from a task, in the plane, at which it is done."""
+NOTED = 0.2
+"""s between two places of a way that is written down."""
 REUNION = 20.0
 """s that a robot over its home waits for the others, and one that is cut off for more than half of the team."""
 UNREACHED = "cut off from more than half of the team"
@@ -63,22 +65,24 @@ class TaskAssignmentGuidance(CFGuidance):
     than its own task, which another gets in the next generation. It flies on while the team plans.
     No task is done twice: from its first message of a planning until it has the next generation a robot completes no
     task, so that any two who may complete one have the same generation. A part of the team that is cut off, with not
-    more than half of it, goes home. But what a robot has done and told nobody before it was lost is done again.
+    more than half of it, waits for the others, and goes home after REUNION s. But what a robot has done and
+    told nobody before it was lost, or cut off, is done again.
     """
 
     def __init__(self, work: Work) -> None:
         self.work = work
         self.generation: Generation | None = None
         self.tables: list[dict[str, Any]] = []
-        self.way: list[Place] = []  # home, where tasks were done, where it has ended
+        self.way: list[list[float]] = []  # t s since the start, x, y m, m from its task, nan without one
         self.done: list[tuple[int, int]] = []
         self.reason = ""
         self._shares = True  # a planning runs: nothing is completed
+        self._alone, self._said = False, ""
 
     def bind(self, member: Member) -> None:
         """Meet the drone."""
         super().bind(member)
-        self.way = [self._here()]
+        self._born = self._now
         self.news = TeamNews(member.communicator, (), self._here, recover=True, period=POLL)
         self.source = TaskSource(self.news, Room(member.config), may_end=self._may_end)
         member.report = lambda: {"task": self._doing(), "cost": self.tables[-1]["cost"] if self.tables else None}
@@ -89,7 +93,8 @@ class TaskAssignmentGuidance(CFGuidance):
             async with asyncio.TaskGroup() as group:
                 jobs = [group.create_task(job) for job in (self.news.gossip(), self._fly())]
                 await self._plan()
-                await self.news.farewell()
+                if not self._alone:
+                    await self.news.farewell()
                 await asyncio.wait(jobs[1:])
                 jobs[0].cancel()
         except BaseException as error:
@@ -131,7 +136,7 @@ class TaskAssignmentGuidance(CFGuidance):
 
     async def _plan(self) -> None:
         """One generation after the other, of one team after the other; until the team has ended."""
-        while not self.news.ended:
+        while not (self.news.ended or self._alone):
             key = self.news.key()
             self.news.changed.clear()
             try:
@@ -192,19 +197,23 @@ class TaskAssignmentGuidance(CFGuidance):
              "mine": generation.mine, "cost": outcome.cost, "infeasible": outcome.infeasible,
              "unserved": list(outcome.unserved), "rounds": outcome.rounds, "seconds": seconds}
         )  # fmt: skip
-        if outcome.infeasible and self.id == min(self.news.alive_ids(), default=self.id):
+        speaks = self.id == min(self.news.alive_ids(), default=self.id)
+        if outcome.infeasible not in ("", self._said) and speaks:
             log.warning("drone %d: generation %d: %s", self.id, generation.number, outcome.infeasible)
+        self._said = outcome.infeasible
         if generation.idle:
             self.news.say(ended=True)
 
     async def _cut_off(self, key: Key) -> None:
-        """Too few to decide: go home, unless the others come back."""
+        """Too few to decide: wait in the air for the others, then go home."""
         log.warning("drone %d: %s", self.id, UNREACHED)
         self._shares, ends = True, self._now + REUNION
         self.generation = None
         while self.news.key() == key and not self.news.ended:
             if self._now > ends:
-                raise Interrupted(f"drone {self.id}: {UNREACHED} for {REUNION:g} s")
+                self._alone, self.reason = True, f"drone {self.id}: {UNREACHED} for {REUNION:g} s"
+                self.news.say(out=True)
+                return
             await self.sleep(POLL)
 
     # Flying ---------------------------------------------------------------------------------------------------
@@ -213,10 +222,12 @@ class TaskAssignmentGuidance(CFGuidance):
         """Up, from task to task, home, and down with the others. Who cannot fly on says so, and stays a talker."""
         try:
             await self.take_off(self._level())
-            while not self.news.ended:
+            while not (self.news.ended or self._alone):
                 self._pursue()
+                self._note()
                 await self.sleep(POLL)
             await self._go_home()
+            self._note()
             await self.land()
         except CrazyChoirError as error:
             log.warning("drone %d: %s", self.id, error)
@@ -224,7 +235,6 @@ class TaskAssignmentGuidance(CFGuidance):
             self.member.pilot.land()
             await touch_down(self.member.pilot, TOUCHDOWN)
             self.news.say(out=True)
-        self.way.append(self._here())
 
     def _level(self) -> float:
         return self.work.levels.get(self.id, self.member.config.flight.takeoff_height)
@@ -234,17 +244,29 @@ class TaskAssignmentGuidance(CFGuidance):
         pilot = self.member.pilot
         if pilot.mode not in FLIES:
             raise Interrupted(f"drone {self.id}: {pilot.mode.value}: {pilot.note}")
-        generation = self.generation
-        mine = None if generation is None else generation.mine
-        if generation is None or mine is None or mine not in self._open():
+        generation, mine = self.generation, self._mine
+        if generation is None or mine is None:
             pilot.hover()
             return
         x, y = self.news.book.tasks[mine].pickup
         self.follow(Goto(np.array([x, y, self.member.config.flight.ground + self._level()])))
         if not self._shares and math.dist(self._here(), (x, y)) < REACHED:
             self.done.append((mine, generation.number))
-            self.way.append(self._here())
             self.news.say(deeds=(*self.news.record.deeds, Deed(mine, "delivery", 1)))
+
+    @property
+    def _mine(self) -> int | None:
+        """The task to fly to: one of this generation that is still open."""
+        mine = None if self.generation is None else self.generation.mine
+        return mine if mine is not None and mine in self._open() else None
+
+    def _note(self) -> None:
+        """Write the way down, every NOTED s."""
+        t = self._now - self._born
+        if self.way and t < self.way[-1][0] + NOTED:
+            return
+        left = math.nan if self._mine is None else math.dist(self._here(), self.news.book.tasks[self._mine].pickup)
+        self.way.append([round(t, 2), *(round(x, 3) for x in self._here()), round(left, 3)])
 
     async def _go_home(self) -> None:
         """Over the own home; nobody comes down while somebody flies about above."""
@@ -252,8 +274,11 @@ class TaskAssignmentGuidance(CFGuidance):
         await self.go_to([home[0], home[1], self.member.config.flight.ground + self._level()])
         self.news.say(idle=True)
         ends = self._now + REUNION
-        while self._now < ends and not all(r.idle for r in self.news.book.alive(self.news.members).values()):
+        while self._now < ends and not (self._alone or self._all_home()):
             await self.sleep(POLL)
+
+    def _all_home(self) -> bool:
+        return all(record.idle for record in self.news.book.alive(self.news.members).values())
 
 
 class Room:

@@ -18,14 +18,18 @@ CONFIG = MISSION.swarm(None)
 GRAPH = CONFIG.graph()
 
 
-def generation(books=None, number=None, filled=0, most=8, graph=GRAPH, seed=4, where=None):
-    """The next generation of robots at their homes; books, number, where: {robot: value}."""
+def away(i, p, task):
+    return dist(p, task.pickup)
+
+
+def generation(books=None, number=None, filled=0, most=8, graph=GRAPH, seed=4, cost=away):
+    """The next generation of robots at their homes; books, number: {robot: value}."""
     config = CONFIG.replace(seed=seed)
-    at = {i: config.drone(i).home[:2] for i in config.ids} | (where or {})
+    at = {i: config.drone(i).home[:2] for i in config.ids}
     programs = {
         i: NextGeneration(
             i, graph, (books or {}).get(i, TaskBook()), (number or {}).get(i, 0), filled,
-            lambda count: MISSION.drawn(config, count), most, lambda task, p=at[i]: dist(p, task.pickup),
+            lambda count: MISSION.drawn(config, count), most, lambda task, i=i: cost(i, at[i], task),
         )
         for i in graph.ids
     }  # fmt: skip
@@ -101,6 +105,15 @@ def test_who_competes_for_which_tasks_is_named_and_the_others_are_served():
     assert len(first.unserved) == 2
     assert 5 in first.unserved
     assert sum(one.mine is not None for one in found.values()) == 4
+
+
+def test_any_cost_will_do_and_an_infinite_one_is_of_who_cannot():
+    """Robot 0 can do nothing, for the others a task costs its number, whoever does it."""
+    tasks = [Task(j, 0, False, (0.0, 0.0), (0.0, 0.0)) for j in range(4)]
+    found = generation({1: TaskBook(tasks)}, filled=8, cost=lambda i, p, task: float(task.id) if i else inf)
+    assert found[0].mine is None
+    assert sorted(one.mine for one in found.values() if one.mine is not None) == [0, 1, 2, 3]
+    assert (found[0].outcome.cost, found[0].outcome.infeasible) == (6.0, "")
 
 
 def test_a_robot_alone_goes_on():

@@ -11,6 +11,8 @@ from crazychoir.math3d import wrap
 from crazychoir.safety.guard import Action, Fence
 from crazychoir.safety.modes import Mode
 from crazychoir.safety.pilot import Pilot
+from crazychoir.simulation.integrator import CFIntegrator
+from crazychoir.simulation.links import SimulatedLink
 from crazychoir.swarm.checks import DOUBLE, SINGLE, UNICYCLE
 from crazychoir.swarm.tables import Flight
 from crazychoir.types import Acceleration, FullState, Goto, Pose, Velocity
@@ -174,3 +176,18 @@ async def test_another_goal_is_driven_to_from_where_it_is(clock):
     robot.pilot.hold()
     await robot.drive(0.5)
     assert np.linalg.norm(robot.state.v) < 1e-3
+
+
+@virtual
+async def test_a_drone_flies_a_velocity_too(clock):
+    robot = Driven(clock, SINGLE)
+    robot.world = CFIntegrator((0,), np.array([[0.3, -0.2, 0.0]]))
+    robot.pilot = Pilot(robot.bus.port(1), SimulatedLink(robot.world, 0), Flight(speed_limit=0.8), ROOM)
+    await robot.drive(0.05)
+    await robot.drive(robot.pilot.take_off() + 0.5)
+    wanted = np.array([0.3, -0.2, 0.1])
+    await robot.drive(2.0, lambda: robot.pilot.follow(Velocity(wanted, yaw=0.3)))
+    assert robot.state.v == pytest.approx(wanted, abs=0.03)
+    assert heading(robot.world) == pytest.approx(0.3, abs=0.03)
+    await robot.drive(1.0)
+    assert np.linalg.norm(robot.state.v) < 0.05, "it brakes when no other comes"

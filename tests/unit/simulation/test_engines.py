@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from crazychoir.control.choice import SENDERS
+from crazychoir.control.senders import AccSender, DriveSender
 from crazychoir.errors import ConfigError
 from crazychoir.platforms import CRAZYFLIE_21, PAPER
 from crazychoir.simulation import engines
@@ -71,7 +72,8 @@ def test_a_package_brings_a_world(installed):
 
 
 def test_a_scheme_that_nobody_brings_is_refused_with_those_that_there_are(installed):
-    with pytest.raises(ConfigError, match="allowed: sim://, sim://motors, mujoco://, broken://, strange://, toy://"):
+    allowed = r"allowed: sim://, .*, sim://motors, mujoco://, replay://FILE, broken://, strange://, toy://"
+    with pytest.raises(ConfigError, match=allowed):
         swarm({"uri": "toys://hall"})
 
 
@@ -121,7 +123,7 @@ def test_a_link_for_what_a_world_does_not_fly_is_refused_when_it_is_made():
 
 
 def test_every_sender_of_a_swarm_file_has_a_kind_of_commands():
-    assert {name: KINDS[name] for name in SENDERS} == KINDS
-    for name, sender in SENDERS.items():
+    assert [*SENDERS, "acc", "drive"] == list(KINDS)
+    for name, sender in (SENDERS | {"acc": AccSender, "drive": DriveSender}).items():
         assert isinstance(sender().message(np.zeros(5)), KINDS[name])
         assert isinstance(sender().idle, KINDS[name])

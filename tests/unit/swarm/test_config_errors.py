@@ -10,6 +10,7 @@ from crazychoir.errors import ConfigError
 from crazychoir.swarm import tables
 from crazychoir.swarm.config import SwarmConfig, default_swarm
 
+FLOWN = "sim://, sim://single, sim://double, sim://unicycle, sim://motors, mujoco://, replay://FILE"
 CASES = {
     "unknown key": (
         'colour = "red"',
@@ -141,26 +142,26 @@ CASES = {
         "",
         'uri = "radio://0/80/2M/E7E7E7E703"',
         'x.toml: drones[3].uri = "radio://0/80/2M/E7E7E7E703": this version does not fly radio:// drones; '
-        'it flies sim://, sim://motors, mujoco://. Write uri = "sim://", or install a package with the entry point '
-        "radio in crazychoir.worlds.",
+        f'it flies {FLOWN}. Write uri = "sim://", or install a package with the entry point radio in '
+        "crazychoir.worlds.",
     ),
     "unknown uri": (
         "",
         'uri = "simulation"',
-        'x.toml: drones[3].uri: found "simulation"; allowed: sim://, sim://motors, mujoco://. Write uri = "sim://", or '
-        "leave it out.",
+        f'x.toml: drones[3].uri: found "simulation"; allowed: {FLOWN}. Write uri = "sim://", or leave it '
+        "out.",
     ),
     "unknown scheme": (
         "",
         'uri = "gazebo://hall"',
-        'x.toml: drones[3].uri: found "gazebo://hall"; allowed: sim://, sim://motors, mujoco://. Write uri = '
-        '"sim://", or install a package with the entry point gazebo in crazychoir.worlds.',
+        f'x.toml: drones[3].uri: found "gazebo://hall"; allowed: {FLOWN}. Write uri = "sim://", or install '
+        "a package with the entry point gazebo in crazychoir.worlds.",
     ),
     "unknown world of ours": (
         "",
         'uri = "sim://motor"',
-        'x.toml: drones[3].uri: found "sim://motor"; allowed: sim://, sim://motors, mujoco://. Write uri = '
-        '"sim://", or leave it out.',
+        f'x.toml: drones[3].uri: found "sim://motor"; allowed: {FLOWN}. Write uri = "sim://", or leave it '
+        "out.",
     ),
     "faster than the planner on board": (
         '[flight]\nspeed_limit = 2.0\n[control]\nsender = "xyz"',
