@@ -55,7 +55,20 @@ def motors(n: int) -> Step:
 
 def crazyflies(n: int) -> Step:
     """The same with the firmware on board of every drone, flying body rates."""
-    world, steps = CrazyflieWorld(range(n), places(n), wind=WIND), 0
+    return _hovering(CrazyflieWorld(range(n), places(n), wind=WIND), n)
+
+
+def crazyflies_in_mujoco(n: int) -> Step:
+    """The same in MuJoCo, with contacts; what is not installed raises ModuleNotFoundError."""
+    importlib.import_module("mujoco")
+    from crazychoir.simulation.mujoco.world import MujocoWorld
+
+    return _hovering(MujocoWorld(range(n), places(n), wind=WIND), n)
+
+
+def _hovering(world: CrazyflieWorld, n: int) -> Step:
+    """The step of a world whose drones have been armed, and are sent their weight as thrust."""
+    steps = 0
     links = [world.link(i, "fpqr") for i in range(n)]
     for link in links:
         link.onboard.arm()
@@ -109,6 +122,7 @@ ENGINES: dict[str, Engine] = {
     "lightweight": lightweight,
     "motor level": motors,
     "  with firmware": crazyflies,
+    "    in MuJoCo, contacts": crazyflies_in_mujoco,
     "MuJoCo, free bodies": in_mujoco,
 }
 CRAZYFLOW = "crazyflow"

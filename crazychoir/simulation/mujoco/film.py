@@ -19,8 +19,8 @@ AWAY = -1000.0
 """m, height of a drone whose place is not known."""
 AZIMUTH, ELEVATION = 60.0, -28.0
 """Degrees, of the camera that sees the whole flight."""
-TRAIL = 0.006
-"""m, half the width of the line behind a drone."""
+TRAIL = 2.0
+"""Pixels, width of the line behind a drone."""
 MOST = 20_000
 """Geoms in one picture."""
 
@@ -93,14 +93,14 @@ class Film:
 
     def _draw(self, trail: Mat, colour: Colour) -> None:
         """A line through the places, fainter the older."""
-        scene, capsule, n = self._scene, mujoco.mjtGeom.mjGEOM_CAPSULE, max(len(trail) - 1, 1)
+        scene, line, n = self._scene, mujoco.mjtGeom.mjGEOM_LINE, max(len(trail) - 1, 1)
         for k in range(len(trail) - 1):
             if scene.ngeom >= scene.maxgeom or not np.isfinite(trail[k : k + 2]).all():
                 continue
             geom = scene.geoms[scene.ngeom]
             rgba = np.array([*colour[:3], 0.1 + 0.6 * k / n], np.float32)
-            mujoco.mjv_initGeom(geom, capsule, np.zeros(3), np.zeros(3), np.eye(3).ravel(), rgba)
-            mujoco.mjv_connector(geom, capsule, TRAIL, trail[k], trail[k + 1])
+            mujoco.mjv_initGeom(geom, line, np.zeros(3), np.zeros(3), np.eye(3).ravel(), rgba)
+            mujoco.mjv_connector(geom, line, TRAIL, trail[k], trail[k + 1])
             scene.ngeom += 1
 
     def _read(self) -> Image:

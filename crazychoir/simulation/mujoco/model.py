@@ -14,8 +14,8 @@ from crazychoir.simulation.mujoco.shape import Shape
 FLOOR = "floor"
 SCENE = "scene/"
 """Before the names of what comes from a user's scene."""
-BOUNCE = (0.01, 0.35)
-"""s and damping ratio of a contact with a drone (solref): plastic comes back with a third of its speed; chosen."""
+BOUNCE = (0.004, 0.6)
+"""s and damping ratio of a contact with a drone (solref): it comes back with about a fifth of its speed; chosen."""
 FRICTION = (0.8, 0.005, 0.0001)
 """Sliding, torsional, rolling; chosen."""
 ACCELEROMETER, GYRO, POSITION = "accelerometer", "gyro", "position"
@@ -87,7 +87,7 @@ def _room(spec: mujoco.MjSpec) -> None:
     visual = spec.visual
     visual.headlight.ambient, visual.headlight.diffuse = [0.42, 0.42, 0.42], [0.3, 0.3, 0.3]
     visual.global_.offwidth, visual.global_.offheight = WIDEST, HIGHEST
-    visual.quality.shadowsize = 4096
+    visual.quality.shadowsize, visual.quality.numslices, visual.quality.numstacks = 2048, 24, 6
 
 
 def _add_scene(spec: mujoco.MjSpec, path: Path) -> None:

@@ -51,6 +51,11 @@ class Shape:
     meshes: tuple[tuple[Mat, Mat], ...] = ()
 
     @property
+    def solid(self) -> "Shape":
+        """Only what touches: all that a simulation needs."""
+        return Shape(tuple(part for part in self.parts if part.solid), self.meshes)
+
+    @property
     def lowest(self) -> float:
         """m, of the lowest point that touches, from the centre of mass, in level attitude: negative."""
         return min(self._lowest(part) for part in self.parts if part.solid)
@@ -143,7 +148,9 @@ def _compiled(path: Path, where: str) -> mujoco.MjModel:
     if not path.is_file():
         raise ConfigError(where, "no such file", "a path relative to the swarm file", "Mend the path.")
     try:
-        return (_of_mesh(path) if suffix in MESHES else mujoco.MjSpec.from_file(str(path))).compile()
+        spec = _of_mesh(path) if suffix in MESHES else mujoco.MjSpec.from_file(str(path))
+        spec.compiler.fusestatic = False  # else the first link of a URDF is a part of the world
+        return spec.compile()
     except ValueError as error:
         raise ConfigError(where, f"MuJoCo says: {error}", "a model that MuJoCo compiles", "Mend the file.") from error
 
@@ -156,13 +163,13 @@ def _of_mesh(path: Path) -> mujoco.MjSpec:
 
 
 def _root(model: mujoco.MjModel, body: str, where: str) -> int:
-    """The body that is the drone: the named one, the only one, or the world's geoms where there is none (URDF)."""
+    """The body that is the drone: the named one, the only one, or the world where there is none (a mesh)."""
     tops = [k for k in range(1, model.nbody) if model.body_parentid[k] == 0]
     names = {model.body(k).name: k for k in range(1, model.nbody)}
     if body:
         if body not in names:
-            found = ", ".join(filter(None, names)) or "no body with a name"
-            raise ConfigError(f"{where}, mujoco.body", body, f"the file has {found}", "Mend the name.")
+            there = ", ".join(filter(None, names)) or "the file has none with a name"
+            raise ConfigError(f"{where}: mujoco.body", body, there, "Mend it.", "there is no such body")
         return names[body]
     if len(tops) > 1:
         found = ", ".join(model.body(k).name or f"number {k}" for k in tops)

@@ -63,7 +63,7 @@ class MujocoWorld(CrazyflieWorld):
             own = {row.name: crazyflie(row) for row in self.platforms}
             shapes = [own[row.name] for row in self.platforms]
         shapes = [shapes] * n if isinstance(shapes, Shape) else list(shapes)
-        self.model = model_of(ids, self.platforms, shapes, self._scene)
+        self.model = model_of(ids, self.platforms, [shape.solid for shape in shapes], self._scene)
         self.data = mujoco.MjData(self.model)
         joints = [self.model.joint(body_name(i)).id for i in ids]
         self._places = self.model.jnt_qposadr[joints].astype(np.int64)
