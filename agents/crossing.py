@@ -8,13 +8,14 @@ jitter: m, of starts and goals sideways;  time: s of the law.
 
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from crazychoir import CFDistributedFeedback, SwarmConfig
 from crazychoir.types import FullState, Heard, State, Vec
 
 DEFAULTS: dict[str, Any] = {
-    "pattern": "antipodal", "radius": 3.0, "speed": 0.8, "low": 0.5, "high": 2.0, "jitter": 0.1, "time": 30.0,
+    "pattern": "antipodal", "radius": 3.0, "speed": 0.8, "low": 0.3, "high": 2.2, "jitter": 0.1, "time": 30.0,
 }  # fmt: skip
 ARRIVED = 0.05
 """m from its goal: there, once it stays there."""
@@ -35,11 +36,6 @@ class Straight(CFDistributedFeedback):
         """Where it starts."""
         return float(self.start[2])
 
-    async def take_off(self, height: float | None = None) -> None:
-        """Up, and to the start."""
-        await super().take_off(height)
-        await self.go_to(self.start)
-
     def step(self, me: State, heard: Heard) -> FullState:
         """The straight line."""
         t = self.steps / self.rate
@@ -54,7 +50,7 @@ class Straight(CFDistributedFeedback):
         return FullState.at(self.start + gone * self.way, self.speed * self.way)
 
     async def mission(self) -> dict[str, Any]:
-        """Take off, cross, land."""
+        """Rise to the start, cross, land at the goal."""
         return await super().mission() | {"arrived_s": self.arrived}
 
 
@@ -90,6 +86,13 @@ def _apart(p: Vec) -> float:
     return float((np.linalg.norm(d, axis=2) + 9.0 * np.eye(len(p))).min())
 
 
+def scatter(config: SwarmConfig) -> SwarmConfig:
+    """The same swarm with its homes below the starts."""
+    starts, _ = places(config)
+    rows = [{**msgspec.to_builtins(config.drone(i)), "home": [*starts[n, :2].tolist(), 0.0]} for n, i in enumerate(config.ids)]
+    return config.replace(drones=rows)
+
+
 def swarm(drones: int | None = None) -> SwarmConfig:
     """Thirty drones at motor level that lose one message in ten, on a circle."""
     n = drones or 30
@@ -100,6 +103,6 @@ def swarm(drones: int | None = None) -> SwarmConfig:
         {
             "name": "crossing", "mission": "crossing", "drones": rows, "graph": "ring",
             "network": {"loss": 0.1, "burst": 4.0},
-            "flight": {"acceleration_limit": 2.0, "speed_limit": 1.0},
+            "fence": {"min": [-4.0, -4.0, 0.0], "max": [4.0, 4.0, 3.0]},
         }
     )  # fmt: skip

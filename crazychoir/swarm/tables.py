@@ -255,19 +255,20 @@ class Collision(Table, frozen=True, kw_only=True):
     margin: m, kept beyond twice the first of them;  brake: m/s2, with which a drone counts on being able to brake;
     gamma: 1/s, how fast it comes to a limit;  turn: how much it goes to the side where somebody is in its way;
     range: m, within which others count;  unsure: m/s2, by which one that is not heard may change its acceleration;
-    lag, delay: s, of the drones.
+    lag, delay: s, of the drones;  stiff: 1/s, how fast a gap closes at most.
     """
 
     method: Avoidance = "cells"
     semi_axes: SemiAxes = (0.12, 0.12, 0.3)
-    margin: Metres = 0.06
+    margin: Metres = 0.08
     brake: Acceleration = 1.0
     gamma: Timeout = 4.0
     turn: Factor = 1.0
     range: Height = 2.0
     unsure: Factor = 2.0
-    lag: Seconds = 0.15
-    delay: Seconds = 0.03
+    lag: Seconds = 0.05
+    delay: Seconds = 0.05
+    stiff: Timeout = 1.5
 
 
 class Control(Table, frozen=True, kw_only=True):
