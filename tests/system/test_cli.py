@@ -16,7 +16,7 @@ from system.agents import AGENT, BRISK, CRAZYCHOIR, Program, Team, until
 from system.commands import call
 
 from crazychoir.cli import window
-from crazychoir.guidance.mission import load
+from crazychoir.guidance.mission import load, names
 from crazychoir.launch.flight import NO_REASON, fly_fast
 from crazychoir.launch.network import apart
 from crazychoir.swarm.config import SwarmConfig
@@ -67,13 +67,13 @@ DRONE = "[[drones]]\nid = 0\nhome = [0.0, 0.0, 0.0]\n"
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["nothing", "--fast"], ["nothing", "bearing_formation, drawn_path, figure, online_delivery, pickup_delivery"]),
+        (["nothing", "--fast"], ["nothing", ", ".join(names())]),
         (["no_file.toml", "--fast"], ["no_file.toml"]),
         (["bearing_formation", "--only", "2,3"], ["--only", "2,3 without a swarm file", "--swarm"]),
         (["deploy/lab6.toml", "--only", "x"], ["--only", "0 to 5"]),
         (["deploy/lab6.toml", "--only", "17"], ["--only: found 17", "0 to 5"]),
         (["deploy/lab6.toml", "--only", "2", "--fast"], ["--only", "--fast"]),
-        (["bearing_formation", "--fast", "--drones", "30"], ["--drones", "30"]),
+        (["bearing_formation", "--fast", "--drones", "31"], ["--drones", "31", "11 (a letter)"]),
         (["deploy/lab6.toml", "--fast", "--drones", "3"], ["--drones", "3 beside a swarm file"]),
         (["bearing_formation", "--fast", "--processes", "2"], ["--processes", "--fast beside it"]),
         (["bearing_formation", "--fast", "--loss", "2"], ["loss", "probability"]),
@@ -86,7 +86,7 @@ def test_run_refuses(here, repository, monkeypatch, words, said):
 
 def test_what_is_refused_is_one_json_object_and_exit_code_2():
     said = call("crazychoir", "run", "nothing", "--fast", "--json")
-    said.refuses("bearing_formation, drawn_path, figure, online_delivery, pickup_delivery")
+    said.refuses(", ".join(names()))
     assert said.json["kind"] == "ConfigError"
     assert said.json["success"] is False
 
