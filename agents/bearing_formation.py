@@ -57,7 +57,7 @@ class BearingFormation(CFDistributedFeedback):
         in_height: float = 1.0, moving: bool = False, gains: Gains = AGILE,
     ) -> None:  # fmt: skip
         self.neighbors, self.moving, self.gains = tuple(neighbors), moving, gains
-        weights = {j: projector(np.subtract(shape[j], shape[i])) for j in self.neighbors}
+        weights: dict[int, Any] = {j: projector(np.subtract(shape[j], shape[i])) for j in self.neighbors}
         if law == "normalised":
             total = sum(weights.values())
             weights = {j: np.linalg.solve(total, p) for j, p in weights.items()}

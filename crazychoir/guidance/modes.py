@@ -99,7 +99,7 @@ def age_margin(eigenvalues: Sequence[complex], kp: float, kv: float, chain: Chai
     by pi.
     """
     lags = (0.0, 0.005, 0.01, 0.02, 0.03, 0.04, 0.06, 0.08, 0.1, OLDEST)
-    m: Complex = 1.0 - np.asarray(eigenvalues, dtype=complex)[:, None]
+    m: Complex = np.array([[1.0 - e] for e in eigenvalues], dtype=np.complex128)
     responses = [_attitude_response(chain), _thrust_response(chain)]
     borne = 0.0
     for d in lags:

@@ -12,6 +12,8 @@ from crazychoir.swarm.config import SwarmConfig
 
 CLEAR = 0.3
 """m between two starts, seen from above: more than the collision filter keeps."""
+LOWEST = 0.3
+"""m above the ground, of a start: below, the air is rough."""
 ATTEMPTS = 10_000
 """Draws of a place before it is clear there is none."""
 
@@ -42,7 +44,8 @@ def scattered(config: SwarmConfig, by: Scatter) -> SwarmConfig:
         row = {key: value for key, value in msgspec.to_builtins(drone).items() if value is not None}
         if drone.id in moved:
             x, y, z = moved[drone.id].tolist()
-            row |= {"home": [x, y, drone.home[2]], "options": {**drone.options, "height": z - config.flight.ground}}
+            height = max(z - config.flight.ground, LOWEST)
+            row |= {"home": [x, y, drone.home[2]], "options": {**drone.options, "height": height}}
         drones.append(row)
     return config.replace(drones=drones)
 

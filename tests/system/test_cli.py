@@ -73,7 +73,7 @@ DRONE = "[[drones]]\nid = 0\nhome = [0.0, 0.0, 0.0]\n"
         (["deploy/lab6.toml", "--only", "x"], ["--only", "0 to 5"]),
         (["deploy/lab6.toml", "--only", "17"], ["--only: found 17", "0 to 5"]),
         (["deploy/lab6.toml", "--only", "2", "--fast"], ["--only", "--fast"]),
-        (["bearing_formation", "--fast", "--drones", "30"], ["--drones", "30"]),
+        (["bearing_formation", "--fast", "--drones", "31"], ["--drones", "31", "11 (a letter)"]),
         (["deploy/lab6.toml", "--fast", "--drones", "3"], ["--drones", "3 beside a swarm file"]),
         (["bearing_formation", "--fast", "--processes", "2"], ["--processes", "--fast beside it"]),
         (["bearing_formation", "--fast", "--loss", "2"], ["loss", "probability"]),

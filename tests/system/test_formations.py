@@ -65,6 +65,47 @@ def test_eleven_take_the_places_of_a_letter():
     assert result["settling_s"] <= 6.0
 
 
+def similarity(a, b):
+    """Factor s and shift of b = s a + shift at least squares, and the largest m that is left; a, b: (n, 2)."""
+    x, y = a - a.mean(axis=0), b - b.mean(axis=0)
+    s = float(np.sum(x * y) / np.sum(x * x))
+    shift = b.mean(axis=0) - s * a.mean(axis=0)
+    return s, shift, float(np.linalg.norm(b - s * a - shift, axis=1).max())
+
+
+def test_the_originals_letter_is_at_rest_as_a_larger_letter_distorted():
+    config, mission = SwarmConfig.load(DEPLOY / "original_letter.toml"), load("bearing_formation")
+    shape, goal = mission.shape(config), mission.goal(config)
+    of, at = (np.array([p[i][:2] for i in config.ids]) for p in (shape, goal))
+    s, shift, left = similarity(of, at)
+    assert s == pytest.approx(1.197, abs=0.02)
+    np.testing.assert_allclose(shift, [-0.07, 0.12], atol=0.02)
+    assert 0.03 < left < 0.06
+    assert {round(float(p[2]), 9) for p in goal.values()} == {1.0}, "the leaders' height, not the shape's 0.5 m"
+
+
+def test_the_originals_grid_is_rigid_and_as_slow_as_it_is_known():
+    config, mission = SwarmConfig.load(DEPLOY / "original_grid.toml"), load("bearing_formation")
+    assert len(config.graph().edges()) == 99
+    assert max(len(config.graph().neighbors(i)) for i in config.ids) == 14
+    with pytest.raises(Refused, match=r"smallest eigenvalue 0\.0035"):
+        mission.check(config, False)
+    for i, p in mission.goal(config).items():
+        np.testing.assert_allclose(p, mission.shape(config)[i], atol=1e-9)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(3600)
+@pytest.mark.parametrize("name", ["original_letter", "original_grid"])
+def test_the_originals_reach_their_equilibria(name):
+    config = SwarmConfig.load(DEPLOY / f"{name}.toml")
+    mission = load("bearing_formation")
+    mission.check(config, True)
+    result = fly_fast(config, mission)
+    assert result["success"], result["reasons"]
+    assert result["formation_error_m"] <= 0.01
+
+
 def worst_beside_leaders(config, rows):
     """(n,) m: how far followers are from where the leaders' true places want them; rows: {i: (3,) m}."""
     mission = load("bearing_formation")
