@@ -17,7 +17,7 @@ def result_of(results, here=None, mission=MISSION, touching=None):
     score = SimpleNamespace(
         min_separation=0.5, touching=touching or {}, flown={0: 1.23456}, log=deque(["a line"]),
         statuses={0: Status("on ground", round=7)},
-        messages=lambda: {"sent": 3}, formation=dict,
+        messages=lambda: {"sent": 3}, formation=dict, tracks={},
     )  # fmt: skip
     return summary(default_swarm(3), mission, results, score, 10.0, 2.0, here)
 
