@@ -30,7 +30,9 @@ FROZEN = 0.500
 QUIET = 10.000
 """s in which short stalls, below HAND_OVER, of one actor, or of nobody, are said once."""
 STUCK = 15.000
-"""s without a turn of this thread, because foreign code keeps the interpreter's lock: the process is ended from C."""
+"""s without a turn of this thread, as foreign code keeps the interpreter's lock: the process is ended from C. So is one
+that was stopped (SIGSTOP) for that long: the others have lost it by then."""
+STDERR = 2
 EXIT_CODE = 70
 BEAT = 0.020
 
@@ -107,7 +109,7 @@ class Watchdog:
             now_ns = self.clock.now_ns()
             if now_ns - armed_ns > SECOND:
                 armed_ns = now_ns
-                faulthandler.dump_traceback_later(STUCK, exit=True)
+                faulthandler.dump_traceback_later(STUCK, exit=True, file=STDERR)
             late = (now_ns - self._beat_ns) / SECOND - BEAT
             if self.soon and late > BEAT:
                 self._computed()

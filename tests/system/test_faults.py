@@ -30,11 +30,12 @@ SAFE_PUT = 0.002
 STANDING = '''
 """Every drone takes off, stands for a while, and lands."""
 
+import re
 import time
 from crazychoir import CFDistributedFeedback
 from crazychoir.runtime import watchdog
 
-watchdog.GIVE_UP = 4.0  # s, instead of 10
+watchdog.GIVE_UP, watchdog.STUCK = 4.0, 5.0  # s, instead of 10 and 15
 
 
 class Standing(CFDistributedFeedback):
@@ -193,6 +194,15 @@ async def hang_in_c(folder: Path) -> None:
     assert "this process ends itself" in text
 
 
+async def hang_with_the_lock(folder: Path) -> None:
+    """Not even the watchdog's thread gets a turn: the process is ended from C, and says where its code hung."""
+    ended, text = await run(folder, "re.match('(a+)+$', 64 * 'a' + 'b')", 5.0)
+    assert ended["absent"] == [2]
+    assert "Timeout (0:00:05)!" in text
+    assert f'standing.py", line {HANGING} in step' in text
+    assert [ended["results"][i]["success"] for i in "013"] == [True] * 3, ended["results"]
+
+
 HANGING = 1 + STANDING[: STANDING.index("{hang}")].count("\n")
 
 
@@ -200,6 +210,7 @@ async def test_a_hanging_step_is_named_and_only_its_drone_fails(tmp_path):
     async with asyncio.TaskGroup() as group:
         group.create_task(hang_in_python(tmp_path / "python"))
         group.create_task(hang_in_c(tmp_path / "c"))
+        group.create_task(hang_with_the_lock(tmp_path / "lock"))
 
 
 # Hostile bytes ------------------------------------------------------------------------------------------------
