@@ -71,7 +71,7 @@ def test_a_package_brings_a_world(installed):
 
 
 def test_a_scheme_that_nobody_brings_is_refused_with_those_that_there_are(installed):
-    with pytest.raises(ConfigError, match="allowed: sim://, sim://motors, broken://, strange://, toy://"):
+    with pytest.raises(ConfigError, match="allowed: sim://, sim://motors, replay://FILE, broken://, strange://, toy://"):
         swarm({"uri": "toys://hall"})
 
 

@@ -141,26 +141,26 @@ CASES = {
         "",
         'uri = "radio://0/80/2M/E7E7E7E703"',
         'x.toml: drones[3].uri = "radio://0/80/2M/E7E7E7E703": this version does not fly radio:// drones; '
-        'it flies sim://, sim://motors. Write uri = "sim://", or install a package with the entry point radio in '
-        "crazychoir.worlds.",
+        'it flies sim://, sim://motors, replay://FILE. Write uri = "sim://", or install a package with the entry '
+        "point radio in crazychoir.worlds.",
     ),
     "unknown uri": (
         "",
         'uri = "simulation"',
-        'x.toml: drones[3].uri: found "simulation"; allowed: sim://, sim://motors. Write uri = "sim://", or leave it '
-        "out.",
+        'x.toml: drones[3].uri: found "simulation"; allowed: sim://, sim://motors, replay://FILE. Write uri = "sim://", '
+        "or leave it out.",
     ),
     "unknown scheme": (
         "",
         'uri = "gazebo://hall"',
-        'x.toml: drones[3].uri: found "gazebo://hall"; allowed: sim://, sim://motors. Write uri = "sim://", or install '
-        "a package with the entry point gazebo in crazychoir.worlds.",
+        'x.toml: drones[3].uri: found "gazebo://hall"; allowed: sim://, sim://motors, replay://FILE. Write uri = "sim://", '
+        "or install a package with the entry point gazebo in crazychoir.worlds.",
     ),
     "unknown world of ours": (
         "",
         'uri = "sim://motor"',
-        'x.toml: drones[3].uri: found "sim://motor"; allowed: sim://, sim://motors. Write uri = "sim://", or leave it '
-        "out.",
+        'x.toml: drones[3].uri: found "sim://motor"; allowed: sim://, sim://motors, replay://FILE. Write uri = "sim://", '
+        "or leave it out.",
     ),
     "faster than the planner on board": (
         '[flight]\nspeed_limit = 2.0\n[control]\nsender = "xyz"',
