@@ -147,20 +147,20 @@ CASES = {
     "unknown uri": (
         "",
         'uri = "simulation"',
-        'x.toml: drones[3].uri: found "simulation"; allowed: sim://, sim://motors, replay://FILE. Write uri = "sim://", '
-        "or leave it out.",
+        'x.toml: drones[3].uri: found "simulation"; allowed: sim://, sim://motors, replay://FILE. Write uri = '
+        '"sim://", or leave it out.',
     ),
     "unknown scheme": (
         "",
         'uri = "gazebo://hall"',
-        'x.toml: drones[3].uri: found "gazebo://hall"; allowed: sim://, sim://motors, replay://FILE. Write uri = "sim://", '
-        "or install a package with the entry point gazebo in crazychoir.worlds.",
+        'x.toml: drones[3].uri: found "gazebo://hall"; allowed: sim://, sim://motors, replay://FILE. Write uri = '
+        '"sim://", or install a package with the entry point gazebo in crazychoir.worlds.',
     ),
     "unknown world of ours": (
         "",
         'uri = "sim://motor"',
-        'x.toml: drones[3].uri: found "sim://motor"; allowed: sim://, sim://motors, replay://FILE. Write uri = "sim://", '
-        "or leave it out.",
+        'x.toml: drones[3].uri: found "sim://motor"; allowed: sim://, sim://motors, replay://FILE. Write uri = '
+        '"sim://", or leave it out.',
     ),
     "faster than the planner on board": (
         '[flight]\nspeed_limit = 2.0\n[control]\nsender = "xyz"',
