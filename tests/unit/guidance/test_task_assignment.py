@@ -10,7 +10,8 @@ import pytest
 from crazychoir.errors import ConfigError
 from crazychoir.guidance.base import Interrupted
 from crazychoir.guidance.mission import load
-from crazychoir.guidance.task_assignment import Room, TaskAssignmentGuidance, Work, distance
+from crazychoir.guidance.room import Room
+from crazychoir.guidance.task_assignment import TaskAssignmentGuidance, Work, distance
 from crazychoir.guidance.task_book import Deed, Record, Task, TaskBook
 from crazychoir.safety.pilot import Mode
 from crazychoir.types import State
