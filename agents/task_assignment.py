@@ -182,7 +182,8 @@ def may_be_done(config: SwarmConfig, j: int) -> bool:
 def picture(config: SwarmConfig, results: Results, path: str) -> None:
     """The ways from above, over the tasks, grey; and how far each robot was from its task."""
     ways = {i: results[i]["way"] for i in config.ids if results.get(i, {}).get("way")}
-    left = {i: np.array(way)[:, 3] for i, way in ways.items()}
+    left = {i: np.array([row[3] for row in way], dtype=float) for i, way in ways.items()}
+    ways = {i: [row[:3] for row in way] for i, way in ways.items()}
     tables = [table for result in results.values() for table in result.get("tables", [])]
     tasks = {j: place for table in tables for j, place in zip(table["tasks"], table["places"], strict=True)}
     draw_ways(path, ways, left, "m from its task", seen={j: [[0.0, *place]] for j, place in tasks.items()})

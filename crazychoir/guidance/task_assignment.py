@@ -13,14 +13,12 @@ import numpy as np
 from crazychoir.errors import CrazyChoirError, RosterChanged
 from crazychoir.guidance.base import TOUCHDOWN, CFGuidance, Interrupted, Member, touch_down
 from crazychoir.guidance.generation import Draw, Generation, NextGeneration, open_tasks
+from crazychoir.guidance.room import Room
 from crazychoir.guidance.task_book import Deed, Place, Task
 from crazychoir.guidance.task_source import TaskSource
 from crazychoir.guidance.team_news import Key, TeamNews
 from crazychoir.guidance.together import run_together
-from crazychoir.safety.guard import EDGE
 from crazychoir.safety.modes import Mode
-from crazychoir.swarm.config import SwarmConfig
-from crazychoir.swarm.graph import span
 from crazychoir.types import Goto, State
 
 log = logging.getLogger(__name__)
@@ -73,7 +71,7 @@ class TaskAssignmentGuidance(CFGuidance):
         self.work = work
         self.generation: Generation | None = None
         self.tables: list[dict[str, Any]] = []
-        self.way: list[list[float]] = []  # t s since the start, x, y m, m from its task, nan without one
+        self.way: list[tuple[Any, ...]] = []  # t s since the start, x, y m, m from its task, None without one
         self.done: list[tuple[int, int]] = []
         self.reason = ""
         self._shares = True  # a planning runs: nothing is completed
@@ -263,10 +261,11 @@ class TaskAssignmentGuidance(CFGuidance):
     def _note(self) -> None:
         """Write the way down, every NOTED s."""
         t = self._now - self._born
-        if self.way and t < self.way[-1][0] + NOTED:
+        if self.way and t < float(self.way[-1][0]) + NOTED:
             return
-        left = math.nan if self._mine is None else math.dist(self._here(), self.news.book.tasks[self._mine].pickup)
-        self.way.append([round(t, 2), *(round(x, 3) for x in self._here()), round(left, 3)])
+        mine = self._mine
+        left = None if mine is None else round(math.dist(self._here(), self.news.book.tasks[mine].pickup), 3)
+        self.way.append((round(t, 2), *(round(x, 3) for x in self._here()), left))
 
     async def _go_home(self) -> None:
         """Over the own home; nobody comes down while somebody flies about above."""
@@ -279,31 +278,6 @@ class TaskAssignmentGuidance(CFGuidance):
 
     def _all_home(self) -> bool:
         return all(record.idle for record in self.news.book.alive(self.news.members).values())
-
-
-class Room:
-    """Where tasks of operators may be, and for whom."""
-
-    def __init__(self, config: SwarmConfig) -> None:
-        self.ids = config.ids
-        self.low, self.high = np.array(config.fence.min[:2]) + EDGE, np.array(config.fence.max[:2]) - EDGE
-
-    def lies_badly(self, task: Task, pickup: Place) -> str:
-        """Why nobody can stand there; empty if somebody can."""
-        if np.all(self.low <= pickup) and np.all(pickup <= self.high):
-            return ""
-        return f"it is at {list(pickup)}, outside the fence, {self.low.tolist()} to {self.high.tolist()} m"
-
-    def never(self, task: Task) -> str:
-        """Why no robot of this swarm can serve it; empty if one can."""
-        strangers = [i for i in task.robots if i not in self.ids]
-        return f"there is no drone {span(strangers)}; this swarm has {span(self.ids)}" if strangers else ""
-
-    def waits(self, task: Task, flying: Collection[int]) -> str:
-        """Why none of those who fly can serve it; empty if one can."""
-        if not task.robots or any(i in flying for i in task.robots):
-            return ""
-        return f"drone {span(task.robots)}, who alone may serve it, does not fly"
 
 
 def _ids(tasks: Collection[Task]) -> list[int]:

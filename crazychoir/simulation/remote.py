@@ -25,6 +25,8 @@ from crazychoir.types import FPQR, FRPY, XYZ, Acc, Body, Command, Drive, FullSta
 log = logging.getLogger(__name__)
 SIZES: dict[type[Any], int] = {FPQR: 4, FRPY: 4, Vel: 4, XYZ: 5, FullState: 14, Acc: 3, Drive: 2}
 """Numbers in a command of each kind."""
+THRUST = ("fpqr", "frpy")
+"""Kinds of commands that carry a drone."""
 GONE = 3.0
 """s of silence after which a world's owner does not come back: all its drones have stopped their motors by then."""
 HANDS_OVER = 0.4
@@ -176,7 +178,7 @@ class RemoteBody:
         if not self._was_cut:
             self.link.send(self._down(rests) if on_board else self._nothing())
         if not rests:
-            does = "landing" if on_board else "no thrust"
+            does = "landing" if on_board else "no thrust" if self.kind in THRUST else "stands still"
             log.warning("drone %d: no command for %.2f s, limit %.2f s: %s", self.drone, self.silence, limit, does)
 
     def _nothing(self) -> Command:

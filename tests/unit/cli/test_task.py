@@ -50,6 +50,11 @@ def test_the_first_drone_that_takes_a_task_is_enough(asked):
     assert asked == [(0, "task_add", arguments), (2, "task_add", arguments)]
 
 
+def test_a_task_that_is_done_at_a_place_needs_no_delivery(asked):
+    assert CliRunner().invoke(task.app, ["add", "--pickup", "1,2"]).exit_code == 0
+    assert asked[0] == (0, "task_add", {"pickup": [1.0, 2.0], "delivery": None, "load": 1.0, "robots": []})
+
+
 def test_a_drone_that_is_named_is_asked_alone(asked):
     said = CliRunner().invoke(task.app, ["cancel", "7", "--drone", "0", "--json"])
     assert said.exit_code == 1

@@ -2,14 +2,18 @@
 
 import copy
 from itertools import permutations
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from crazychoir.errors import ConfigError
+from crazychoir.guidance.base import Interrupted
 from crazychoir.guidance.mission import load
-from crazychoir.guidance.task_assignment import Room, distance
-from crazychoir.guidance.task_book import Task
+from crazychoir.guidance.room import Room
+from crazychoir.guidance.task_assignment import TaskAssignmentGuidance, Work, distance
+from crazychoir.guidance.task_book import Deed, Record, Task, TaskBook
+from crazychoir.safety.pilot import Mode
 from crazychoir.types import State
 
 MISSION = load("task_assignment")
@@ -117,3 +121,27 @@ def test_costs_that_left_with_a_lost_robot_are_not_compared():
     del found[1]
     table = MISSION.report(CONFIG.replace(mission_options={"chance": 0.0}), found)["tables"][0]
     assert (table["optimum"], MISSION.gap(table)) == (None, 0.0)
+
+
+def test_while_the_team_plans_nothing_is_completed():
+    """A task may be somebody else's by then."""
+    said = []
+    guidance = TaskAssignmentGuidance(Work(lambda count: [], 1, {}))
+    pilot = SimpleNamespace(mode=Mode.HOVER, state=State.at((1.0, 1.02, 0.5)), follow=lambda reference: True)
+    guidance.member = SimpleNamespace(pilot=pilot, config=CONFIG, id=0, ended="")
+    book, record = TaskBook([Task(3, 0, False, (1.0, 1.0), (1.0, 1.0))]), Record(0, 1, 1, (0.0, 0.0))
+    guidance.news = SimpleNamespace(
+        book=book, members=CONFIG.ids, record=record, say=lambda **changes: said.append(changes)
+    )
+    guidance.generation = SimpleNamespace(mine=3, number=7)
+    guidance._shares = True
+    guidance._pursue()
+    assert (guidance.done, said) == ([], [])
+    guidance._shares = False
+    guidance._pursue()
+    assert guidance.done == [(3, 7)]
+    assert said == [{"deeds": (Deed(3, "delivery", 1),)}]
+    pilot.mode = Mode.LAND
+    pilot.note = "landing on command"
+    with pytest.raises(Interrupted, match="landing on command"):
+        guidance._pursue()

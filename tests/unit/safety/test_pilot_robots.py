@@ -191,3 +191,15 @@ async def test_a_drone_flies_a_velocity_too(clock):
     assert heading(robot.world) == pytest.approx(0.3, abs=0.03)
     await robot.drive(1.0)
     assert np.linalg.norm(robot.state.v) < 0.05, "it brakes when no other comes"
+
+
+@virtual
+async def test_a_unicycle_that_is_stopped_on_its_way_stands_where_it_is_and_not_at_its_goal(clock):
+    robot = await ready(clock, UNICYCLE)
+    robot.pilot.go_to([1.8, -0.2, 0.0], yaw=0.0)
+    await robot.drive(1.0)
+    before = robot.state.p
+    robot.pilot.hover()
+    await robot.drive(4.0)
+    assert robot.pilot.gap(before) < 0.4
+    assert np.linalg.norm(robot.state.v) < 0.01

@@ -5,6 +5,7 @@ from functools import partial
 
 import numpy as np
 import pytest
+from robots import world_of
 from virtual_time import virtual
 
 from crazychoir.bus.codec import encode
@@ -17,7 +18,8 @@ from crazychoir.simulation import remote
 from crazychoir.simulation.crazyflies import CrazyflieWorld
 from crazychoir.simulation.integrator import SILENCE, CFIntegrator
 from crazychoir.simulation.remote import GONE, OwnerWatch, RemoteBody, RemoteLink
-from crazychoir.types import FPQR, FRPY, XYZ, Body, Pose, Vel
+from crazychoir.swarm.checks import DOUBLE, SINGLE, UNICYCLE
+from crazychoir.types import FPQR, FRPY, XYZ, Acc, Body, Drive, Pose, Vel
 
 said: list[str] = []
 HOVER = FPQR(np.array([PAPER.weight, 0.0, 0.0, 0.0]))
@@ -267,3 +269,28 @@ async def test_an_owner_that_was_there_is_missed_once_and_one_that_was_not_is_wa
     ((drone, when),) = gone
     assert (drone, when) == (3, pytest.approx(3.5 + GONE, abs=0.3))
     assert said == ["drone(s) 4: waiting for the owner of their world: crazychoir-world --swarm ..."]
+
+
+@pytest.mark.parametrize(("uri", "command"), [
+    (SINGLE, Vel(np.array([0.5, 0.0, 0.0, 0.0]))), (DOUBLE, Acc(np.array([0.5, 0.0, 0.0]))),
+    (UNICYCLE, Drive(np.array([0.5, 0.1]))),
+])  # fmt: skip
+def test_a_robot_that_nobody_commands_stands_still(uri, command):
+    @virtual
+    async def test(clock):
+        bus, world = Bus(clock), world_of(uri)
+        drone, there = bus.port(0), bus.port(BODIES)
+        body = RemoteBody(there, world, world.link(0, world.kind), world.kind)
+        link = RemoteLink(drone)
+        there.publish(BODY, Body())
+        link.send(command)
+        world.step()
+        body.look()
+        assert body.flying, "it moves"
+        await clock.sleep(1.1 * SILENCE)
+        body.look()
+        world.step()
+        assert world.resting(0)
+        assert not body.flying
+
+    test()
