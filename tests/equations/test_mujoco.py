@@ -101,7 +101,7 @@ def flown(kind, seconds):
 
 
 def test_two_seconds_of_aggressive_free_flight_are_those_of_the_motor_level_to_a_twentieth_of_a_millimetre():
-    """Measured: 6e-6 m after 1 s, 3.4e-5 m after 2 s. With MuJoCo's own places 1e-3 m."""
+    """Measured: 6e-6 m after 1 s, 3.4e-5 m after 2 s."""
     expected, found = flown(EachMillisecond, 2.0), flown(MujocoWorld, 2.0)
     assert np.abs(expected[:, 10:12]).max() > 3.5
     assert np.abs(expected[:, 3:6]).max() > 5.0
