@@ -69,7 +69,7 @@ def run(
         to_run,
         to_start,
     )
-    from crazychoir.guidance.mission import has
+    from crazychoir.guidance.mission import look_before
     from crazychoir.launch.flight import fly_fast, fly_real
     from crazychoir.launch.network import apart, swarm_file
     from crazychoir.launch.recording import recording_file
@@ -82,7 +82,7 @@ def run(
             config, mission = to_run(what, drones, swarm, loss, seed)
             check_picture(mission, picture)
             started = to_start(only, config)
-            warned = mission.check(config, force) if has(mission, "check") else []
+            warned = look_before(mission, config, force)
             with Progress(status_table, enabled=not as_json) as progress:
                 for text in warned:
                     progress.say(text)

@@ -11,8 +11,8 @@ from crazychoir.runtime.mailbox import Call
 from crazychoir.types import State
 
 BORN, SHARE, DISTANCE, COLUMNS = 16, 17, 18, 19
-"""Columns after the state (13,) and the acceleration (3,): s, when it was so; the share of keeping clear that is this
-drone's; m, how far away."""
+"""Columns after the state (13,) and the acceleration (3,): s, when it was so; 1 if it gives way to nobody, else 0.5;
+m, how far away."""
 SELDOM = 5.0
 """Hz, at which a drone is heard that is far away."""
 NEAR, NEARBY = 1.2, 2.5
