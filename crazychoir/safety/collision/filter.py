@@ -71,7 +71,7 @@ def _insert(planes: Vec, near: Vec, count: int, d: float, normal: Triple, b: flo
 def _wall(gap: float, away: float, f: Vec) -> float:
     """What it must accelerate away from a wall, m/s2; gap: m, away: m/s, as in `barrier`."""
     speed, slope = approach(gap, f[BRAKE], f[STIFF])
-    return -f[GAMMA] * (speed + away) - slope * away
+    return float(-f[GAMMA] * (speed + away) - slope * away)
 
 
 @kernel()
@@ -155,7 +155,7 @@ def _filtered(
     if not acts:
         return CLEAR
     floor = min(box[2] + FLOOR_GAP, ref[2]) if follow > 0.0 else box[2]
-    _box(planes, _wall(p[2] - floor, v[2], f), f)
+    _box(planes, -f[A_Z] if low else _wall(p[2] - floor, v[2], f), f)
     u = turned(u, planes, 6, 6 + count, f[TURN])
     relaxed, u = nearest(u, planes, _walls(planes, 6 + count, p, v, box, f))
     out[0], out[1], out[2], out[4] = u[0], u[1], u[2], relaxed

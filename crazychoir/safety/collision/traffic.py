@@ -40,9 +40,10 @@ class Traffic:
         self._pace = np.zeros(len(self.ids), dtype=np.int64)
         self._looks = 0.0
         if self.ids:
-            port.bus.subscribe(STATE, ANY, port.address, Call(self.clock, self._hear, "traffic"), SELDOM)
+            port.bus.subscribe(STATE, ANY, port.address, Call(self.clock, self.hear, "traffic"), SELDOM)
 
-    def _hear(self, message: tuple[int, State], age: float) -> None:
+    def hear(self, message: tuple[int, State], age: float) -> None:
+        """Keep a state of a drone, `age` s old, unless a newer one is there."""
         j, state = message
         k = self._row.get(j)
         if k is None:
