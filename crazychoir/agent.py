@@ -157,7 +157,7 @@ class Agent:
         return controls(row, platform(drone.platform), kind, plant.rate_lag, plant.command_delay, where)
 
     def _collision(self, i: int, chosen: Controls) -> CollisionFilter | None:
-        """What keeps drone i clear of the others; None: it is off, or the drone does not fly, or by a planner on board."""
+        """What keeps drone i clear of the others; None: it is off, or the drone flies not, or by a planner on board."""
         config = self.config
         if config.collision.method == "off" or chosen.sender.kind in ON_BOARD or config.drone(i).uri in ROBOTS:
             return None

@@ -102,7 +102,7 @@ class Readers:
             self.some[address] = Rate(interval_ns, phase % interval_ns if interval_ns >= SLOW_NS else 0, interval_ns)
 
     def pace(self, address: int, interval_ns: int) -> None:
-        """A port that gets some values gets them at this interval, or as often as it asked for if that is more often."""
+        """A port that gets some values gets them at this interval, or as often as it asked, if that is more."""
         rate = self.some.get(address)
         if rate is not None:
             rate.interval_ns = min(interval_ns, rate.asked_ns)

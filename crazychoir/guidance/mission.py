@@ -14,6 +14,7 @@ from crazychoir.errors import ConfigError, Hung
 from crazychoir.guidance.base import CFGuidance
 from crazychoir.guidance.hooks import MissionFile
 from crazychoir.runtime.hanging import HOOK, limited
+from crazychoir.swarm.checks import refuse_conflicts
 from crazychoir.swarm.config import SwarmConfig
 from crazychoir.types import Point
 
@@ -64,6 +65,14 @@ def load(name: str) -> Mission:
 def has(mission: Mission, what: str) -> bool:
     """Whether the mission file defines one of the optional functions."""
     return callable(getattr(mission, what, None))
+
+
+def look_before(mission: Mission, config: SwarmConfig, force: bool = False) -> list[str]:
+    """The warnings of the mission's check; raises what it raises, and ConfigError for goals that are in conflict."""
+    if has(mission, "goal"):
+        goals = {i: (float(p[0]), float(p[1]), float(p[2])) for i, p in mission.goal(config).items()}
+        refuse_conflicts(config, goals, "goals")
+    return mission.check(config, force) if has(mission, "check") else []
 
 
 def mission_hash(config: SwarmConfig, mission: Mission) -> str:

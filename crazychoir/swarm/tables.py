@@ -251,11 +251,12 @@ class World(Table, frozen=True, kw_only=True):
 class Collision(Table, frozen=True, kw_only=True):
     """[collision]: how drones keep clear of each other.
 
-    method: "barrier", "cells" or "off";  semi_axes: m, of the ellipsoid around each drone, which no other's meets;
+    method: "barrier" (two together can always stop), "cells" (each can, on its side of the middle) or "off";
+    semi_axes: m, of the ellipsoid around each drone, which no other's meets: it is tall because of the downwash;
     margin: m, kept beyond twice the first of them;  brake: m/s2, with which a drone counts on being able to brake;
-    gamma: 1/s, how fast it comes to a limit;  turn: how much it goes to the side where somebody is in its way;
-    range: m, within which others count;  unsure: m/s2, by which one that is not heard may change its acceleration;
-    lag, delay: s, of the drones;  stiff: 1/s, how fast a gap closes at most.
+    stiff, gamma: 1/s, how fast a gap closes at most, and how fast that limit is come to;  turn: how much a drone goes
+    to the side where somebody is in its way;  range: m, within which others count;  unsure: m/s2, by which one that is
+    not heard may change its acceleration;  lag, delay: s, with which drones obey.
     """
 
     method: Avoidance = "cells"

@@ -4,7 +4,6 @@ import math
 
 from crazychoir.math3d import Triple, dot, kernel
 
-
 EVEN = 0.05
 """m/s: of drones that hardly move each takes half."""
 
@@ -26,9 +25,7 @@ def approach(gap: float, brake: float, stiff: float) -> tuple[float, float]:
 
 
 @kernel()
-def barrier(
-    r: Triple, w: Triple, gap: float, unsure: float, brake: float, stiff: float, gamma: float
-) -> float:  # fmt: skip
+def barrier(r: Triple, w: Triple, gap: float, unsure: float, brake: float, stiff: float, gamma: float) -> float:
     """What both together must accelerate apart: n . r'' >= the value, m/s2.
 
         h = s(|r| - D) + n . w - unsure >= 0,   n = r / |r|,   r'' = S (u_i - u_j)

@@ -1,7 +1,6 @@
 """The collision filter: the acceleration nearest to the one wanted with which this drone hits nobody."""
 
 import math
-from typing import Any
 
 import numpy as np
 
@@ -72,7 +71,7 @@ def _insert(planes: Vec, near: Vec, count: int, d: float, normal: Triple, b: flo
 def _wall(gap: float, away: float, f: Vec) -> float:
     """What it must accelerate away from a wall, m/s2; gap: m, away: m/s, as in `barrier`."""
     speed, slope = approach(gap, f[BRAKE], f[STIFF])
-    return -f[GAMMA] * (speed + away) - slope * away
+    return float(-f[GAMMA] * (speed + away) - slope * away)
 
 
 @kernel()
@@ -107,7 +106,7 @@ def _filtered(
     x: Vec, a: Vec, ref: Vec, gains: Vec, follow: float, others: Vec, now: float, box: Vec, f: Vec, planes: Vec,
     near: Vec, out: Vec,
 ) -> int:  # fmt: skip
-    """The law of CollisionFilter; out: (5,) = the acceleration, the row of the nearest that it gives way to, relaxed."""
+    """The law of CollisionFilter; out: (5,) = the acceleration, the row of the nearest that is in the way, relaxed."""
     p, v = late(x, a, f[LAG], f[DELAY])
     low, count, blind = x[2] < f[GROUND] + STANDING, 0, False
     for j in range(others.shape[0]):
@@ -156,7 +155,7 @@ def _filtered(
     if not acts:
         return CLEAR
     floor = min(box[2] + FLOOR_GAP, ref[2]) if follow > 0.0 else box[2]
-    _box(planes, _wall(p[2] - floor, v[2], f), f)
+    _box(planes, -f[A_Z] if low else _wall(p[2] - floor, v[2], f), f)
     u = turned(u, planes, 6, 6 + count, f[TURN])
     relaxed, u = nearest(u, planes, _walls(planes, 6 + count, p, v, box, f))
     out[0], out[1], out[2], out[4] = u[0], u[1], u[2], relaxed
@@ -171,10 +170,17 @@ class CollisionFilter:
 
     semi-axes s of the ellipsoid around each drone;  b_ij: of `barrier` or of `cell`;  u_n: what is wanted, turned to
     the side where somebody is in the way. Places and velocities are those of `late`, so that the lag of the drones
-    counts. What cannot be had all is relaxed, the nearest drone last.  settings: [collision].
+    counts. What cannot be had all is relaxed by least violation, the nearest drone last; the floor never. Drones that
+    stand on the floor are balls of BODY m; who is low himself does not see them. If one that may be near has not been
+    heard for USABLE s, it brakes.
+    settings: [collision];  fence: from the floor upwards;  a_max: m/s2, with which it brakes;  v_max: m/s, at which
+    others fly at most;  ground: m.
+    acted, braked, relaxed: ticks in which it did so.
     """
 
-    def __init__(self, settings: Collision, traffic: Traffic, fence: Fence, a_max: float, v_max: float, ground: float) -> None:
+    def __init__(
+        self, settings: Collision, traffic: Traffic, fence: Fence, a_max: float, v_max: float, ground: float
+    ) -> None:  # fmt: skip
         sx, sy, sz = settings.semi_axes
         self.traffic = traffic
         self._figures = np.array([

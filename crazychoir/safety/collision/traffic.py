@@ -11,8 +11,8 @@ from crazychoir.runtime.mailbox import Call
 from crazychoir.types import State
 
 BORN, SHARE, DISTANCE, COLUMNS = 16, 17, 18, 19
-"""Columns after the state (13,) and the acceleration (3,): s, when it was so; the share of keeping clear that is this
-drone's; m, how far away."""
+"""Columns after the state (13,) and the acceleration (3,): s, when it was so; 1 if it gives way to nobody, else 0.5;
+m, how far away."""
 SELDOM = 5.0
 """Hz, at which a drone is heard that is far away."""
 NEAR, NEARBY = 1.2, 2.5
@@ -40,9 +40,10 @@ class Traffic:
         self._pace = np.zeros(len(self.ids), dtype=np.int64)
         self._looks = 0.0
         if self.ids:
-            port.bus.subscribe(STATE, ANY, port.address, Call(self.clock, self._hear, "traffic"), SELDOM)
+            port.bus.subscribe(STATE, ANY, port.address, Call(self.clock, self.hear, "traffic"), SELDOM)
 
-    def _hear(self, message: tuple[int, State], age: float) -> None:
+    def hear(self, message: tuple[int, State], age: float) -> None:
+        """Keep a state of a drone, `age` s old, unless a newer one is there."""
         j, state = message
         k = self._row.get(j)
         if k is None:
