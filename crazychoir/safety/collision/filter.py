@@ -10,7 +10,7 @@ from crazychoir.safety.collision.cells import cell
 from crazychoir.safety.collision.deadlock import turned
 from crazychoir.safety.collision.motion import late, length, scaled, shrunk
 from crazychoir.safety.collision.projection import nearest
-from crazychoir.safety.collision.traffic import BORN, DISTANCE, SHARE, Traffic
+from crazychoir.safety.collision.traffic import BORN, SHARE, SLOW, SOON, Traffic
 from crazychoir.safety.guard import Fence
 from crazychoir.swarm.tables import Collision
 from crazychoir.types import State
@@ -113,10 +113,12 @@ def _filtered(
         other = others[j]
         age = now - other[BORN]
         if not age < GONE:
-            other[DISTANCE] = math.inf
+            other[SOON] = math.inf
             continue
-        other[DISTANCE] = length((x[0] - other[0], x[1] - other[1], x[2] - other[2]))
-        if other[DISTANCE] > f[RANGE] + 2.0 * f[V_MAX] * age:
+        apart = length((x[0] - other[0], x[1] - other[1], x[2] - other[2]))
+        speeds = length((x[3], x[4], x[5])) + length((other[3], other[4], other[5]))
+        other[SOON] = (apart - 2.0 * f[WIDTH]) / (speeds + SLOW)
+        if apart > f[RANGE] + 2.0 * f[V_MAX] * age:
             continue
         stands = other[2] < f[GROUND] + STANDING
         if stands and low:

@@ -16,7 +16,7 @@ CASES = {
         "",
         'x.toml: colour = "red": there is no such key; the keys here are name, drones, mission, mission_options, seed, '
         "graph, edges, directed, start, start_deadline, lost_after, lease, base_port, processes, hosts, network, "
-        "flight, fence, mocap, plant, motors, world, control, roles. Remove it; keys of your own go into "
+        "flight, fence, mocap, plant, motors, world, collision, control, roles. Remove it; keys of your own go into "
         "[mission_options].",
     ),
     "misspelt key of a drone": (
@@ -405,7 +405,7 @@ def test_hostile_depth_is_a_config_error() -> None:
 
 def test_every_key_says_what_is_allowed_and_its_example_is() -> None:
     structs = [kind for kind in vars(tables).values() if isinstance(kind, type) and issubclass(kind, tables.Table)]
-    assert len(structs) == 15
+    assert len(structs) == 16
     for kind in structs:
         for entry in msgspec.structs.fields(kind):
             said = next((t for t in (entry.type, *get_args(entry.type)) if get_origin(t) is Annotated), None)
