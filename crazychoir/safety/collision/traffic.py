@@ -16,9 +16,9 @@ s, after which both could be near each other.
 """
 SLOW = 0.3
 """m/s, by which two drones may be faster at once than they are."""
-SELDOM = 2.0
+SELDOM = 4.0
 """Hz, at which a drone is heard that is far away."""
-RATES = ((0.5, 50.0), (1.0, 20.0), (2.5, 5.0))
+RATES = ((0.7, 50.0), (1.5, 20.0))
 """s, within which both could be near each other, and Hz, at which they then hear each other."""
 LOOK = 0.1
 """s, between two looks at who is near."""
