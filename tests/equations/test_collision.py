@@ -85,10 +85,10 @@ def test_a_drone_that_obeys_late_is_a_double_integrator_in_its_late_motion():
         q = np.array([-z[1], z[0], 0.0, 1.0 + z[2]])
         return np.concatenate([p, v, q / np.linalg.norm(q), np.zeros(3)])
 
-    expected = np.array(late(state(p, v, a), u, lag, h * steps))
+    expected = np.array(late(state(p, v, a), u, lag, h * steps, 1.0))
     for _ in range(steps):
         p, v, a = p + h * v, v + h * a, a + h * (u - a) / lag
-    assert np.allclose(np.array(late(state(p, v, a), u, lag, 0.0)), expected, atol=2e-5)
+    assert np.allclose(np.array(late(state(p, v, a), u, lag, 0.0, 1.0)), expected, atol=2e-5)
 
 
 def problem(seed):

@@ -48,9 +48,9 @@ def least(p, up):
 @pytest.mark.parametrize("method", ["barrier", "cells"])
 def test_two_head_on_and_six_antipodal_pass_each_other(method):
     for n in (2, 6):
-        distance, arrived = flown(*crossing(n, 1, method, radius=1.2, low=0.8, high=1.2, jitter=0.02, duration=9.0))
+        distance, arrived = flown(*crossing(n, 1, method, radius=1.2, low=0.8, high=1.2, jitter=0.02, duration=8.0))
         assert distance > MEET, n
-        assert arrived < 9.0, n
+        assert arrived < 8.0, n
 
 
 def test_without_the_filter_they_meet():
