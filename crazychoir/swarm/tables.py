@@ -251,7 +251,7 @@ class World(Table, frozen=True, kw_only=True):
 class Collision(Table, frozen=True, kw_only=True):
     """[collision]: how drones keep clear of each other.
 
-    method: "barrier" (two together can always stop), "cells" (each can, on its side of the middle) or "off";
+    method: "off", "barrier" (two together can always stop) or "cells" (each can, on its side of the middle);
     semi_axes: m, of the ellipsoid around each drone, which no other's meets: it is tall because of the downwash;
     margin: m, kept beyond twice the first of them;  brake: m/s2, with which a drone counts on being able to brake;
     stiff, gamma: 1/s, how fast a gap closes at most, and how fast that limit is come to;  turn: how much a drone goes
@@ -259,7 +259,7 @@ class Collision(Table, frozen=True, kw_only=True):
     not heard may change its acceleration;  lag, delay: s, with which drones obey.
     """
 
-    method: Avoidance = "barrier"
+    method: Avoidance = "off"
     semi_axes: SemiAxes = (0.12, 0.12, 0.3)
     margin: Metres = 0.08
     brake: Acceleration = 1.0
