@@ -4,7 +4,6 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
 import typer
 
 from crazychoir.cli.show import STDERR, STDOUT, fail, set_up_logging, write_json
@@ -30,7 +29,9 @@ def render(
 ) -> None:
     """Draw a recorded flight as it looked; needs the extra `mujoco`."""
     set_up_logging()
-    from crazychoir.bus.topics import TRUTH  # numerics: 1 s that --help does not need
+    import numpy as np  # 1 s that --help does not need
+
+    from crazychoir.bus.topics import TRUTH
     from crazychoir.recording.figures import flight_of
     from crazychoir.recording.reading import read
     from crazychoir.recording.video import check_video, write_video
@@ -91,6 +92,7 @@ def _moment(at: float | None, times: Any) -> float:
 
 
 def _save(path: Path, image: "Image") -> None:
+    import numpy as np
     from PIL import Image as Pillow
 
     path.parent.mkdir(parents=True, exist_ok=True)

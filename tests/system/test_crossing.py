@@ -59,10 +59,9 @@ def test_without_the_filter_they_meet():
 
 
 def test_goals_in_conflict_are_refused_before_the_flight():
-    mission, config = crossing(4, 1, "barrier")
     mission = load("bearing_formation")
     shape = {"0": [0, 0, 1], "1": [1, 0, 1], "2": [1, 0.1, 1], "3": [0, 1, 1]}
-    config = mission.swarm(None).replace(mission_options={"shape": shape})
+    config = mission.swarm(None).replace(mission_options={"shape": shape}, collision={"method": "barrier"})
     with pytest.raises(ConfigError, match=r"drone 1 at .* drone 2 at .* conflict"):
         look_before(mission, config, force=True)
 
