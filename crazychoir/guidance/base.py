@@ -320,11 +320,14 @@ class CFGuidance:
             raise Interrupted(f"drone {self.id}: its mission is over: {self.member.ended}")
 
     async def _while(self, seconds: float, *modes: Mode) -> None:
-        """Wait for a flight of `seconds`; raises Interrupted in other modes than these and hovering, as landing."""
-        pilot, flying = self.member.pilot, (*modes, Mode.HOVER)
-        ends = self.member.clock.now() + seconds
-        while pilot.mode in flying and self.member.clock.now() < ends:
-            await self.sleep(min(SETTLE, max(ends - self.member.clock.now(), 1e-3)))
+        """Wait for a flight of `seconds`, and as long as others are in its way.
+
+        Raises Interrupted in other modes than these and hovering, as landing.
+        """
+        pilot, flying, clock = self.member.pilot, (*modes, Mode.HOVER), self.member.clock
+        ends = clock.now() + seconds
+        while pilot.mode in flying and (left := ends + pilot.flights.waited - clock.now()) > 0.0:
+            await self.sleep(min(SETTLE, max(left, 1e-3)))
         if pilot.mode not in flying:
             raise Interrupted(f"drone {self.id}: {pilot.mode.value}: {pilot.note}")
 

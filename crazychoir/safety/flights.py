@@ -14,6 +14,9 @@ from crazychoir.types import FullState, State
 DETOUR, PARKING = 2.0, 4.0
 """A robot that finds its own way to a pose is given so many times what a straight one takes, and s to come to rest."""
 
+LONGEST_WAIT = 60.0
+"""s that a plan waits for a drone that others keep off it."""
+
 
 def braking(limits: Flight, platform: Platform, share: float) -> float:
     """m/s2, with which a drone comes to rest from any direction; share: of its thrust that goes upwards at most."""
@@ -31,6 +34,8 @@ class Flights:
         self.limits, self.fence, self.a_max = limits, fence, a_max
         self.plan: Trajectory | None = None
         self.start = 0.0
+        self.waited = 0.0
+        """s that this plan has waited for its drone."""
 
     def clear(self) -> None:
         """Nothing is planned."""
@@ -91,7 +96,13 @@ class Flights:
         duration = duration_for(outside, inside, start.yaw, self.limits.speed_limit, self.a_max)
         return [stop, PointToPoint(outside, inside, start.yaw, duration)]
 
+    def wait(self, seconds: float) -> None:
+        """The plan goes on so much later, unless it has waited for LONGEST_WAIT s."""
+        if self.waited < LONGEST_WAIT:
+            self.start += seconds
+            self.waited += seconds
+
     def fly(self, plan: Trajectory, now: float) -> float:
         """Begin this one; returns the time it takes."""
-        self.plan, self.start = plan, now
+        self.plan, self.start, self.waited = plan, now, 0.0
         return plan.duration

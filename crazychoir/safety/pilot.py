@@ -7,6 +7,7 @@ table allows. A pose triggers the tick; if none comes in time, the clock does.
 import asyncio
 import logging
 import math
+from functools import partial
 from typing import Any, Protocol
 
 import numpy as np
@@ -24,11 +25,13 @@ from crazychoir.filters.state_filter import StateFilter
 from crazychoir.filters.velocity import VelocityFilter
 from crazychoir.math3d import yaw_of
 from crazychoir.planning.landing import Landing
+from crazychoir.planning.point_to_point import PointToPoint
 from crazychoir.planning.trajectory import Trajectory
 from crazychoir.runtime.actor import Actor, Restart
 from crazychoir.runtime.clock import SECOND
 from crazychoir.runtime.mailbox import Call
 from crazychoir.safety.collision.filter import CollisionFilter
+from crazychoir.safety.collision.planned import Future, PlannedFlights
 from crazychoir.safety.flights import Flights, braking
 from crazychoir.safety.guard import BELOW_GROUND, EDGE, Action, Fence, Guard, Throttle, Verdict
 from crazychoir.safety.homecoming import Homecoming
@@ -117,6 +120,12 @@ def flyable(reference: object) -> bool:
             return False
 
 
+def ahead(reference: FullState, later: float) -> FullState:
+    """Where a reference will be `later` s from now if it goes on as it does."""
+    p, v, a = reference.p, reference.v, reference.a
+    return FullState.at(p + later * v + 0.5 * later**2 * a, v + later * a, a, yaw=reference.yaw)
+
+
 def filter_of(name: str, chosen: Controls, ground: float, rate: float) -> StateFilter:
     """The filter of [control], "kalman" or "derivative"; it knows what is commanded, if that is thrust and body rates.
 
@@ -140,9 +149,10 @@ class Pilot(Actor):
     def __init__(
         self, port: Port, link: Link, limits: Flight, fence: Fence, rate: float = 100.0,
         chosen: Controls | None = None, state_filter: StateFilter | None = None, body: int | None = None,
-        collision: CollisionFilter | None = None,
+        collision: CollisionFilter | PlannedFlights | None = None,
     ) -> None:  # fmt: skip
-        self.collision = collision
+        self.collision = collision if isinstance(collision, CollisionFilter) else None
+        self.planned = collision if isinstance(collision, PlannedFlights) else None
         self.port, self.link, self.limits = port, link, limits
         self.controls = controls() if chosen is None else chosen
         self.parameters = Parameters(self.controls)
@@ -572,6 +582,7 @@ class Pilot(Actor):
         low = seen and state.flat[2] < self.limits.ground + ON_THE_FLOOR
         landing = isinstance(self.flights.plan, Landing)
         over = landing and self.flights.done(now, TOUCHDOWN_LATE if seen else TOUCHDOWN_UNSEEN)
+        over = over and not (self.planned is not None and self.planned.delayed)  # it waits until it may go down
         return bool(low or (over and np.linalg.norm(state.v) < AT_REST))
 
     def _follow(self, state: State, now: float) -> Command | None:
@@ -586,14 +597,15 @@ class Pilot(Actor):
             if isinstance(reference, Velocity):
                 reference = FullState.at(state.p, reference.v, yaw=reference.yaw)
             if isinstance(reference, FullState):
-                self._flown, flights.plan = self.reference_limits.full_state(reference, state), None
+                wanted, flights.plan = self.reference_limits.full_state(reference, state), None
+                self._flown = self._agreed(state, wanted, partial(ahead, reference), 0.0, now)
                 if (safe := self._kept_clear(state, self._flown, now)) is not None:
                     return self._evade(state, safe, self._flown.yaw, now)
                 chosen.trim.frozen = self._flown is not reference or state.age > SEEN
                 return self._commanded(chosen.tracker, state, self._flown, now)
         if flights.plan is None:
             self._brake()
-        self._flown = flown = flights.sample(now)
+        self._flown = flown = self._planned_flight(state, now)
         if self.mode in (TAKEOFF, FOLLOW) and self._reference is None and flights.done(now):
             self._change(Event.ARRIVED)
         if flown is not None and (safe := self._kept_clear(state, flown, now)) is not None:
@@ -601,6 +613,28 @@ class Pilot(Actor):
         low = self.mode is TAKEOFF and state.flat[2] < self._lift_off
         chosen.trim.frozen = low or state.age > SEEN
         return self._commanded(chosen.tracker, state, self._flown, now)
+
+    def _planned_flight(self, state: State, now: float) -> FullState | None:
+        """The plan's reference, as far as it may be flown."""
+        flights = self.flights
+        wanted = flights.sample(now)
+        if wanted is None or self.planned is None:
+            return wanted
+        whole = flights.remaining(now) if isinstance(flights.plan, PointToPoint) else 0.0
+        flown = self._agreed(state, wanted, lambda later: flights.sample(now + later) or wanted, whole, now)
+        if self.planned.delayed:
+            flights.wait(max(self.period_ns / SECOND, whole and self.planned.left(now) - whole))
+        return flown
+
+    def _agreed(self, state: State, wanted: FullState, future: Future, whole: float, now: float) -> FullState:
+        """What a drone that tells its ways may fly instead of `wanted`; others may fly that."""
+        planned = self.planned
+        if planned is None:
+            return wanted
+        flown = planned.fly(state, wanted, future, whole, now)
+        if planned.delayed and planned.gives_way_to is not None:
+            self._say("collision", f"keeps clear of drone {planned.gives_way_to}")
+        return flown
 
     def _kept_clear(self, state: State, reference: Acceleration | FullState, now: float) -> Vec | None:
         """The acceleration (3,) that keeps it clear of the others; None: it is clear, and may fly as it wants."""
@@ -666,6 +700,10 @@ class Pilot(Actor):
         assert self.state is not None  # noqa: S101 - callers fly, and who flies has a state
         if self._planar:  # which finds its own way: its plan says where to, not where it is
             return FullState.at(self.state.p, self.state.v, yaw=yaw_of(self.state.q))
+        if self.planned is not None and self._flown is not None:
+            elsewhere = self.planned.departure(self._flown.yaw, self.clock.now())
+            if elsewhere is not None:
+                return elsewhere
         return self.flights.departure(self.state, self.clock.now())
 
     def _landed(self) -> None:

@@ -245,7 +245,8 @@ class Collision(Table, frozen=True, kw_only=True):
     """[collision]: how drones keep clear of each other.
 
     method: "barrier", "cells" or "off";  semi_axes: m, of the ellipsoid around each drone, which no other's meets;
-    margin: m, kept beyond twice the first of them;  brake: m/s2, with which a drone counts on being able to brake;
+    margin: m, kept beyond twice the first of them;  slack: m, beyond that, between drones that fly agreed ways (those
+    that are sent "xyz" or "vel");  brake: m/s2, with which a drone counts on being able to brake;
     gamma: 1/s, how fast it comes to a limit;  turn: how much it goes to the side where somebody is in its way;
     range: m, within which others count;  unsure: m/s2, by which one that is not heard may change its acceleration;
     lag, delay: s, of the drones.
@@ -254,6 +255,7 @@ class Collision(Table, frozen=True, kw_only=True):
     method: Avoidance = "cells"
     semi_axes: SemiAxes = (0.12, 0.12, 0.3)
     margin: Metres = 0.06
+    slack: Metres = 0.04
     brake: Acceleration = 1.0
     gamma: Timeout = 4.0
     turn: Factor = 1.0

@@ -1,7 +1,6 @@
 """The collision filter: the acceleration nearest to the one wanted with which this drone hits nobody."""
 
 import math
-from typing import Any
 
 import numpy as np
 
