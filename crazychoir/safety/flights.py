@@ -97,8 +97,8 @@ class Flights:
         return [stop, PointToPoint(outside, inside, start.yaw, duration)]
 
     def wait(self, seconds: float) -> None:
-        """The plan goes on so much later, unless it has waited for LONGEST_WAIT s."""
-        if self.waited < LONGEST_WAIT:
+        """The plan goes on so much later, unless it has waited for LONGEST_WAIT s; or earlier, if negative."""
+        if self.waited < LONGEST_WAIT or seconds < 0.0:
             self.start += seconds
             self.waited += seconds
 

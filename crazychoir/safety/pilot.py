@@ -620,10 +620,12 @@ class Pilot(Actor):
         wanted = flights.sample(now)
         if wanted is None or self.planned is None:
             return wanted
-        whole = flights.remaining(now) if isinstance(flights.plan, PointToPoint) else 0.0
+        plan, planned = flights.plan, self.planned
+        whole = flights.remaining(now) if isinstance(plan, PointToPoint) else 0.0
         flown = self._agreed(state, wanted, lambda later: flights.sample(now + later) or wanted, whole, now)
-        if self.planned.delayed:
-            flights.wait(max(self.period_ns / SECOND, whole and self.planned.left(now) - whole))
+        if planned.delayed:
+            arrives = isinstance(plan, PointToPoint) and planned.comes_to(plan.goal)
+            flights.wait(planned.left(now) - whole if arrives else self.period_ns / SECOND)
         return flown
 
     def _agreed(self, state: State, wanted: FullState, future: Future, whole: float, now: float) -> FullState:

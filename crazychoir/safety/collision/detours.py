@@ -15,11 +15,11 @@ DELAYS = (0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0)
 """s."""
 SHARES = (0.25, 0.5, 0.75, 0.9)
 """Of the straight way, where it may wait, or turn aside before and after."""
-ASIDE, ABOVE = (0.5, 0.9), 0.8
+ASIDE, ABOVE = (0.5, 0.9), 0.95
 """m beside, above and below the straight way."""
 DRAWN = 10
 """Waypoints that are drawn."""
-AROUND = np.array([0.9, 0.9, 0.7])
+AROUND = np.array([0.9, 0.9, 1.0])
 """m beyond the straight way's box in which they are drawn."""
 UNENDED = 1.0
 """s that a way costs that does not end at the goal; and more for what is left, REST times what it takes."""

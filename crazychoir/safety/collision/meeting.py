@@ -15,6 +15,8 @@ WIDEST = 0.15
 """m, of what is added for a way that is only guessed."""
 GROWS = 0.15
 """m/s, by which such a guess becomes worse."""
+APART = 0.1
+"""s between the places on a way at which a silent drone may be."""
 GOES_ON = 0.3
 """s that one who tells no way is taken to go on as he does, before he comes to rest."""
 
@@ -77,9 +79,9 @@ class Meeting:
         self._pieces.append(way)
         self._count += len(way)
 
-    def somewhere(self, j: int, way: Mat, began: float, now: float) -> None:
-        """Drone j is silent: it may have stopped anywhere on what is left of its way."""
-        for t in np.arange(max(0.0, now - began), seconds(way) + 0.2, 0.2).tolist():
+    def somewhere(self, j: int, way: Mat, began: float, heard: float) -> None:
+        """Drone j is silent since `heard`, s: it may have stopped anywhere on what was left of its way then."""
+        for t in np.arange(max(0.0, heard - began), seconds(way) + APART, APART).tolist():
             self.way(j, hold(moving(way, t)[0:3], 0.0), -math.inf)
 
     def stands(self, j: int, p: Vec) -> None:

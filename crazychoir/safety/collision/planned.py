@@ -72,6 +72,8 @@ class PlannedFlights:
         self._kept = False
         self.gives_way_to: int | None = None
         """Whom it would have met, had it flown as it was wanted to; None: nobody."""
+        self.restarts = 0
+        """How often it has lost its way."""
         self.kinds = {"straight": 0, "delayed": 0, "split": 0, "partly": 0, "braked": 0}
         """How often it has chosen what."""
 
@@ -105,6 +107,10 @@ class PlannedFlights:
         """s until its way ends."""
         return max(self.agreement.began + seconds(self.agreement.way) - now, 0.0)
 
+    def comes_to(self, goal: Vec) -> bool:
+        """Whether its way ends at goal (3,) m."""
+        return math.dist(end(self.agreement.way), goal) < NEAR
+
     @property
     def delayed(self) -> bool:
         """Whether it is elsewhere than it was wanted to be when it flew last."""
@@ -117,6 +123,7 @@ class PlannedFlights:
             near = math.dist(state.p, wanted.p) < LOST
             mine.begin(braking(wanted.flat[0:12] if near else _motion(state), self.a_max), now)
         elif math.dist(state.p, moving(mine.way, now - mine.began)[0:3]) > LOST:
+            self.restarts += 1
             mine.begin(braking(_motion(state), self.a_max), now)
 
     def _look(self, now: float) -> None:
@@ -153,10 +160,14 @@ class PlannedFlights:
         if not other.flies(now) and (other.stands or len(other.way) == 0):
             self._guess(meeting, other.id, now)
             return
-        add = meeting.way if not other.silent(now) else lambda j, way, began: meeting.somewhere(j, way, began, now)
-        add(other.id, other.way, other.began)
+        ways = [(other.way, other.began)]
         if self.agreement.may_be_flown(other):
-            add(other.id, other.offer, other.begins)
+            ways.append((other.offer, other.begins))
+        for way, began in ways:
+            if other.silent(now):
+                meeting.somewhere(other.id, way, began, other.heard)
+            else:
+                meeting.way(other.id, way, began)
 
     def _guess(self, meeting: Meeting, j: int, now: float) -> None:
         x = self._rows[j]

@@ -12,8 +12,8 @@ from crazychoir.math3d import Mat, Triple, Vec, kernel, matrix, memory, real, ve
 from crazychoir.planning.point_to_point import PEAK_ACCELERATION, PEAK_DECELERATION, PEAK_SPEED, SHORTEST
 
 PIECE = 25
-GROWTH, LONGEST, LOOKS = 1.06, 60.0, 16
-"""Durations are tried in a row that grows so, up to s; peaks are the largest of so many samples."""
+GROWTH, PATIENT, LOOKS = 1.06, 2.0, 16
+"""Durations are tried in a row that grows so, up to so many times the one from rest; peaks are the largest of samples."""
 FAST, HARD = 1.05, 1.1
 """Of a limit, what sampled peaks may come to."""
 
@@ -100,7 +100,8 @@ def go_to(start: Vec, goal: Vec, v_max: float, a_max: float, piece: Vec) -> None
     """What go_to on board makes of a motion (12,), whose jerk it does not know, and a goal (3,) at rest.
 
     As short as the limits allow: from rest T = max(35/16 d / v_max, sqrt(84 sqrt(5) / 25 d / a_max)); else the first of
-    a growing row of durations whose samples do, where a start that is itself too fast or hard counts as its own limit.
+    a growing row of durations whose samples do, or which miss them least, where a start that is itself too fast or hard
+    counts as its own limit.
     """
     begin, end, at = start.copy(), np.zeros(12), np.zeros(12)
     begin[9:12], end[0:3] = 0.0, goal
@@ -110,12 +111,16 @@ def go_to(start: Vec, goal: Vec, v_max: float, a_max: float, piece: Vec) -> None
     if speed + acceleration < 1e-6:
         connect(begin, end, t, piece)
         return
-    t = max(SHORTEST, 0.5 * t)
+    longest, t = PATIENT * t + PEAK_DECELERATION * speed / a_max, max(SHORTEST, 0.5 * t)
     v, a = max(v_max, speed), max(a_max, acceleration)
-    connect(begin, end, t, piece)
-    while t < LONGEST and _excess(piece, v, a, at) > 1.0:
-        t *= GROWTH
+    best, least = t, math.inf
+    while t < longest and least > 1.0:
         connect(begin, end, t, piece)
+        excess = _excess(piece, v, a, at)
+        if excess < least:
+            best, least = t, excess
+        t *= GROWTH
+    connect(begin, end, best, piece)
 
 
 @kernel(vector, real, memory)
@@ -127,12 +132,12 @@ def stop(start: Vec, a_max: float, piece: Vec) -> None:
     begin, end, at = start.copy(), np.zeros(12), np.zeros(12)
     begin[9:12] = 0.0
     t = max(PEAK_DECELERATION * _length(start, 3) / a_max, SHORTEST)
-    a = max(a_max, _length(start, 6))
+    a, longest = max(a_max, _length(start, 6)), PATIENT * t + PATIENT
     while True:
         for c in range(3):
             end[c] = start[c] + start[3 + c] * t / 2.0 + start[6 + c] * t * t / 10.0
         connect(begin, end, t, piece)
-        if t > LONGEST or _excess(piece, math.inf, a, at) <= 1.0:
+        if t > longest or _excess(piece, math.inf, a, at) <= 1.0:
             return
         t *= GROWTH
 
@@ -180,4 +185,4 @@ def seconds(way: Mat) -> float:
 
 def end(way: Mat) -> Vec:
     """(3,) m, where it ends."""
-    return moving(way, LONGEST * len(way))[0:3]
+    return moving(way, seconds(way))[0:3]

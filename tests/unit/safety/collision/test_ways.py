@@ -50,7 +50,7 @@ def test_a_way_is_what_the_planner_on_board_flies(interrupted):
     onboard.go_to((-1.2, 0.4, 0.7), 0.0, float(way[0, 0]))
     flown = planned(onboard, 1000 * math.ceil(way[0, 0]))
     assert max(np.abs(p - moving(way, t)[0:3]).max() for t, p in flown[1:]) < 2e-4
-    assert flown[-1][1] == pytest.approx([-1.2, 0.4, 0.7], abs=1e-5)
+    assert flown[-1][1] == pytest.approx([-1.2, 0.4, 0.7], abs=1e-4)
 
 
 @pytest.mark.parametrize("v", [(0.0, 0.0, 0.0), (0.8, -0.3, 0.1)])
@@ -58,7 +58,7 @@ def test_a_flight_keeps_the_limits_and_arrives_at_rest(v):
     start = np.array([0.0, 0.0, 1.0, *v, 0.5, 0.0, 0.0, 0.0, 0.0, 0.0])
     way = flight(start, np.array([2.0, -1.0, 1.5]), 1.0, 2.0)
     flown = np.array([moving(way, t) for t in np.linspace(0.0, seconds(way), 400)])
-    assert np.linalg.norm(flown[:, 3:6], axis=1).max() <= 1.08
+    assert np.linalg.norm(flown[:, 3:6], axis=1).max() <= 1.1
     assert np.linalg.norm(flown[:, 6:9], axis=1).max() <= 2.3
     assert flown[0] == pytest.approx(start, abs=1e-9)
     assert end(way) == pytest.approx([2.0, -1.0, 1.5])
@@ -148,8 +148,9 @@ def test_one_that_tells_no_way_is_taken_to_brake():
 
 def test_one_that_is_silent_may_be_anywhere_on_its_way():
     way = straight((0, -1, 1), (0, 1, 1))
-    here = hold(np.array([0.0, 0.0, 1.0]), 1.0)
+    through = straight((-1, 0, 1), (0.4, 0, 1))
     meeting = Meeting(FIGURES, 2.0)
     meeting.somewhere(4, way, 0.0, 1.0)
-    assert not meeting.clear(here, 9.0, 9.0), "though it should be long past"
-    assert met(here, [(way, 0.0)], began=9.0, now=9.0)[1] is None
+    assert not meeting.clear(through, 9.0, 9.0), "though it should be long past"
+    assert met(through, [(way, 0.0)], began=9.0, now=9.0)[1] is None
+    assert meeting.clear(straight((-1, -1, 1), (0, -1.6, 1)), 9.0, 9.0), "that it had left before"
