@@ -96,13 +96,14 @@ class Meeting:
         start[0:3] += GOES_ON * v
         self.way(j, np.concatenate([going, braking(start, self.a_max)]), born, guess=GROWS)
 
-    def first(self, way: Mat, began: float, now: float) -> tuple[float, int | None]:
-        """s, when a way first meets one of them, and whom; infinite and None if it is clear."""
+    def first(self, way: Mat, began: float, now: float, room: float = 0.0) -> tuple[float, int | None]:
+        """s, when a way first meets one of them, and whom; infinite and None if it is clear. room: m, more to keep."""
         if not self._rows:
             return math.inf, None
         if self._packed is None:
             self._packed = np.concatenate(self._pieces), np.array(self._rows)
-        time, whose = meets(way, began, *self._packed, now, self.figures)
+        figures = self.figures if room == 0.0 else self.figures + [0.0, 0.0, room, 0.0]
+        time, whose = meets(way, began, *self._packed, now, figures)
         return time, None if whose < 0.0 else int(whose)
 
     def clear(self, way: Mat, began: float, now: float) -> bool:

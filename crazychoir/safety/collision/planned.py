@@ -17,7 +17,7 @@ from crazychoir.safety.collision.detours import NEAR, Detours, cost
 from crazychoir.safety.collision.filter import BODY, GONE, STANDING, USABLE
 from crazychoir.safety.collision.meeting import Meeting
 from crazychoir.safety.collision.traffic import BORN, DISTANCE, Traffic
-from crazychoir.safety.collision.ways import braking, end, keeping_up, moving, seconds
+from crazychoir.safety.collision.ways import braking, end, hardest, keeping_up, moving, seconds
 from crazychoir.safety.guard import Fence
 from crazychoir.swarm.tables import Collision
 from crazychoir.types import FullState, State
@@ -32,6 +32,10 @@ BETTER = 0.3
 """s that another way must save."""
 ON, OFF = 0.03, 0.05
 """m from what is wanted: as good as there; and too far to catch up without a flight of its own."""
+GENTLE = 0.8
+"""m/s2, with which it flies where others are: harder ways are flown less exactly."""
+ROUGH, ROOM = 1.2, 0.4
+"""m/s2 sideways, from which on a way as it is wanted is such a one; m of room that it needs beside D."""
 SAME = 1e-3
 """m and m/s, in which what is wanted and what is flown end the same way."""
 LOST = 0.35
@@ -62,6 +66,7 @@ class PlannedFlights:
         v_max: float, ground: float,
     ) -> None:  # fmt: skip
         sx, sy, sz = settings.semi_axes
+        a_max = min(a_max, GENTLE)
         self.traffic, self.a_max, self.v_max, self._ground = traffic, a_max, v_max, ground
         self._figures = np.array([sx / sy, sx / sz, 2.0 * sx + settings.margin + settings.slack, BODY])
         self.agreement = Agreement(port, planners)
@@ -228,7 +233,8 @@ class PlannedFlights:
         if math.dist(then[0:3], end(mine.way)) < SAME and float(np.linalg.norm(then[3:6])) < SAME:
             return True
         way = keeping_up(start, then, ahead, self.a_max)
-        _, self.gives_way_to = others.first(way, begins, now)
+        room = ROOM if hardest(way) > ROUGH else 0.0
+        _, self.gives_way_to = others.first(way, begins, now, room)
         if self.gives_way_to is not None:
             return False
         mine.propose(way, begins)

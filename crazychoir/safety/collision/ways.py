@@ -95,6 +95,18 @@ def _excess(piece: Vec, v_max: float, a_max: float, at: Vec) -> float:
     return worst
 
 
+@kernel(matrix)
+def hardest(way: Mat) -> float:
+    """The largest acceleration sideways on a way, m/s2, of samples."""
+    at, worst, began = np.zeros(12), 0.0, 0.0
+    for k in range(way.shape[0]):
+        for n in range(LOOKS):
+            motion(way, began + way[k, 0] * n / LOOKS, at)
+            worst = max(worst, math.sqrt(at[6] ** 2 + at[7] ** 2))
+        began += way[k, 0]
+    return worst
+
+
 @kernel(vector, vector, real, real, memory)
 def go_to(start: Vec, goal: Vec, v_max: float, a_max: float, piece: Vec) -> None:
     """What go_to on board makes of a motion (12,), whose jerk it does not know, and a goal (3,) at rest.
