@@ -12,7 +12,7 @@ from crazychoir.types import FullState
 
 pytestmark = pytest.mark.system
 N, RADIUS, SPEED, TIME, LAW = 6, 1.5, 0.8, 30.0, 20.0
-ARRIVED = 0.05
+ARRIVED = 0.1
 CLEAR = 0.24
 
 

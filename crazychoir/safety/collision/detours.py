@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from crazychoir.math3d import E3, Mat, Vec
-from crazychoir.planning.point_to_point import PEAK_SPEED
+from crazychoir.planning.point_to_point import PEAK_ACCELERATION, PEAK_SPEED
 from crazychoir.safety.collision.ways import braking, end, flight, hold, moving, seconds
 from crazychoir.safety.guard import EDGE, Fence
 
@@ -39,11 +39,10 @@ class Option:
     kind: str
 
 
-def cost(way: Mat, goal: Vec, v_max: float, left: float | None = None) -> float:
-    """s until its end, `left` of its duration, and what is then missing to the goal (3,) m."""
-    gap = math.dist(end(way), goal)
-    short = UNENDED + REST * PEAK_SPEED * gap / v_max if gap > NEAR else gap
-    return (seconds(way) if left is None else left) + short
+def missing(p: Vec, goal: Vec, v_max: float, a_max: float) -> float:
+    """s that a way costs which ends at p (3,) m instead of at its goal: more than a flight from there takes."""
+    gap = math.dist(p, goal)
+    return UNENDED + REST * max(PEAK_SPEED * gap / v_max, math.sqrt(PEAK_ACCELERATION * gap / a_max)) if gap > NEAR else gap
 
 
 class Detours:
@@ -66,7 +65,8 @@ class Detours:
 
     def _option(self, kind: str, goal: Vec, *pieces: Mat) -> Option:
         way = pieces[0] if len(pieces) == 1 else np.concatenate(pieces)
-        return Option(cost(way, goal, self.v_max) + TURN * (len(way) - 1), way, kind)
+        short = missing(end(way), goal, self.v_max, self.a_max)
+        return Option(seconds(way) + short + TURN * (len(way) - 1), way, kind)
 
     def _straight(self, start: Vec, goal: Vec) -> Iterator[Option]:
         """At once, or after a while."""

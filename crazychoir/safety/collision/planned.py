@@ -13,7 +13,7 @@ import numpy as np
 from crazychoir.bus.local import Port
 from crazychoir.math3d import Vec
 from crazychoir.safety.collision.agreement import Agreement, Other
-from crazychoir.safety.collision.detours import NEAR, Detours, cost
+from crazychoir.safety.collision.detours import NEAR, Detours, missing
 from crazychoir.safety.collision.filter import BODY, GONE, STANDING, USABLE
 from crazychoir.safety.collision.meeting import Meeting
 from crazychoir.safety.collision.traffic import BORN, DISTANCE, Traffic
@@ -209,7 +209,9 @@ class PlannedFlights:
         if self._keeps_up(start, future, whole, begins, now, others):
             return
         goal = self._goal(future, whole, begins - now)
-        present = math.inf if threat < SOON else cost(mine.way, goal, self.v_max, self.left(now))
+        present = self.left(now) + missing(end(mine.way), goal, self.v_max, self.a_max)
+        if threat < SOON:
+            present = math.inf
         wait = begins - now
         for option in self.detours.options(start, goal, present - BETTER - wait):
             if others.clear(option.way, begins, now):
