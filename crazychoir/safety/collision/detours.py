@@ -23,7 +23,7 @@ AROUND = np.array([0.9, 0.9, 1.0])
 """m beyond the straight way's box in which they are drawn."""
 UNENDED = 1.0
 """s that a way costs that does not end at the goal; and more for what is left, REST times what it takes."""
-REST = 1.3
+REST = 2.0
 TURN = 0.3
 """s that each further flight of a way costs beside its duration: it is not taken for nothing."""
 NEAR = 0.05
@@ -42,7 +42,9 @@ class Option:
 def missing(p: Vec, goal: Vec, v_max: float, a_max: float) -> float:
     """s that a way costs which ends at p (3,) m instead of at its goal: more than a flight from there takes."""
     gap = math.dist(p, goal)
-    return UNENDED + REST * max(PEAK_SPEED * gap / v_max, math.sqrt(PEAK_ACCELERATION * gap / a_max)) if gap > NEAR else gap
+    if gap <= NEAR:
+        return gap
+    return UNENDED + REST * max(PEAK_SPEED * gap / v_max, math.sqrt(PEAK_ACCELERATION * gap / a_max))
 
 
 class Detours:

@@ -102,7 +102,8 @@ class Meeting:
             return math.inf, None
         if self._packed is None:
             self._packed = np.concatenate(self._pieces), np.array(self._rows)
-        figures = self.figures if room == 0.0 else self.figures + [0.0, 0.0, room, 0.0]
+        figures = self.figures.copy()
+        figures[2] += room
         time, whose = meets(way, began, *self._packed, now, figures)
         return time, None if whose < 0.0 else int(whose)
 

@@ -79,7 +79,7 @@ class PlannedFlights:
         """Whom it would have met, had it flown as it was wanted to; None: nobody."""
         self.restarts = 0
         """How often it has lost its way."""
-        self.kinds = {"straight": 0, "delayed": 0, "split": 0, "partly": 0, "braked": 0}
+        self.kinds = dict.fromkeys(("straight", "delayed", "split", "partly", "braked"), 0)
         """How often it has chosen what."""
 
     def fly(self, state: State, wanted: FullState, future: Future, whole: float, now: float) -> FullState:

@@ -13,7 +13,7 @@ from crazychoir.planning.point_to_point import PEAK_ACCELERATION, PEAK_DECELERAT
 
 PIECE = 25
 GROWTH, PATIENT, LOOKS = 1.06, 2.0, 16
-"""Durations are tried in a row that grows so, up to so many times the one from rest; peaks are the largest of samples."""
+"""Durations are tried in a row that grows so, up to so many times the one from rest; peaks are those of samples."""
 FAST, HARD = 1.05, 1.1
 """Of a limit, what sampled peaks may come to."""
 
