@@ -29,6 +29,7 @@ from crazychoir.runtime.hanging import Guards
 from crazychoir.runtime.supervisor import Supervisor
 from crazychoir.runtime.watchdog import Stall
 from crazychoir.safety.collision.filter import CollisionFilter
+from crazychoir.safety.collision.planned import LOWEST, PlannedFlights
 from crazychoir.safety.collision.traffic import Traffic
 from crazychoir.safety.flights import braking
 from crazychoir.safety.guard import Fence
@@ -156,17 +157,22 @@ class Agent:
         row = self.config.control_of(i)
         return controls(row, platform(drone.platform), kind, plant.rate_lag, plant.command_delay, where)
 
-    def _collision(self, i: int, chosen: Controls) -> CollisionFilter | None:
-        """What keeps drone i clear of the others; None: it is off, or the drone flies not, or by a planner on board."""
-        config = self.config
-        if config.collision.method == "off" or chosen.sender.kind in ON_BOARD or config.drone(i).uri in ROBOTS:
+    def _collision(self, i: int, chosen: Controls) -> CollisionFilter | PlannedFlights | None:
+        """What keeps drone i clear of the others; None: it is off, or it does not fly, or alone."""
+        config, flight = self.config, self.config.flight
+        flying = [j for j in config.ids if config.drone(j).uri not in ROBOTS]
+        if config.collision.method == "off" or i not in flying or len(flying) == 1:
             return None
-        alone = tuple(j for j in config.ids if config.control_of(j).sender in ON_BOARD)
-        flight = config.flight
-        a_max = braking(flight, chosen.platform, HEIGHT_SHARE * HEADROOM)
+        planners = tuple(j for j in flying if config.control_of(j).sender in ON_BOARD)
         fence = Fence.box(config.fence.min, config.fence.max).with_floor(max(config.fence.min[2], flight.ground))
-        traffic = Traffic(self.bus.ports[i], config.ids, alone)
-        return CollisionFilter(config.collision, traffic, fence, a_max, flight.speed_limit, flight.ground)
+        a_max = braking(flight, chosen.platform, HEIGHT_SHARE * HEADROOM)
+        traffic, v_max, ground = Traffic(self.bus.ports[i], flying, planners), flight.speed_limit, flight.ground
+        if i in planners:
+            return PlannedFlights(
+                self.bus.ports[i], config.collision, traffic, planners, fence.with_floor(ground + LOWEST), a_max,
+                v_max, ground,
+            )  # fmt: skip
+        return CollisionFilter(config.collision, traffic, fence, a_max, v_max, ground)
 
     def _body(self, i: int, kind: str) -> tuple[Link, Callable[[], str]]:
         """The way to a drone's body, and what says what has broken it; ConfigError for a kind that is not flown there.

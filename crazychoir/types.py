@@ -229,6 +229,22 @@ class Body(Wire, frozen=True, array_like=True, gc=False):
     flying: bool = False
 
 
+class Plan(Wire, frozen=True, array_like=True, gc=False):
+    """What a drone that flies by its planner on board will fly, said to all others that do.
+
+    way: (k, 25), see safety/collision/ways.py;  since: s, it has been flown;  offer: the way that it wants to fly
+    instead, (0, 25) if none;  due: s, until that would begin;  number: of the offer;  agreed: by drone, the number of
+    its offer that may be flown as far as this one is concerned, -1 for none; whoever is not in it is not known to fly.
+    """
+
+    way: Mat
+    since: float
+    offer: Mat
+    due: float
+    number: int
+    agreed: dict[int, int]
+
+
 class Failure(Wire, frozen=True, array_like=True, gc=False):
     """What an algorithm that has failed at `agent` sends in place of its message: the reason."""
 

@@ -52,6 +52,7 @@ LAYOUTS: Final[dict[str, tuple[int, ...]]] = {
     "Acc": (40, 3),
     "Drive": (41, 2),
     "Velocity": (42, 3),
+    "Plan": (43, 0),
 }
 """Wire types by class name: kind (16 to 63), and n if the fields are one (n,) float64 vector, then floats, and m if a
 (m,) vector comes last; else 0.
@@ -283,5 +284,6 @@ _DECODERS[VECTOR], _DECODERS[ARRAY] = decode_vector, decode_array
 for _cls in (
     types.Pose, types.State, types.Acceleration, types.FullState, types.Goto, types.FPQR, types.Status,
     types.FRPY, types.Vel, types.XYZ, types.Body, types.Failure, types.Acc, types.Drive, types.Velocity,
+    types.Plan,
 ):  # fmt: skip
     register(_cls)

@@ -96,8 +96,8 @@ class Flights:
         return [stop, PointToPoint(outside, inside, start.yaw, duration)]
 
     def wait(self, seconds: float) -> bool:
-        """The plan goes on so much later, unless it has waited for LONGEST_WAIT s: then False."""
-        if self.waited >= LONGEST_WAIT:
+        """The plan goes on so much later, or earlier; False if it has waited for LONGEST_WAIT s and is to wait more."""
+        if seconds > 0.0 and self.waited >= LONGEST_WAIT:
             return False
         self.start += seconds
         self.waited += seconds

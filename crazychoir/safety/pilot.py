@@ -7,6 +7,7 @@ table allows. A pose triggers the tick; if none comes in time, the clock does.
 import asyncio
 import logging
 import math
+from functools import partial
 from typing import Any, Protocol
 
 import numpy as np
@@ -24,11 +25,13 @@ from crazychoir.filters.state_filter import StateFilter
 from crazychoir.filters.velocity import VelocityFilter
 from crazychoir.math3d import yaw_of
 from crazychoir.planning.landing import Landing
+from crazychoir.planning.point_to_point import PointToPoint
 from crazychoir.planning.trajectory import Trajectory
 from crazychoir.runtime.actor import Actor, Restart
 from crazychoir.runtime.clock import SECOND
 from crazychoir.runtime.mailbox import Call
 from crazychoir.safety.collision.filter import CollisionFilter
+from crazychoir.safety.collision.planned import Future, PlannedFlights
 from crazychoir.safety.flights import Flights, braking
 from crazychoir.safety.guard import BELOW_GROUND, EDGE, Action, Fence, Guard, Throttle, Verdict
 from crazychoir.safety.homecoming import Homecoming
@@ -119,6 +122,12 @@ def flyable(reference: object) -> bool:
             return False
 
 
+def ahead(reference: FullState, later: float) -> FullState:
+    """Where a reference will be `later` s from now if it goes on as it does."""
+    p, v, a = reference.p, reference.v, reference.a
+    return FullState.at(p + later * v + 0.5 * later**2 * a, v + later * a, a, yaw=reference.yaw)
+
+
 def filter_of(name: str, chosen: Controls, ground: float, rate: float) -> StateFilter:
     """The filter of [control], "kalman" or "derivative"; it knows what is commanded, if that is thrust and body rates.
 
@@ -142,9 +151,10 @@ class Pilot(Actor):
     def __init__(
         self, port: Port, link: Link, limits: Flight, fence: Fence, rate: float = 100.0,
         chosen: Controls | None = None, state_filter: StateFilter | None = None, body: int | None = None,
-        collision: CollisionFilter | None = None, limit_area: Fence | None = None,
+        collision: CollisionFilter | PlannedFlights | None = None, limit_area: Fence | None = None,
     ) -> None:  # fmt: skip
-        self.collision = collision
+        self.collision = collision if isinstance(collision, CollisionFilter) else None
+        self.planned = collision if isinstance(collision, PlannedFlights) else None
         self.port, self.link, self.limits = port, link, limits
         self.controls = controls() if chosen is None else chosen
         self.parameters = Parameters(self.controls)
@@ -577,6 +587,7 @@ class Pilot(Actor):
         low = seen and state.flat[2] < self.limits.ground + ON_THE_FLOOR
         landing = isinstance(self.flights.plan, Landing)
         over = landing and self.flights.done(now, TOUCHDOWN_LATE if seen else TOUCHDOWN_UNSEEN)
+        over = over and not (self.planned is not None and self.planned.delayed)  # it waits until it may go down
         return bool(low or (over and np.linalg.norm(state.v) < AT_REST))
 
     def _follow(self, state: State, now: float) -> Command | None:
@@ -591,7 +602,8 @@ class Pilot(Actor):
             if isinstance(reference, Velocity):
                 reference = FullState.at(state.p, reference.v, yaw=reference.yaw)
             if isinstance(reference, FullState):
-                self._flown, flights.plan = self.reference_limits.full_state(reference, state), None
+                wanted, flights.plan = self.reference_limits.full_state(reference, state), None
+                self._flown = self._agreed(state, wanted, partial(ahead, reference), 0.0, now)
                 if (safe := self._kept_clear(state, self._flown, now)) is not None:
                     return self._evade(state, safe, self._flown.yaw, now)
                 chosen.trim.frozen = self._flown is not reference or state.age > SEEN
@@ -600,7 +612,11 @@ class Pilot(Actor):
             self._brake()
         planned = flights.sample(now)
         assert planned is not None  # noqa: S101 - there is a plan
-        self._flown = flown = self._pulled_back(state, planned, now) if self._aside else planned
+        if self.planned is not None:
+            flown = self._planned_flight(self.planned, state, planned, now)
+        else:
+            flown = self._pulled_back(state, planned, now) if self._aside else planned
+        self._flown = flown
         if self.mode in (TAKEOFF, FOLLOW) and self._reference is None and flights.done(now):
             self._change(Event.ARRIVED)
         if (safe := self._kept_clear(state, flown, now)) is not None:
@@ -624,6 +640,27 @@ class Pilot(Actor):
         elif far > BEHIND and self.flights.wait(self.period_ns / SECOND):
             planned = FullState.at(planned.p, yaw=planned.yaw)  # a plan that waits stands still
         return self.reference_limits.full_state(planned, state)
+
+    def _planned_flight(self, planned: PlannedFlights, state: State, wanted: FullState, now: float) -> FullState:
+        """The plan's reference, as far as the others have agreed to it."""
+        flights = self.flights
+        plan = flights.plan
+        whole = flights.remaining(now) if isinstance(plan, PointToPoint) else 0.0
+        flown = self._agreed(state, wanted, lambda later: flights.sample(now + later) or wanted, whole, now)
+        if planned.delayed:
+            arrives = isinstance(plan, PointToPoint) and planned.comes_to(plan.goal)
+            flights.wait(planned.left(now) - whole if arrives else self.period_ns / SECOND)
+        return flown
+
+    def _agreed(self, state: State, wanted: FullState, future: Future, whole: float, now: float) -> FullState:
+        """What a drone that tells its ways may fly instead of `wanted`; others may fly that."""
+        planned = self.planned
+        if planned is None:
+            return wanted
+        flown = planned.fly(state, wanted, future, whole, now)
+        if planned.delayed and planned.gives_way_to is not None:
+            self._say("collision", f"keeps clear of drone {planned.gives_way_to}")
+        return flown
 
     def _kept_clear(self, state: State, reference: Acceleration | FullState, now: float) -> Vec | None:
         """The acceleration (3,) that keeps it clear of the others; None: it is clear, and may fly as it wants."""
@@ -693,6 +730,10 @@ class Pilot(Actor):
         assert self.state is not None  # noqa: S101 - callers fly, and who flies has a state
         if self._planar:  # which finds its own way: its plan says where to, not where it is
             return FullState.at(self.state.p, self.state.v, yaw=yaw_of(self.state.q))
+        if self.planned is not None and self._flown is not None:
+            elsewhere = self.planned.departure(self._flown.yaw, self.clock.now())
+            if elsewhere is not None:
+                return elsewhere
         return self.flights.departure(self.state, self.clock.now())
 
     def _landed(self) -> None:

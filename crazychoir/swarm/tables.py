@@ -253,7 +253,8 @@ class Collision(Table, frozen=True, kw_only=True):
 
     method: "off", "barrier" (two together can always stop) or "cells" (each can, on its side of the middle);
     semi_axes: m, of the ellipsoid around each drone, which no other's meets: it is tall because of the downwash;
-    margin: m, kept beyond twice the first of them;  brake: m/s2, with which a drone counts on being able to brake;
+    margin: m, kept beyond twice the first of them;  slack: m, beyond that, between drones that fly agreed ways (those
+    that are sent "xyz" or "vel");  brake: m/s2, with which a drone counts on being able to brake;
     stiff, gamma: 1/s, how fast a gap closes at most, and how fast that limit is come to;  turn: how much a drone goes
     to the side where somebody is in its way;  range: m, within which others count;  unsure: m/s2, by which one that is
     not heard may change its acceleration;  lag, delay: s, with which drones obey.
@@ -262,6 +263,7 @@ class Collision(Table, frozen=True, kw_only=True):
     method: Avoidance = "off"
     semi_axes: SemiAxes = (0.12, 0.12, 0.3)
     margin: Metres = 0.08
+    slack: Metres = 0.02
     brake: Acceleration = 1.0
     gamma: Timeout = 4.0
     turn: Factor = 1.0

@@ -1,0 +1,108 @@
+"""The ways to a goal among which a drone chooses: straight, later, by a waypoint, or only some of it."""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from crazychoir.math3d import E3, Mat, Vec
+from crazychoir.planning.point_to_point import PEAK_ACCELERATION, PEAK_SPEED
+from crazychoir.safety.collision.ways import braking, end, flight, hold, moving, seconds
+from crazychoir.safety.guard import EDGE, Fence
+
+DELAYS = (0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0)
+"""s."""
+SHARES = (0.25, 0.5, 0.75, 0.9)
+"""Of the straight way, where it may wait, or turn aside before and after."""
+ASIDE, ABOVE = (0.5, 0.9), 0.95
+"""m beside, above and below the straight way."""
+DRAWN = 10
+"""Waypoints that are drawn."""
+AROUND = np.array([0.9, 0.9, 1.0])
+"""m beyond the straight way's box in which they are drawn."""
+UNENDED = 1.0
+"""s that a way costs that does not end at the goal; and more for what is left, REST times what it takes."""
+REST = 2.0
+TURN = 0.3
+"""s that each further flight of a way costs beside its duration: it is not taken for nothing."""
+NEAR = 0.05
+"""m from the goal that counts as there."""
+
+
+@dataclass(frozen=True)
+class Option:
+    """A way, and what it costs, s; kind: "straight", "delayed", "split" or "partly"."""
+
+    cost: float
+    way: Mat
+    kind: str
+
+
+def missing(p: Vec, goal: Vec, v_max: float, a_max: float) -> float:
+    """s that a way costs which ends at p (3,) m instead of at its goal: more than a flight from there takes."""
+    gap = math.dist(p, goal)
+    if gap <= NEAR:
+        return gap
+    return UNENDED + REST * max(PEAK_SPEED * gap / v_max, math.sqrt(PEAK_ACCELERATION * gap / a_max))
+
+
+class Detours:
+    """Ways from a motion to a goal, cheapest first.
+
+    v_max m/s, a_max m/s2: of go_to;  fence: where waypoints are;  draw: for some of them.
+    """
+
+    def __init__(self, v_max: float, a_max: float, fence: Fence, draw: np.random.Generator) -> None:
+        self.v_max, self.a_max, self.fence, self.draw = v_max, a_max, fence, draw
+
+    def options(self, start: Vec, goal: Vec, most: float) -> list[Option]:
+        """All that cost less than `most` s, from a motion (12,) to rest at goal (3,) m."""
+        found = [
+            option
+            for option in (*self._straight(start, goal), *self._by_waypoints(start, goal))
+            if option.cost < most
+        ]  # fmt: skip
+        return sorted(found, key=lambda option: option.cost)
+
+    def _option(self, kind: str, goal: Vec, *pieces: Mat) -> Option:
+        way = pieces[0] if len(pieces) == 1 else np.concatenate(pieces)
+        short = missing(end(way), goal, self.v_max, self.a_max)
+        return Option(seconds(way) + short + TURN * (len(way) - 1), way, kind)
+
+    def _straight(self, start: Vec, goal: Vec) -> Iterator[Option]:
+        """At once, or after a while."""
+        yield self._option("straight", goal, flight(start, goal, self.v_max, self.a_max))
+        rest = braking(start, self.a_max)
+        stopped = moving(rest, seconds(rest))
+        later = flight(stopped, goal, self.v_max, self.a_max)
+        for delay in DELAYS:
+            yield self._option("delayed", goal, rest, hold(stopped[0:3], delay), later)
+
+    def _by_waypoints(self, start: Vec, goal: Vec) -> Iterator[Option]:
+        """Over a waypoint, or to it only."""
+        for point in self._waypoints(start[0:3], goal):
+            first = flight(start, point, self.v_max, self.a_max)
+            yield self._option("partly", goal, first)
+            there = moving(first, seconds(first))
+            yield self._option("split", goal, first, flight(there, goal, self.v_max, self.a_max))
+
+    def _waypoints(self, p: Vec, goal: Vec) -> Iterator[Vec]:
+        straight = goal - p
+        flat = math.hypot(straight[0], straight[1])
+        side = np.array([-straight[1], straight[0], 0.0]) / flat if flat > NEAR else np.array([0.0, 1.0, 0.0])
+        for share in SHARES:
+            on = p + share * straight
+            yield self._inside(on)
+            if share < SHARES[-1]:
+                for far in ASIDE:
+                    yield self._inside(on + far * side)
+                    yield self._inside(on - far * side)
+                yield self._inside(on + ABOVE * E3)
+                yield self._inside(on - ABOVE * E3)
+        low, high = np.minimum(p, goal) - AROUND, np.maximum(p, goal) + AROUND
+        for point in self.draw.uniform(low, high, (DRAWN, 3)):
+            yield self._inside(point)
+
+    def _inside(self, p: Vec) -> Vec:
+        return self.fence.nearest(p, inset=EDGE)

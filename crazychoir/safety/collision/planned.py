@@ -1,0 +1,262 @@
+"""Keeping clear for drones that fly by a planner on board, and for those that are sent velocities: by agreed ways.
+
+Each such drone says what it will fly, to the end. It flies where it is wanted as long as that is clear of all that
+the others will fly; else it delays its flight, splits it by a waypoint, or goes part of it; see `agreement` for when it
+may.
+"""
+
+import math
+from collections.abc import Callable, Iterable
+
+import numpy as np
+
+from crazychoir.bus.local import Port
+from crazychoir.math3d import Vec
+from crazychoir.safety.collision.agreement import Agreement, Other
+from crazychoir.safety.collision.detours import NEAR, Detours, missing
+from crazychoir.safety.collision.filter import BODY, GONE, STANDING, USABLE
+from crazychoir.safety.collision.meeting import Meeting
+from crazychoir.safety.collision.traffic import BORN, SLOW, SOON, Traffic
+from crazychoir.safety.collision.ways import braking, end, hardest, keeping_up, moving, seconds
+from crazychoir.safety.guard import Fence
+from crazychoir.swarm.tables import Collision
+from crazychoir.types import FullState, State
+
+PERIOD = 0.1
+"""s between two looks at what could be flown."""
+ASKING = 0.3
+"""s before an offer begins, within which the others agree, or do not."""
+AHEAD = 0.8
+"""s, of what is wanted by somebody who does not say where it ends."""
+BETTER = 0.3
+"""s that another way must save."""
+ON, OFF = 0.03, 0.05
+"""m from what is wanted: as good as there; and too far to catch up without a flight of its own."""
+GENTLE = 0.8
+"""m/s2, with which it flies where others are: harder ways are flown less exactly."""
+ROUGH, ROOM = 1.2, 0.4
+"""m/s2 sideways, from which on a way as it is wanted is such a one; m of room that it needs beside D."""
+SAME = 1e-3
+"""m and m/s, in which what is wanted and what is flown end the same way."""
+LOST = 0.35
+"""m between a drone and its way, beyond which it begins another one from where it is."""
+IMMINENT = 1.0
+"""s before a meeting with somebody who does not agree, within which it brakes if there is no other way."""
+AWAY = 0.5
+"""s without a flight, after which the next one begins anew."""
+LOWEST = 0.25
+"""m above the ground, of waypoints."""
+RESTS = 0.3
+"""m/s, below which a low drone stands."""
+Future = Callable[[float], FullState]
+"""What is wanted so many s from now."""
+
+
+class PlannedFlights:
+    """The one interface: what is wanted -> what may be flown.
+
+    |S (w_i(t) - w_j(t))| >= D for all t,  S = diag(1, s_x / s_y, s_x / s_z),  D = 2 s_x + margin + slack
+
+    w: the ways of two drones that say theirs;  one who says none is taken to brake, from the state that is heard of it.
+    settings: [collision];  planners: ids of those that plan;  v_max, a_max: of the ways.
+    """
+
+    def __init__(
+        self, port: Port, settings: Collision, traffic: Traffic, planners: Iterable[int], fence: Fence, a_max: float,
+        v_max: float, ground: float,
+    ) -> None:  # fmt: skip
+        sx, sy, sz = settings.semi_axes
+        a_max = min(a_max, GENTLE)
+        self.traffic, self.a_max, self.v_max, self._ground = traffic, a_max, v_max, ground
+        self._figures = np.array([sx / sy, sx / sz, 2.0 * sx + settings.margin + settings.slack, BODY])
+        self.agreement = Agreement(port, planners)
+        self._rows = {j: traffic.rows[k] for k, j in enumerate(traffic.ids)}
+        self._guessed = [j for j in traffic.ids if j not in self.agreement.others]
+        self.detours = Detours(v_max, a_max, fence, np.random.default_rng(port.address))
+        self._flew, self._next = -math.inf, 0.0
+        self._kept = False
+        self.gives_way_to: int | None = None
+        """Whom it would have met, had it flown as it was wanted to; None: nobody."""
+        self.restarts = 0
+        """How often it has lost its way."""
+        self.kinds = dict.fromkeys(("straight", "delayed", "split", "partly", "braked"), 0)
+        """How often it has chosen what."""
+
+    def fly(self, state: State, wanted: FullState, future: Future, whole: float, now: float) -> FullState:
+        """What to fly now instead of `wanted`; that itself as long as nobody is in the way.
+
+        future: what is wanted later;  whole: s until that ends at rest, if it does so after one go_to; else 0.
+        """
+        mine = self.agreement
+        self._begin(state, wanted, now)
+        mine.settle(now)
+        self._look(now)
+        if now >= self._next and len(mine.offer) == 0:
+            self._measure(state)
+            self._next = now + PERIOD
+            self._decide(future, whole, now)
+        self._answer(now)
+        mine.tell(now)
+        self._flew = now
+        flown = moving(mine.way, now - mine.began)
+        self._kept = math.dist(flown[0:3], wanted.p) < ON
+        return wanted if self._kept else _reference(flown, wanted.yaw)
+
+    def departure(self, yaw: float, now: float) -> FullState | None:
+        """Where it is to be now, if it is not where it is wanted."""
+        if self._kept or now - self._flew > AWAY:
+            return None
+        return _reference(moving(self.agreement.way, now - self.agreement.began), yaw)
+
+    def left(self, now: float) -> float:
+        """s until its way ends."""
+        return max(self.agreement.began + seconds(self.agreement.way) - now, 0.0)
+
+    def comes_to(self, goal: Vec) -> bool:
+        """Whether its way ends at goal (3,) m."""
+        return math.dist(end(self.agreement.way), goal) < NEAR
+
+    @property
+    def delayed(self) -> bool:
+        """Whether it is elsewhere than it was wanted to be when it flew last."""
+        return not self._kept
+
+    def _begin(self, state: State, wanted: FullState, now: float) -> None:
+        """A first way, to rest; again, from where it is, when it has been blown away from the one it had."""
+        mine = self.agreement
+        if now - self._flew > AWAY:
+            near = math.dist(state.p, wanted.p) < LOST
+            mine.begin(braking(wanted.flat[0:12] if near else _motion(state), self.a_max), now)
+        elif math.dist(state.p, moving(mine.way, now - mine.began)[0:3]) > LOST:
+            self.restarts += 1
+            mine.begin(braking(_motion(state), self.a_max), now)
+
+    def _look(self, now: float) -> None:
+        self.traffic.look(now)
+        for j, other in self.agreement.others.items():
+            other.stands = self._stands(j, now)
+
+    def _measure(self, state: State) -> None:
+        """How soon it could be near each of the others."""
+        rows = self.traffic.rows
+        apart = np.linalg.norm(rows[:, 0:3] - state.p, axis=1)
+        rows[:, SOON] = apart / (np.linalg.norm(rows[:, 3:6], axis=1) + np.linalg.norm(state.v) + SLOW)
+
+    def _stands(self, j: int, now: float) -> bool:
+        x = self._rows[j]
+        low = x[2] < self._ground + STANDING and float(np.linalg.norm(x[3:6])) < RESTS
+        return bool(low and now - x[BORN] < USABLE)
+
+    # What the others do -----------------------------------------------------------------------------------------
+
+    def _others(self, now: float) -> Meeting:
+        """All that its own way must keep clear of."""
+        meeting = self._strangers(now)
+        for other in self.agreement.others.values():
+            self._add(meeting, other, now)
+        return meeting
+
+    def _strangers(self, now: float) -> Meeting:
+        """Those that say no way, and keep clear by themselves."""
+        meeting = Meeting(self._figures, self.a_max)
+        for j in self._guessed:
+            self._guess(meeting, j, now)
+        return meeting
+
+    def _add(self, meeting: Meeting, other: Other, now: float) -> None:
+        if not other.flies(now) and (other.stands or len(other.way) == 0):
+            self._guess(meeting, other.id, now)
+            return
+        ways = [(other.way, other.began)]
+        if self.agreement.may_be_flown(other):
+            ways.append((other.offer, other.begins))
+        for way, began in ways:
+            if other.silent(now):
+                meeting.somewhere(other.id, way, began, other.heard)
+            else:
+                meeting.way(other.id, way, began)
+
+    def _guess(self, meeting: Meeting, j: int, now: float) -> None:
+        x = self._rows[j]
+        if self._stands(j, now):
+            meeting.stands(j, x[0:3])
+        elif now - x[BORN] < GONE:
+            meeting.guessed(j, x[0:3], x[3:6], x[BORN])
+
+    def _answer(self, now: float) -> None:
+        """Agree to the offers of drones with higher ids that do not meet what it flies, or may fly soon."""
+        mine = self.agreement
+        asking = [other for other in mine.others.values() if other.pending and other.id > mine.id]
+        if not asking:
+            return
+        own = Meeting(self._figures, self.a_max)
+        own.way(mine.id, mine.way, mine.began)
+        if len(mine.offer):
+            own.way(mine.id, mine.offer, mine.begins)
+        for other in asking:
+            if own.clear(other.offer, other.begins, now):
+                mine.agree(other)
+
+    # What it does itself ----------------------------------------------------------------------------------------
+
+    def _decide(self, future: Future, whole: float, now: float) -> None:
+        """Look for a better way than the one that is flown, and ask for it."""
+        mine = self.agreement
+        threat = self._strangers(now).first(mine.way, mine.began, now)[0] - now
+        if not mine.ready(now):
+            return
+        begins = now + ASKING if mine.asks(now) else now
+        start = moving(mine.way, begins - mine.began)
+        others = self._others(now)
+        if self._keeps_up(start, future, whole, begins, now, others):
+            return
+        goal = self._goal(future, whole, begins - now)
+        present = self.left(now) + missing(end(mine.way), goal, self.v_max, self.a_max)
+        if threat < IMMINENT:
+            present = math.inf
+        wait = begins - now
+        for option in self.detours.options(start, goal, present - BETTER - wait):
+            if others.clear(option.way, begins, now):
+                self.kinds[option.kind] += 1
+                mine.propose(option.way, begins)
+                mine.settle(now)
+                return
+        if threat < IMMINENT:
+            self.kinds["braked"] += 1
+            mine.begin(braking(moving(mine.way, now - mine.began), self.a_max), now)
+
+    def _keeps_up(
+        self, start: Vec, future: Future, whole: float, begins: float, now: float, others: Meeting
+    ) -> bool:  # fmt: skip
+        """Go on as wanted, if it is there and nobody is in the way."""
+        mine, wait = self.agreement, begins - now
+        if math.dist(start[0:3], future(wait).p) > OFF:
+            return False
+        ahead = max(whole - wait, PERIOD) if whole > 0.0 else AHEAD
+        then = future(wait + ahead).flat[0:12]
+        if math.dist(then[0:3], end(mine.way)) < SAME and float(np.linalg.norm(then[3:6])) < SAME:
+            return True
+        way = keeping_up(start, then, ahead, self.a_max)
+        room = ROOM if hardest(way) > ROUGH else 0.0
+        _, self.gives_way_to = others.first(way, begins, now, room)
+        if self.gives_way_to is not None:
+            return False
+        mine.propose(way, begins)
+        mine.settle(now)
+        return True
+
+    def _goal(self, future: Future, whole: float, wait: float) -> Vec:
+        """(3,) m, where what is wanted ends; or would, if it braked."""
+        if whole > 0.0:
+            return future(whole).p
+        then = future(wait).flat[0:12]
+        return end(braking(then, self.a_max)) if np.linalg.norm(then[3:6]) > NEAR else then[0:3]
+
+
+def _motion(state: State) -> Vec:
+    """The motion (12,) of a drone, whose acceleration nobody knows."""
+    return np.concatenate([state.p, state.v, np.zeros(6)])
+
+
+def _reference(motion: Vec, yaw: float) -> FullState:
+    return FullState(np.array([*motion.tolist(), yaw, 0.0]))

@@ -1,0 +1,220 @@
+"""Drones that tell their ways: who may fly what, and what each chooses. Whole chains of messages, no flight."""
+
+import math
+
+import numpy as np
+import pytest
+from virtual_time import virtual
+
+from crazychoir.bus.impairment import Impairment
+from crazychoir.bus.local import Bus
+from crazychoir.bus.rules import Rule
+from crazychoir.bus.topics import PLAN, STATE
+from crazychoir.runtime.clock import SECOND
+from crazychoir.safety.collision.agreement import NO_WAY
+from crazychoir.safety.collision.filter import GONE
+from crazychoir.safety.collision.planned import ASKING, PlannedFlights
+from crazychoir.safety.collision.traffic import Traffic
+from crazychoir.safety.collision.ways import end, flight, hold, moving, seconds
+from crazychoir.safety.guard import Fence
+from crazychoir.swarm.tables import Collision
+from crazychoir.types import FullState, Plan, State
+
+FENCE = Fence.box((-3.0, -3.0, 0.25), (3.0, 3.0, 2.5))
+TICK = 0.01
+A, B = np.array([-1.0, 0.0, 1.0]), np.array([1.0, 0.0, 1.0])
+
+
+class Flier:
+    """A drone that is always where its way says; it wants to be at `goal`."""
+
+    def __init__(self, bus, i, ids, at, goal=None, planners=None, number=None):
+        planners = ids if planners is None else planners
+        port = bus.ports[i]
+        self.port, self.id = port, i
+        traffic = Traffic(port, ids, planners)
+        self.filter = PlannedFlights(port, Collision(), traffic, planners, FENCE, 2.0, 1.0, 0.0)
+        self.at, self.goal = np.array(at, dtype=float), np.array(at if goal is None else goal, dtype=float)
+        self.track, self.flies, self.v = [], True, np.zeros(3)
+
+    def tick(self, now):
+        self.port.publish(STATE, State.at(self.at, self.v))
+        if self.flies:
+            wanted = FullState.at(self.goal)
+            flown = self.filter.fly(State.at(self.at, self.v), self.wanted(), lambda later: wanted, 0.0, now)
+            self.at, self.v = flown.p.copy(), flown.v.copy()
+        self.track.append(self.at.copy())
+
+    def wanted(self):
+        return FullState.at(self.goal)
+
+
+def crowd(clock, *places, rules=(), planners=None):
+    """Drones 0, 1 ... each from a place to another."""
+    bus = Bus(clock, Impairment(3, [Rule(effects) for effects in rules]))
+    ids = list(range(len(places)))
+    for i in ids:
+        bus.port(i)
+    bus.impairment.begin(0.0)
+    return bus, [Flier(bus, i, ids, *places[i], planners=planners) for i in ids]
+
+
+async def fly(clock, drones, duration):
+    for _ in range(round(duration / TICK)):
+        await clock.sleep(TICK)
+        for drone in drones:
+            drone.tick(clock.now_ns() / SECOND)
+
+
+def nearest(one, two):
+    d = (np.array(one.track) - np.array(two.track)) * [1.0, 1.0, 0.4]
+    return float(np.linalg.norm(d, axis=1).min())
+
+
+def chosen(drone):
+    return {kind for kind, count in drone.filter.kinds.items() if count}
+
+
+@virtual
+async def test_alone_it_flies_straight_and_asks_nobody(clock):
+    _, drones = crowd(clock, (A, B))
+    await fly(clock, drones, 6.0)
+    assert drones[0].at == pytest.approx(B, abs=1e-6)
+    assert chosen(drones[0]) == {"straight"}
+
+
+@virtual
+async def test_two_that_swap_their_places_keep_their_distance(clock):
+    _, drones = crowd(clock, (A, B), (B, A))
+    await fly(clock, drones, 15.0)
+    assert [drone.at.round(3).tolist() for drone in drones] == [B.tolist(), A.tolist()]
+    assert nearest(*drones) >= 0.335
+    assert chosen(drones[1]) - {"straight"}
+
+
+@virtual
+async def test_six_that_swap_across_a_circle_arrive_though_messages_are_lost_in_bursts(clock):
+    angles = np.pi / 3.0 * np.arange(6)
+    spots = np.column_stack([1.5 * np.cos(angles), 1.5 * np.sin(angles), np.full(6, 1.0)])
+    burst = {"p_good_bad": 0.0278, "p_bad_good": 0.25}
+    _, drones = crowd(clock, *((spots[k], spots[(k + 3) % 6]) for k in range(6)), rules=[burst])
+    await fly(clock, drones, 25.0)
+    for k, drone in enumerate(drones):
+        assert drone.at == pytest.approx(spots[(k + 3) % 6], abs=1e-3)
+        assert all(nearest(drone, other) >= 0.335 for other in drones[:k])
+
+
+@virtual
+async def test_who_crosses_starts_later_or_turns_aside_and_the_lower_id_does_not(clock):
+    _, drones = crowd(clock, (A, B), ((0.0, -1.0, 1.0), (0.0, 1.0, 1.0)))
+    await fly(clock, drones, 12.0)
+    assert chosen(drones[0]) == {"straight"}
+    assert chosen(drones[1]) & {"delayed", "split"}
+    assert nearest(*drones) >= 0.335
+
+
+@virtual
+async def test_without_an_answer_it_stays(clock):
+    """The lower one hears, and what it says is lost: nothing is flown that it has not agreed to."""
+    _, drones = crowd(clock, ((-1.0, 2.0, 1.0),), (A, B))
+    await fly(clock, drones, 0.5)
+    deaf = Impairment(1, [Rule({"loss": 1.0}, edge=(0, 1), directed=True)])
+    drones[0].port.bus.impairment = deaf
+    deaf.begin(clock.now())
+    away = drones[1].at.copy()
+    drones[1].goal = A.copy()
+    await fly(clock, drones, 2.0)
+    assert np.linalg.norm(drones[1].at - away) < 1.0, "it came to rest"
+
+
+@virtual
+async def test_an_offer_that_is_not_agreed_to_in_time_is_forgotten(clock):
+    _, drones = crowd(clock, (A,), (B,))
+    await fly(clock, drones, 0.5)
+    one = drones[1].filter.agreement
+    now = clock.now()
+    one.propose(hold(A, 1.0), now + ASKING)
+    assert len(one.offer)
+    one.settle(now + 0.9 * ASKING)
+    assert len(one.offer)
+    one.settle(now + ASKING)
+    assert len(one.offer) == 0
+    assert end(one.way) == pytest.approx(B)
+
+
+@virtual
+async def test_only_offers_that_are_clear_are_agreed_to(clock):
+    _, drones = crowd(clock, (A,), (B,))
+    await fly(clock, drones, 0.5)
+    low, high = (drone.filter.agreement for drone in drones)
+    for place, agreed in ((A, False), (np.array([0.0, 1.0, 1.0]), True)):
+        high.propose(flight(moving(high.way, 9.0), place, 1.0, 2.0), clock.now() + 9.0)
+        high.tell(clock.now())
+        drones[0].tick(clock.now())
+        assert (low.others[1].allowed == high.number) is agreed
+
+
+@virtual
+async def test_what_was_agreed_to_is_kept_clear_of_until_it_is_heard_that_it_is_not_flown(clock):
+    _, drones = crowd(clock, (A,), (B,))
+    await fly(clock, drones, 0.5)
+    low, high = (drone.filter.agreement for drone in drones)
+    place = np.array([0.0, 1.0, 1.0])
+    high.propose(hold(place, 1.0), clock.now() + 0.1)
+    high.tell(clock.now())
+    drones[0].tick(clock.now())
+    drones[0].goal = place.copy()
+    await fly(clock, drones[:1], 2.0)
+    assert np.linalg.norm(drones[0].at - place) > 0.33, "nothing more is heard of it: it may be there"
+    assert low.may_be_flown(low.others[1])
+    drones[1].filter.agreement.offer = NO_WAY
+    await fly(clock, drones, 8.0)
+    assert drones[0].at == pytest.approx(place, abs=1e-3)
+
+
+@virtual
+async def test_who_does_not_tell_a_way_is_kept_clear_of_by_its_state(clock):
+    _, drones = crowd(clock, (A, B), ((0.0, 0.0, 1.0),), planners=[0])
+    drones[1].flies = False
+    await fly(clock, drones, 10.0)
+    assert drones[0].at == pytest.approx(B, abs=1e-3)
+    assert nearest(*drones) >= 0.335
+
+
+@virtual
+async def test_it_brakes_before_a_stranger_who_comes_in_its_way(clock):
+    _, drones = crowd(clock, (A, B), ((0.0, 2.5, 1.0),), planners=[0])
+    drones[1].flies = False
+    await fly(clock, drones, 1.9)
+    for k in range(100):
+        drones[1].at = np.array([max(drones[0].at[0] + 0.6, 0.4 - 0.001 * k), 0.0, 1.0])
+        await fly(clock, drones, TICK)
+    assert sum(drones[0].filter.kinds.values()) > 1
+    assert min(np.linalg.norm((np.array(drones[0].track) - drones[1].track)[190:], axis=1)) > 0.3
+
+
+@virtual
+async def test_one_that_has_gone_silent_is_avoided_wherever_on_its_way_it_may_be(clock):
+    _, drones = crowd(clock, ((0.0, -1.0, 1.0), (0.0, 1.0, 1.0)), (A,))
+    await fly(clock, drones, 1.0)
+    drones[1].goal = B
+    await fly(clock, drones[1:], GONE - 0.5)
+    assert drones[1].at == pytest.approx(A, abs=0.01), "it cannot ask: it stays"
+    await fly(clock, drones[1:], 12.0)
+    assert drones[1].at == pytest.approx(B, abs=1e-3)
+    way = drones[0].filter.agreement.way
+    for p in drones[1].track[-1200:]:
+        for t in np.arange(1.0, seconds(way), 0.05):
+            assert np.linalg.norm((p - moving(way, t)[0:3]) * [1.0, 1.0, 0.4]) > 0.3
+
+
+@virtual
+async def test_plans_that_are_none_are_not_believed(clock):
+    bus, drones = crowd(clock, (A,), (B,))
+    await fly(clock, drones, 0.3)
+    heard = drones[0].filter.agreement.others[1].heard
+    bad = np.full((1, 25), math.nan)
+    for way in (bad, np.zeros((0, 25)), np.zeros((1, 24)), np.zeros(25), -np.ones((1, 25))):
+        await clock.sleep(TICK)
+        bus.ports[1].publish(PLAN, Plan(way, 0.0, NO_WAY, 0.0, 1, {}))
+    assert drones[0].filter.agreement.others[1].heard == heard
