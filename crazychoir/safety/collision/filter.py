@@ -136,8 +136,9 @@ def _filtered(
         n = (r[0] / d, r[1] / d, r[2] / d)
         side = (scale[0] * n[0], scale[1] * n[1], scale[2] * n[2])
         reach = length(side)
-        gap = d - width - 0.5 * f[UNSURE] * age * age * reach
-        unsure, brake = f[UNSURE] * age * reach, f[BRAKE] * reach
+        old = 0.0 if stands else age  # who stands does not run away while it is not heard
+        gap = d - width - 0.5 * f[UNSURE] * old * old * reach
+        unsure, brake = f[UNSURE] * old * reach, f[BRAKE] * reach
         if f[CELLS] > 0.0:
             own = (scale[0] * v[0], scale[1] * v[1], scale[2] * v[2])
             b = cell(r, w, own, gap, 0.5 * unsure, brake, f[STIFF], f[GAMMA])
