@@ -1,5 +1,7 @@
 """The flights that a pilot plans itself: to a place, to rest, down; inside the fence and the limits of [flight]."""
 
+import math
+
 import numpy as np
 
 from crazychoir.math3d import GRAVITY, Vec, yaw_of
@@ -11,6 +13,10 @@ from crazychoir.safety.guard import INSET, Fence
 from crazychoir.swarm.tables import Flight
 from crazychoir.types import FullState, State
 
+ASTRAY = 0.2
+"""m from a plan beyond which a drone does not begin the next one on it, but where it is."""
+LEASH = 0.5
+"""m by which a plan runs ahead of a drone that gives way to others: farther than one that stands on its way reaches."""
 DETOUR, PARKING = 2.0, 4.0
 """A robot that finds its own way to a pose is given so many times what a straight one takes, and s to come to rest."""
 
@@ -50,7 +56,15 @@ class Flights:
 
     def departure(self, state: State, now: float) -> FullState:
         """Where a new plan begins: on the plan that is flown, else at the state, with the speed it has."""
-        return self.sample(now) or FullState.at(state.p, state.v, yaw=yaw_of(state.q))
+        planned = self.sample(now)
+        if planned is None or math.dist(planned.flat[0:3], state.flat[0:3]) > ASTRAY:
+            return FullState.at(state.p, state.v, yaw=yaw_of(state.q))
+        return planned
+
+    def wait(self, planned: FullState, state: State, seconds: float) -> None:
+        """The plan stands still for so long, if what it plans now is too far from a drone that gives way to others."""
+        if math.dist(planned.flat[0:3], state.flat[0:3]) > LEASH:
+            self.start += seconds
 
     def go_to(self, start: FullState, goal: Vec, yaw: float, duration: float, now: float) -> float:
         """Fly to rest at goal (3,) m, in `duration` s or as fast as the limits allow; returns the time it takes."""

@@ -75,6 +75,8 @@ GIVE_UP_HOVER = 2.0
 GIVE_UP_TICKS = 0.5
 """s of failed ticks, within 10 s, after which the pilot is given up: as long as it flies on without a pose."""
 
+CAUGHT_UP = 0.1
+"""m from its plan within which a drone that has given way to others flies by its plan again."""
 LIFTED = 0.03
 """m above where it stood at which a drone flies: below, its controllers learn nothing from an error of the height."""
 SEEN = 0.1
@@ -179,6 +181,9 @@ class Pilot(Actor):
         self._goto_plan: Trajectory | None = None
         self._a = STILL  # m/s2, what the last command asks of the drone
         self._flown: FullState | None = None  # in the last tick, if it was a FullState
+        self._bent = False  # whether it gives way to others on its planned flight, or catches up with that
+        self.gave_way = -math.inf
+        """s, when it last gave way to another drone."""
         self._lift_off = 0.0  # m, the height above which a drone that takes off flies
         self._obeyed = Action.NOMINAL  # the last verdict
         self._ticked_ns = 0
@@ -571,7 +576,8 @@ class Pilot(Actor):
             return self.flights.done(now) and bool(np.linalg.norm(state.v) < AT_REST)
         low = seen and state.flat[2] < self.limits.ground + ON_THE_FLOOR
         landing = isinstance(self.flights.plan, Landing)
-        over = landing and self.flights.done(now, TOUCHDOWN_LATE if seen else TOUCHDOWN_UNSEEN)
+        late = TOUCHDOWN_LATE if seen else TOUCHDOWN_UNSEEN
+        over = landing and self.flights.done(now, late) and now > self.gave_way + late
         return bool(low or (over and np.linalg.norm(state.v) < AT_REST))
 
     def _follow(self, state: State, now: float) -> Command | None:
@@ -593,13 +599,18 @@ class Pilot(Actor):
                 return self._commanded(chosen.tracker, state, self._flown, now)
         if flights.plan is None:
             self._brake()
-        self._flown = flown = flights.sample(now)
+        planned = flights.sample(now)
+        assert planned is not None  # noqa: S101 - it brakes at least
         if self.mode in (TAKEOFF, FOLLOW) and self._reference is None and flights.done(now):
             self._change(Event.ARRIVED)
-        if flown is not None and (safe := self._kept_clear(state, flown, now)) is not None:
-            return self._evade(state, safe, flown.yaw, now)
+        self._flown = flown = self.reference_limits.full_state(planned, state) if self._bent else planned
+        if (safe := self._kept_clear(state, flown, now)) is not None:
+            self._bent = True
+            flights.wait(planned, state, self.period_ns / SECOND)
+            return self._evade(state, safe, planned.yaw, now)
+        self._bent = self._bent and (flown is not planned or self.gap(planned.p) > CAUGHT_UP)
         low = self.mode is TAKEOFF and state.flat[2] < self._lift_off
-        chosen.trim.frozen = low or state.age > SEEN
+        chosen.trim.frozen = low or self._bent or state.age > SEEN
         return self._commanded(chosen.tracker, state, self._flown, now)
 
     def _kept_clear(self, state: State, reference: Acceleration | FullState, now: float) -> Vec | None:
@@ -615,6 +626,7 @@ class Pilot(Actor):
     def _evade(self, state: State, a: Vec, yaw: float, now: float) -> Command | None:
         """Fly the acceleration (3,) that the collision filter wants."""
         assert self.collision is not None  # noqa: S101 - it has spoken
+        self.gave_way = now
         other = self.collision.gives_way_to
         text = "brakes: it does not hear who is near" if other is None else f"keeps clear of drone {other}"
         self._say("collision", text)
