@@ -1,47 +1,48 @@
-"""Each drone flies straight to its goal, whoever is in its way: what keeps them apart is the collision filter alone.
+"""Each drone flies straight to its goal, whoever is in its way: the collision filter alone keeps them apart.
 
-crazychoir run crossing --fast --drones 30 --picture out/crossing.png
+crazychoir run crossing --fast --drones 6 --picture out/crossing.png
 
-[mission_options]: pattern = "antipodal" | "permutation";  radius: m;  speed: m/s;  low, high: m, of starts and goals;
-jitter: m, of starts and goals sideways;  time: s of the law.
+[mission_options]: pattern = "antipodal" (to the other side of the circle) | "permutation" (to another's start);
+radius: m;  speed: m/s;  low, high: m, between which starts and goals lie;  jitter: m, by which they lie off the
+circle;  duration: s of the law. All is drawn from the swarm's seed.
 """
 
 from typing import Any
 
+import matplotlib.pyplot as plt
+import msgspec
 import numpy as np
 
 from crazychoir import CFDistributedFeedback, SwarmConfig
+from crazychoir.errors import ConfigError
 from crazychoir.types import FullState, Heard, State, Vec
 
-DEFAULTS: dict[str, Any] = {
-    "pattern": "antipodal", "radius": 3.0, "speed": 0.8, "low": 0.5, "high": 2.0, "jitter": 0.1, "time": 30.0,
-}  # fmt: skip
-ARRIVED = 0.05
-"""m from its goal: there, once it stays there."""
 Results = dict[int, dict[str, Any]]
+DEFAULTS: dict[str, Any] = {
+    "pattern": "antipodal", "radius": 3.0, "speed": 0.8, "low": 0.3, "high": 2.2, "jitter": 0.1, "duration": 20.0,
+}  # fmt: skip
+APART = 0.34
+"""m, by the metric of [collision]: starts, and goals, are drawn as far apart as this."""
+ARRIVED = 0.05
+"""m from its goal: it is there, once it stays so near."""
 
 
 class Straight(CFDistributedFeedback):
-    """p_d(t) = a + min(speed t, |b - a|) (b - a) / |b - a|."""
+    """p_d(t) = a + min(speed t, |b - a|) w,  w = (b - a) / |b - a|: it knows of nobody."""
 
-    def __init__(self, start: Vec, goal: Vec, speed: float, time: float) -> None:
-        self.start, self.goal, self.speed, self.duration = start, goal, speed, time
+    def __init__(self, start: Vec, goal: Vec, speed: float, duration: float) -> None:
+        self.start, self.goal, self.speed, self.duration = start, goal, speed, duration
         self.far = float(np.linalg.norm(goal - start))
         self.way = (goal - start) / self.far
-        self.arrived: float | None = None
         self.steps = 0
+        self.arrived: float | None = None
 
     def height(self) -> float:
-        """Where it starts."""
-        return float(self.start[2])
-
-    async def take_off(self, height: float | None = None) -> None:
-        """Up, and to the start."""
-        await super().take_off(height)
-        await self.go_to(self.start)
+        """That of its start."""
+        return float(self.start[2] - self.member.config.flight.ground)
 
     def step(self, me: State, heard: Heard) -> FullState:
-        """The straight line."""
+        """Where the straight line is by now."""
         t = self.steps / self.rate
         self.steps += 1
         if np.linalg.norm(me.p - self.goal) > ARRIVED:
@@ -49,57 +50,114 @@ class Straight(CFDistributedFeedback):
         elif self.arrived is None:
             self.arrived = t
         gone = self.speed * t
-        if gone >= self.far:
-            return FullState.at(self.goal)
-        return FullState.at(self.start + gone * self.way, self.speed * self.way)
+        on_its_way = gone < self.far
+        return FullState.at(self.start + min(gone, self.far) * self.way, on_its_way * self.speed * self.way)
 
     async def mission(self) -> dict[str, Any]:
-        """Take off, cross, land."""
+        """Up, across, down; arrived_s: s of the law, after which it stayed at its goal, None: never."""
         return await super().mission() | {"arrived_s": self.arrived}
 
 
 def guidance(i: int, config: SwarmConfig) -> Straight:
     """The way of drone i."""
-    options = DEFAULTS | config.mission_options
-    starts, goals = places(config)
-    n = config.ids.index(i)
-    return Straight(starts[n], goals[n], options["speed"], options["time"])
+    options, (starts, goals) = DEFAULTS | config.mission_options, places(config)
+    return Straight(starts[i], goals[i], options["speed"], options["duration"])
 
 
-def places(config: SwarmConfig) -> tuple[Vec, Vec]:
-    """Starts and goals, (n, 3) m each, from the swarm's seed."""
+def places(config: SwarmConfig) -> tuple[dict[int, Vec], dict[int, Vec]]:
+    """Starts and goals, (3,) m each, by drone."""
     options, n = DEFAULTS | config.mission_options, len(config.ids)
     draw = np.random.default_rng(config.seed)
-    while True:
-        starts, goals = _circle(draw, n, options, 0.0), _circle(draw, n, options, np.pi)
-        if options["pattern"] == "permutation":
-            goals = starts[draw.permutation(n)]
-        if _apart(starts) > 0.34 and _apart(goals) > 0.34 and np.linalg.norm(goals - starts, axis=1).min() > 0.1:
-            return starts, goals
+    starts = _circle(draw, n, options, 0.0)
+    goals = _circle(draw, n, options, np.pi)
+    if options["pattern"] == "permutation":
+        goals = starts[_deranged(draw, n)]
+    return dict(zip(config.ids, starts, strict=True)), dict(zip(config.ids, goals, strict=True))
 
 
 def _circle(draw: np.random.Generator, n: int, options: dict[str, Any], turn: float) -> Vec:
+    """n places around a circle, off it by chance, and clear of each other."""
     angles = turn + 2.0 * np.pi * np.arange(n) / n
     flat = options["radius"] * np.column_stack([np.cos(angles), np.sin(angles)])
-    heights = draw.uniform(options["low"], options["high"], n)
-    return np.column_stack([flat + draw.uniform(-options["jitter"], options["jitter"], (n, 2)), heights])
+    off = options["jitter"]
+    for _ in range(1000):
+        heights = draw.uniform(options["low"], options["high"], n)
+        found = np.column_stack([flat + draw.uniform(-off, off, (n, 2)), heights])
+        apart = np.linalg.norm((found[:, None] - found[None]) * [1.0, 1.0, 0.4], axis=2) + 9.0 * np.eye(n)
+        if apart.min() >= APART:
+            return found
+    raise ConfigError("mission_options.radius", options["radius"], f"room for {n} drones", "Take a larger one.")
 
 
-def _apart(p: Vec) -> float:
-    d = (p[:, None] - p[None]) * [1.0, 1.0, 0.4]
-    return float((np.linalg.norm(d, axis=2) + 9.0 * np.eye(len(p))).min())
+def _deranged(draw: np.random.Generator, n: int) -> Vec:
+    """A permutation that leaves nobody where it is."""
+    while True:
+        order: Vec = draw.permutation(n)
+        if n == 1 or np.all(order != np.arange(n)):
+            return order
 
 
 def swarm(drones: int | None = None) -> SwarmConfig:
-    """Thirty drones at motor level that lose one message in ten, on a circle."""
+    """Drones at motor level, of whose messages one in ten is lost, in bursts."""
     n = drones or 30
-    angles = 2.0 * np.pi * np.arange(n) / n
-    homes = 3.0 * np.column_stack([np.cos(angles), np.sin(angles), 0.0 * angles])
-    rows = [{"id": k, "home": homes[k].round(3).tolist(), "uri": "sim://motors", "platform": "cf21"} for k in range(n)]
-    return SwarmConfig.of(
-        {
-            "name": "crossing", "mission": "crossing", "drones": rows, "graph": "ring",
-            "network": {"loss": 0.1, "burst": 4.0},
-            "flight": {"acceleration_limit": 2.0, "speed_limit": 1.0},
-        }
-    )  # fmt: skip
+    radius = max(3.0, 0.4 * n / (2.0 * np.pi))
+    rows = [
+        {"id": k, "home": [float(k), 0.0, 0.0], "uri": "sim://motors", "platform": "cf21"} for k in range(n)
+    ]  # fmt: skip
+    fence = {"min": [-radius - 1.0, -radius - 1.0, 0.0], "max": [max(n, radius) + 1.0, radius + 1.0, 3.0]}
+    raw = {"name": "crossing", "mission": "crossing", "graph": "ring", "drones": rows, "fence": fence}
+    return scatter(
+        SwarmConfig.of(raw | {"network": {"loss": 0.1, "burst": 4.0}, "mission_options": {"radius": float(radius)}})
+    )
+
+
+def scatter(config: SwarmConfig) -> SwarmConfig:
+    """The same swarm with its homes below the starts that its seed gives."""
+    starts, _ = places(config)
+    ground = config.flight.ground
+    rows = [msgspec.to_builtins(drone) | {"home": [*starts[drone.id][:2].tolist(), ground]} for drone in config.drones]
+    return config.replace(drones=rows)
+
+
+def check(config: SwarmConfig, force: bool = False) -> list[str]:
+    """The options are those that there are, and all stay inside the fence."""
+    where = f"swarm {config.name}: mission_options"
+    for key, value in config.mission_options.items():
+        if key not in DEFAULTS:
+            raise ConfigError(f"{where}.{key}", value, f"one of {', '.join(DEFAULTS)}")
+        if key == "pattern" and value not in ("antipodal", "permutation"):
+            raise ConfigError(f"{where}.pattern", value, '"antipodal" or "permutation"')
+        if key != "pattern" and not (isinstance(value, int | float) and value >= 0.0):
+            raise ConfigError(f"{where}.{key}", value, "a number, not negative")
+    for which, found in zip(("start", "goal"), places(config), strict=True):
+        for i, p in found.items():
+            if np.any(p < config.fence.min) or np.any(p > config.fence.max):
+                raise ConfigError(f"{where}: {which} of drone {i}", p.round(2).tolist(), "inside [fence]", "Widen it.")
+    return []
+
+
+def goal(config: SwarmConfig) -> dict[int, Vec]:
+    """Where each is to be."""
+    return places(config)[1]
+
+
+def report(config: SwarmConfig, results: Results) -> dict[str, Any]:
+    """When the last one was there; who never was has failed."""
+    times = {i: result.get("arrived_s") for i, result in results.items()}
+    late = {i: f"never stayed within {ARRIVED} m of its goal" for i, time in times.items() if time is None}
+    arrived = [time for time in times.values() if time is not None]
+    return {"success": not late, "reasons": late, "arrived_s": max(arrived) if arrived and not late else None}
+
+
+def picture(config: SwarmConfig, results: Results, path: str) -> None:
+    """The straight lines from above, and where each drone has ended."""
+    shown, axes = plt.subplots(figsize=(4.5, 4.5))
+    starts, goals = places(config)
+    for i in config.ids:
+        line = axes.plot(*np.array([starts[i], goals[i]])[:, :2].T, linewidth=0.8)[0]
+        axes.plot(*goals[i][:2], "o", markersize=9, fillstyle="none", color=line.get_color())
+        if place := results.get(i, {}).get("place"):
+            axes.plot(*place[:2], "o", markersize=4, color=line.get_color())
+    axes.set(xlabel="x in m", ylabel="y in m", aspect="equal", title=f"{len(config.ids)} straight ways")
+    shown.savefig(path, dpi=200, bbox_inches="tight")
+    plt.close(shown)

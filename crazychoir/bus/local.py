@@ -83,6 +83,8 @@ class Readers:
     mailboxes: list[AnyMailbox] = field(default_factory=list)
     every: list[int] = field(default_factory=list)
     some: dict[int, Rate] = field(default_factory=dict)
+    next_ns: int = 0
+    """Before that none of `some` is due."""
 
     def add(self, address: int, interval_ns: int, phase: int = 0) -> None:
         """A port reads, at its fastest rate; phase: ns, of a slow grid, lest all drones say theirs in the same tick."""
@@ -93,16 +95,27 @@ class Readers:
             self.every.append(address)
         elif address in self.some:
             rate = self.some[address]
+            self.next_ns = 0
             rate.interval_ns, rate.asked_ns = min(rate.interval_ns, interval_ns), min(rate.asked_ns, interval_ns)
         else:
+            self.next_ns = 0
             self.some[address] = Rate(interval_ns, phase % interval_ns if interval_ns >= SLOW_NS else 0, interval_ns)
 
     def pace(self, address: int, interval_ns: int) -> None:
-        """A port that gets some values gets them at this interval, or as often as it asked for if that is more often."""
+        """A port that gets some values gets them at this interval, or as often as it asked, if that is more."""
         rate = self.some.get(address)
         if rate is not None:
             rate.interval_ns = min(interval_ns, rate.asked_ns)
             rate.due_ns %= rate.asked_ns
+            self.next_ns = 0
+
+    def now_due(self, now_ns: int) -> list[int]:
+        """The ports of `some` that get a value now."""
+        if now_ns < self.next_ns:
+            return []
+        due = [j for j, rate in self.some.items() if rate.due(now_ns)]
+        self.next_ns = min(rate.due_ns for rate in self.some.values())
+        return due
 
     def drop(self, addresses: Sequence[int]) -> None:
         """These ports read no more."""
@@ -284,8 +297,7 @@ class Port:
             mailbox.put(value, age)
         to = readers.every
         if readers.some:
-            now_ns = self.bus.clock.now_ns()
-            to = [*to, *(j for j, rate in readers.some.items() if rate.due(now_ns))]
+            to = [*to, *readers.now_due(self.bus.clock.now_ns())]
         if to:
             number = self._numbers[topic.number] = self._numbers.get(topic.number, 0) + 1
             payload, bus = encode(value), self.bus

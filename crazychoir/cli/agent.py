@@ -37,7 +37,7 @@ def agent(
     set_up_logging()
     from crazychoir.cli.chosen import configured  # kernels and network: 1 s that --help does not need
     from crazychoir.cli.process import run_agent
-    from crazychoir.guidance.mission import has, load
+    from crazychoir.guidance.mission import load, look_before
     from crazychoir.launch.processes import write_results
 
     try:
@@ -45,7 +45,7 @@ def agent(
             config, which = configured(swarm, mission, loss, seed)
             flown = load(str(config.mission))
             members = tuple(sorted({config.drone(i).id: None for i in ids}))
-            warned = flown.check(config, force) if has(flown, "check") else []
+            warned = look_before(flown, config, force)
             if not as_json and child is None:
                 STDERR.print(f"swarm {config.name} ({which}), mission {config.mission}, drone(s) {ids}")
             for text in warned:

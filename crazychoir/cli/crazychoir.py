@@ -75,7 +75,7 @@ def run(
         to_start,
         with_operator,
     )
-    from crazychoir.guidance.mission import has
+    from crazychoir.guidance.mission import look_before
     from crazychoir.launch.flight import fly_fast, fly_real
     from crazychoir.launch.network import apart, swarm_file
     from crazychoir.launch.recording import recording_file
@@ -89,7 +89,7 @@ def run(
             config = with_operator(config, wait, fast)
             check_picture(mission, picture)
             started = to_start(only, config)
-            warned = mission.check(config, force) if has(mission, "check") else []
+            warned = look_before(mission, config, force)
             with Progress(status_table, enabled=not as_json) as progress:
                 for text in warned:
                     progress.say(text)

@@ -336,16 +336,13 @@ class CFGuidance:
             raise Interrupted(f"drone {self.id}: its mission is over: {self.member.ended}")
 
     async def _while(self, seconds: float, *modes: Mode) -> None:
-        """Wait for a flight of `seconds`, at most PATIENCE s more where it gives way to others.
+        """Wait for a flight of `seconds`, and while others hinder it.
 
         Raises Interrupted in other modes than these and hovering, as landing.
         """
-        pilot, clock, flying = self.member.pilot, self.member.clock, (*modes, Mode.HOVER)
+        pilot, flying, clock = self.member.pilot, (*modes, Mode.HOVER), self.member.clock
         ends = clock.now() + seconds
-        while pilot.mode in flying and clock.now() < ends + PATIENCE:
-            left = max(ends - clock.now(), pilot.remaining())
-            if left <= 0.0:
-                break
+        while pilot.mode in flying and (left := max(ends - clock.now(), pilot.remaining())) > 0.0:
             await self.sleep(min(SETTLE, max(left, 1e-3)))
         if pilot.mode not in flying:
             raise Interrupted(f"drone {self.id}: {pilot.mode.value}: {pilot.note}")

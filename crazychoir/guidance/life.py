@@ -11,6 +11,7 @@ from crazychoir.errors import AgentFailed, CodecError, CrazyChoirError, Hung, Re
 from crazychoir.guidance.base import Member, raisable, touch_down
 from crazychoir.guidance.drone import Drone
 from crazychoir.runtime.actor import Actor
+from crazychoir.runtime.clock import SECOND
 from crazychoir.runtime.watchdog import Watchdog
 from crazychoir.safety.modes import Mode
 from crazychoir.swarm.config import SwarmConfig
@@ -183,6 +184,8 @@ class GuidanceActor(Actor):
     def _judged(self, result: Result) -> Result:
         """The result, now that the drone is down: a success only if nobody had to bring it down, and it is whole."""
         pilot, harm = self.drone.pilot, self.drone.harm()
+        if pilot.kept_clear:
+            result = {**result, "kept_clear_s": round(pilot.kept_clear * pilot.period_ns / SECOND, 2)}
         cut = pilot.note if pilot.mode is Mode.CUT else ""
         brought_down = self._aborted or cut or pilot.guard.latched or pilot.brought_down
         if result.get("success"):

@@ -12,6 +12,7 @@ from typing import Any, Protocol, cast
 from crazychoir.errors import ConfigError
 from crazychoir.guidance.base import CFGuidance
 from crazychoir.guidance.hooks import MissionFile
+from crazychoir.swarm.checks import refuse_conflicts
 from crazychoir.swarm.config import SwarmConfig
 from crazychoir.types import Point
 
@@ -62,6 +63,13 @@ def load(name: str) -> Mission:
 def has(mission: Mission, what: str) -> bool:
     """Whether the mission file defines one of the optional functions."""
     return callable(getattr(mission, what, None))
+
+
+def look_before(mission: Mission, config: SwarmConfig, force: bool = False) -> list[str]:
+    """The warnings of the mission's check; raises what it raises, and ConfigError for goals that are in conflict."""
+    if has(mission, "goal"):
+        refuse_conflicts(config, {i: tuple(map(float, p)) for i, p in mission.goal(config).items()}, "goals")
+    return mission.check(config, force) if has(mission, "check") else []
 
 
 def mission_hash(config: SwarmConfig, mission: Mission) -> str:

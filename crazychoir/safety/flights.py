@@ -15,8 +15,8 @@ from crazychoir.types import FullState, State
 
 ASTRAY = 0.2
 """m from a plan beyond which a drone does not begin the next one on it, but where it is."""
-LEASH = 0.5
-"""m by which a plan runs ahead of a drone that gives way to others: farther than one that stands on its way reaches."""
+LONGEST_WAIT = 60.0
+"""s that a plan waits for a drone that others keep off it."""
 DETOUR, PARKING = 2.0, 4.0
 """A robot that finds its own way to a pose is given so many times what a straight one takes, and s to come to rest."""
 
@@ -37,6 +37,8 @@ class Flights:
         self.limits, self.fence, self.a_max = limits, fence, a_max
         self.plan: Trajectory | None = None
         self.start = 0.0
+        self.waited = 0.0
+        """s that this plan has waited for its drone."""
 
     def clear(self) -> None:
         """Nothing is planned."""
@@ -60,11 +62,6 @@ class Flights:
         if planned is None or math.dist(planned.flat[0:3], state.flat[0:3]) > ASTRAY:
             return FullState.at(state.p, state.v, yaw=yaw_of(state.q))
         return planned
-
-    def wait(self, planned: FullState, state: State, seconds: float) -> None:
-        """The plan stands still for so long, if what it plans now is too far from a drone that gives way to others."""
-        if math.dist(planned.flat[0:3], state.flat[0:3]) > LEASH:
-            self.start += seconds
 
     def go_to(self, start: FullState, goal: Vec, yaw: float, duration: float, now: float) -> float:
         """Fly to rest at goal (3,) m, in `duration` s or as fast as the limits allow; returns the time it takes."""
@@ -105,7 +102,13 @@ class Flights:
         duration = duration_for(outside, inside, start.yaw, self.limits.speed_limit, self.a_max)
         return [stop, PointToPoint(outside, inside, start.yaw, duration)]
 
+    def wait(self, seconds: float) -> None:
+        """The plan goes on so much later, unless it has waited for LONGEST_WAIT s."""
+        if self.waited < LONGEST_WAIT:
+            self.start += seconds
+            self.waited += seconds
+
     def fly(self, plan: Trajectory, now: float) -> float:
         """Begin this one; returns the time it takes."""
-        self.plan, self.start = plan, now
+        self.plan, self.start, self.waited = plan, now, 0.0
         return plan.duration

@@ -75,8 +75,9 @@ GIVE_UP_HOVER = 2.0
 GIVE_UP_TICKS = 0.5
 """s of failed ticks, within 10 s, after which the pilot is given up: as long as it flies on without a pose."""
 
-CAUGHT_UP = 0.1
-"""m from its plan within which a drone that has given way to others flies by its plan again."""
+BACK, BEHIND, AHEAD = 0.05, 0.15, 0.5
+"""m from its plan: one that was pushed aside is back; one that lands does so where it is; the plan waits for it: so far
+ahead it is beyond who stands in the way."""
 LIFTED = 0.03
 """m above where it stood at which a drone flies: below, its controllers learn nothing from an error of the height."""
 SEEN = 0.1
@@ -181,7 +182,6 @@ class Pilot(Actor):
         self._goto_plan: Trajectory | None = None
         self._a = STILL  # m/s2, what the last command asks of the drone
         self._flown: FullState | None = None  # in the last tick, if it was a FullState
-        self._bent = False  # whether it gives way to others on its planned flight, or catches up with that
         self.gave_way = -math.inf
         """s, when it last gave way to another drone."""
         self._lift_off = 0.0  # m, the height above which a drone that takes off flies
@@ -189,6 +189,9 @@ class Pilot(Actor):
         self._ticked_ns = 0
         self._cut_for = ""
         self._said = Throttle()
+        self.kept_clear = 0
+        """Ticks in which the collision filter has flown it."""
+        self._aside = False  # it was pushed off its plan, and is not back
         self._braked = 0  # how often, in this flight
         self._takes_over = False
         self._idle, self._level = self.controls.sender.idle, self.controls.sender.steady(platform.weight)
@@ -600,18 +603,31 @@ class Pilot(Actor):
         if flights.plan is None:
             self._brake()
         planned = flights.sample(now)
-        assert planned is not None  # noqa: S101 - it brakes at least
+        assert planned is not None  # noqa: S101 - there is a plan
         if self.mode in (TAKEOFF, FOLLOW) and self._reference is None and flights.done(now):
             self._change(Event.ARRIVED)
-        self._flown = flown = self.reference_limits.full_state(planned, state) if self._bent else planned
-        if (safe := self._kept_clear(state, flown, now)) is not None:
-            self._bent = True
-            flights.wait(planned, state, self.period_ns / SECOND)
-            return self._evade(state, safe, planned.yaw, now)
-        self._bent = self._bent and (flown is not planned or self.gap(planned.p) > CAUGHT_UP)
+        self._flown = self._pulled_back(state, planned, now) if self._aside else planned
+        if (safe := self._kept_clear(state, self._flown, now)) is not None:
+            self._aside = True
+            return self._evade(state, safe, self._flown.yaw, now)
         low = self.mode is TAKEOFF and state.flat[2] < self._lift_off
-        chosen.trim.frozen = low or self._bent or state.age > SEEN
+        chosen.trim.frozen = low or self._aside or state.age > SEEN
         return self._commanded(chosen.tracker, state, self._flown, now)
+
+    def _pulled_back(self, state: State, planned: FullState, now: float) -> FullState:
+        """The reference for a drone that was pushed off its plan, no harder than the limits allow; the plan waits.
+
+        One that lands does so where it is.
+        """
+        far = math.dist(planned.p.tolist(), state.p.tolist())
+        self._aside = far > BACK
+        if far > AHEAD:
+            self.flights.wait(self.period_ns / SECOND)
+        if self.mode is LAND and far > BEHIND:
+            self.flights.clear()
+            self._descend()
+            planned = self.flights.sample(now) or planned
+        return self.reference_limits.full_state(planned, state)
 
     def _kept_clear(self, state: State, reference: Acceleration | FullState, now: float) -> Vec | None:
         """The acceleration (3,) that keeps it clear of the others; None: it is clear, and may fly as it wants."""
@@ -628,8 +644,12 @@ class Pilot(Actor):
         assert self.collision is not None  # noqa: S101 - it has spoken
         self.gave_way = now
         other = self.collision.gives_way_to
-        text = "brakes: it does not hear who is near" if other is None else f"keeps clear of drone {other}"
-        self._say("collision", text)
+        if other is None:
+            self._say("collision", "braking: who is near is not heard")
+        elif not self.kept_clear:
+            self.note = f"keeps clear of drone {other}"
+            log.info("drone %d: %s", self.drone, self.note)
+        self.kept_clear += 1
         self.controls.trim.frozen = True
         self._flown = FullState(np.array([*state.flat[0:6], *a, 0.0, 0.0, 0.0, yaw, 0.0]))
         return self._commanded(self.controls.tracker, state, self._flown, now)

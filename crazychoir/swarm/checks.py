@@ -3,6 +3,7 @@
 import ipaddress
 import math
 import re
+from collections.abc import Iterator, Mapping
 from importlib.metadata import entry_points
 from itertools import chain, combinations
 
@@ -224,19 +225,40 @@ def _homes(swarm: Swarm, where: str) -> None:
 
 
 def _apart(swarm: Swarm, where: str) -> None:
-    by_x = sorted(enumerate(swarm.drones), key=lambda entry: entry[1].home)
-    for k, (n, drone) in enumerate(by_x):
-        for _, other in by_x[k + 1 :]:
-            if other.home[0] - drone.home[0] >= TOUCHING:
+    places = {drone.id: drone.home for drone in swarm.drones}
+    for i, j, d in too_near(places, (1.0, 1.0, 1.0), TOUCHING):
+        n = next(n for n, drone in enumerate(swarm.drones) if drone.id == i)
+        raise ConfigError(
+            f"{where}: drones[{n}].home",
+            show(places[i]),
+            f"homes are {TOUCHING} m apart or more",
+            "Move one of them.",
+            f"{d:.2g} m from the home of drone {j}",
+        )
+    refuse_conflicts(swarm, {i: p for i, p in places.items()}, f"{where}: homes")
+
+
+def too_near(places: Mapping[int, Position], scale: Position, least: float) -> Iterator[tuple[int, int, float]]:
+    """Pairs of drones whose places, each axis times its scale, are less than `least` m apart, and how far they are."""
+    by_x = sorted((tuple(s * c for s, c in zip(scale, p, strict=True)), i) for i, p in places.items())
+    for k, (p, i) in enumerate(by_x):
+        for q, j in by_x[k + 1 :]:
+            if q[0] - p[0] >= least:
                 break
-            if (d := math.dist(drone.home, other.home)) < TOUCHING:
-                raise ConfigError(
-                    f"{where}: drones[{n}].home",
-                    show(drone.home),
-                    f"homes are {TOUCHING} m apart or more",
-                    "Move one of them.",
-                    f"{d:.2g} m from the home of drone {other.id}",
-                )
+            if (d := math.dist(p, q)) < least:
+                yield i, j, d
+
+
+def refuse_conflicts(swarm: Swarm, places: Mapping[int, Position], where: str) -> None:
+    """Raise ConfigError if drones at these places could never keep clear of each other, by [collision]."""
+    if swarm.collision.method == "off":
+        return
+    x, y, z = swarm.collision.semi_axes
+    for i, j, d in too_near(places, (1.0, x / y, x / z), 2.0 * x):
+        found = f"drone {i} at {show(places[i])}, drone {j} at {show(places[j])}"
+        allowed = f"places {2.0 * x:g} m apart or more, vertical distances times {x / z:.2g} ([collision] semi_axes)"
+        problem = f"{d:.2g} m apart: in conflict"
+        raise ConfigError(where, found, allowed, "Move one of them.", problem)
 
 
 def _cameras(swarm: Swarm, where: str) -> None:

@@ -244,23 +244,25 @@ class World(Table, frozen=True, kw_only=True):
 class Collision(Table, frozen=True, kw_only=True):
     """[collision]: how drones keep clear of each other.
 
-    method: "barrier", "cells" or "off";  semi_axes: m, of the ellipsoid around each drone, which no other's meets;
+    method: "barrier" (two together can always stop), "cells" (each can, on its side of the middle) or "off";
+    semi_axes: m, of the ellipsoid around each drone, which no other's meets: it is tall because of the downwash;
     margin: m, kept beyond twice the first of them;  brake: m/s2, with which a drone counts on being able to brake;
-    gamma: 1/s, how fast it comes to a limit;  turn: how much it goes to the side where somebody is in its way;
-    range: m, within which others count;  unsure: m/s2, by which one that is not heard may change its acceleration;
-    lag, delay: s, of the drones.
+    stiff, gamma: 1/s, how fast a gap closes at most, and how fast that limit is come to;  turn: how much a drone goes
+    to the side where somebody is in its way;  range: m, within which others count;  unsure: m/s2, by which one that is
+    not heard may change its acceleration;  lag, delay: s, with which drones obey.
     """
 
     method: Avoidance = "cells"
     semi_axes: SemiAxes = (0.12, 0.12, 0.3)
-    margin: Metres = 0.06
+    margin: Metres = 0.08
     brake: Acceleration = 1.0
     gamma: Timeout = 4.0
     turn: Factor = 1.0
     range: Height = 2.0
     unsure: Factor = 2.0
-    lag: Seconds = 0.15
-    delay: Seconds = 0.03
+    lag: Seconds = 0.05
+    delay: Seconds = 0.05
+    stiff: Timeout = 1.5
 
 
 class Control(Table, frozen=True, kw_only=True):

@@ -1,1 +1,1 @@
-"""The collision filter, between planner and controller: what is heard of the others, and the acceleration that is safe."""
+"""The collision filter: what is heard of the others, and the nearest acceleration with which nobody is hit."""

@@ -1,12 +1,11 @@
 """The collision filter: the acceleration nearest to the one wanted with which this drone hits nobody."""
 
 import math
-from typing import Any
 
 import numpy as np
 
-from crazychoir.math3d import Triple, Vec, dot, kernel, memory, real, table, vector
-from crazychoir.safety.collision.barrier import barrier
+from crazychoir.math3d import Triple, Vec, clip, dot, kernel, memory, real, table, vector
+from crazychoir.safety.collision.barrier import approach, barrier, part
 from crazychoir.safety.collision.cells import cell
 from crazychoir.safety.collision.deadlock import turned
 from crazychoir.safety.collision.motion import late, length, scaled, shrunk
@@ -26,11 +25,15 @@ USABLE = 0.5
 """s: a state that is older is no use."""
 GONE = 3.0
 """s: the motors of a drone that is not heard for so long are off: its pilot or its firmware cuts them after 2 s."""
+FLOOR_GAP = 0.2
+"""m above the floor, at least, for who gives way, unless it wants to be lower."""
+NEAR_WALL = 1.0
+"""m."""
 CLEAR, ACTS, BRAKES = 0, 1, 2
 """What the filter does: nothing; it bends what is wanted; it brakes, for want of a usable state."""
 
 # Figures of the kernel.
-LAG, DELAY, SX, SY, SZ, WIDTH, BRAKE, GAMMA, A_XY, A_Z, TURN, RANGE, UNSURE, GROUND, V_MAX, CELLS = range(16)
+LAG, DELAY, SX, SY, SZ, WIDTH, BRAKE, GAMMA, A_XY, A_Z, TURN, RANGE, UNSURE, GROUND, V_MAX, CELLS, STIFF = range(17)
 
 
 @kernel()
@@ -65,8 +68,15 @@ def _insert(planes: Vec, near: Vec, count: int, d: float, normal: Triple, b: flo
 
 
 @kernel()
-def _box(planes: Vec, f: Vec) -> None:
-    """The accelerations that the drone can fly: rows 0 to 5."""
+def _wall(gap: float, away: float, f: Vec) -> float:
+    """What it must accelerate away from a wall, m/s2; gap: m, away: m/s, as in `barrier`."""
+    speed, slope = approach(gap, f[BRAKE], f[STIFF])
+    return -f[GAMMA] * (speed + away) - slope * away
+
+
+@kernel()
+def _box(planes: Vec, floor: float, f: Vec) -> None:
+    """The accelerations that the drone can fly, and those that keep it above the floor: rows 0 to 5."""
     for c in range(3):
         for side in range(2):
             k = 2 * c + side
@@ -74,23 +84,20 @@ def _box(planes: Vec, f: Vec) -> None:
                 planes[k, n] = 0.0
             planes[k, c] = 1.0 - 2.0 * side
             planes[k, 3] = -(f[A_Z] if c == 2 else f[A_XY])
+    planes[4, 3] = clip(floor, -f[A_Z], f[A_Z])
 
 
 @kernel()
 def _walls(planes: Vec, m: int, p: Triple, v: Triple, box: Vec, f: Vec) -> int:
-    """Half spaces that keep it in its fence; returns how many rows there are then. box: (6,) = low, high."""
-    for c in range(3):
-        for side in range(2):
-            sign = 1.0 - 2.0 * side
-            gap = sign * (p[c] - box[3 * side + c])
-            brake = 0.5 * (f[A_Z] if c == 2 else f[A_XY])
-            if gap < 1.0:
-                for n in range(3):
-                    planes[m, n] = 0.0
-                planes[m, c] = sign
-                root = math.sqrt(2.0 * brake * max(gap, 1e-3))
-                planes[m, 3] = -f[GAMMA] * (root + sign * v[c]) - brake * sign * v[c] / root if gap > 1e-3 else brake
-                m += 1
+    """Half spaces that keep it inside its fence, but for the floor; returns how many rows there are then."""
+    for k in range(6):
+        c, sign = k % 3, 1.0 if k < 3 else -1.0
+        gap = sign * (p[c] - box[k])
+        if k != 2 and gap < NEAR_WALL:
+            for n in range(3):
+                planes[m, n] = 0.0
+            planes[m, c], planes[m, 3] = sign, _wall(gap, sign * v[c], f)
+            m += 1
     return m
 
 
@@ -99,7 +106,7 @@ def _filtered(
     x: Vec, a: Vec, ref: Vec, gains: Vec, follow: float, others: Vec, now: float, box: Vec, f: Vec, planes: Vec,
     near: Vec, out: Vec,
 ) -> int:  # fmt: skip
-    """The law of CollisionFilter; out: (5,) = the acceleration, the row of the nearest that it gives way to, relaxed."""
+    """The law of CollisionFilter; out: (5,) = the acceleration, the row of the nearest that is in the way, relaxed."""
     p, v = late(x, a, f[LAG], f[DELAY])
     low, count, blind = x[2] < f[GROUND] + STANDING, 0, False
     for j in range(others.shape[0]):
@@ -129,10 +136,12 @@ def _filtered(
         unsure, brake = f[UNSURE] * age * reach, f[BRAKE] * reach
         if f[CELLS] > 0.0:
             own = (scale[0] * v[0], scale[1] * v[1], scale[2] * v[2])
-            b = cell(r, w, own, gap, 0.5 * unsure, brake, f[GAMMA])
+            b = cell(r, w, own, gap, 0.5 * unsure, brake, f[STIFF], f[GAMMA])
         else:
-            share = 1.0 if low or stands else other[SHARE]
-            b = share * barrier(r, w, gap, unsure, 2.0 * brake, f[GAMMA])
+            b = barrier(r, w, gap, unsure, 2.0 * brake, f[STIFF], f[GAMMA])
+            if not (low or stands) and other[SHARE] < 1.0:
+                away = (scale[0] * v[0] * n[0] + scale[1] * v[1] * n[1] + scale[2] * v[2] * n[2])
+                b *= part(away, dot(n, w) - away) if b > 0.0 else 0.5
         normal = (side[0] / reach, side[1] / reach, side[2] / reach)
         count = _insert(planes, near, count, d, normal, b / reach, j)
     u = _wanted(x, ref, gains, follow)
@@ -145,7 +154,8 @@ def _filtered(
             acts, out[3] = True, near[k - 6, 1]
     if not acts:
         return CLEAR
-    _box(planes, f)
+    floor = min(box[2] + FLOOR_GAP, ref[2]) if follow > 0.0 else box[2]
+    _box(planes, _wall(p[2] - floor, v[2], f), f)
     u = turned(u, planes, 6, 6 + count, f[TURN])
     relaxed, u = nearest(u, planes, _walls(planes, 6 + count, p, v, box, f))
     out[0], out[1], out[2], out[4] = u[0], u[1], u[2], relaxed
@@ -160,16 +170,23 @@ class CollisionFilter:
 
     semi-axes s of the ellipsoid around each drone;  b_ij: of `barrier` or of `cell`;  u_n: what is wanted, turned to
     the side where somebody is in the way. Places and velocities are those of `late`, so that the lag of the drones
-    counts. What cannot be had all is relaxed, the nearest drone last.  settings: [collision].
+    counts. What cannot be had all is relaxed by least violation, the nearest drone last; the floor never. Drones that
+    stand on the floor are balls of BODY m; who is low himself does not see them. If one that may be near has not been
+    heard for USABLE s, it brakes.
+    settings: [collision];  fence: from the floor upwards;  a_max: m/s2, with which it brakes;  v_max: m/s, at which
+    others fly at most;  ground: m.
+    acted, braked, relaxed: ticks in which it did so.
     """
 
-    def __init__(self, settings: Collision, traffic: Traffic, fence: Fence, a_max: float, v_max: float, ground: float) -> None:
+    def __init__(
+        self, settings: Collision, traffic: Traffic, fence: Fence, a_max: float, v_max: float, ground: float
+    ) -> None:  # fmt: skip
         sx, sy, sz = settings.semi_axes
         self.traffic = traffic
         self._figures = np.array([
             settings.lag, settings.delay, 1.0, sx / sy, sx / sz, 2.0 * sx + settings.margin, settings.brake,
-            settings.gamma, 2.0 * a_max, a_max, settings.turn, settings.range, settings.unsure, ground, v_max,
-            float(settings.method == "cells"),
+            settings.gamma, 1.5 * a_max, a_max, settings.turn, settings.range, settings.unsure, ground, v_max,
+            float(settings.method == "cells"), settings.stiff,
         ])  # fmt: skip
         self._box = np.array([*fence.low, *fence.high]) + np.repeat([1.0, -1.0], 3) * settings.margin
         self._planes, self._near, self._out = np.zeros((6 + MOST + 6, 4)), np.zeros((MOST, 2)), np.zeros(5)

@@ -2,7 +2,7 @@
 
 import math
 
-from crazychoir.math3d import GRAVITY, Triple, Vec, clip, columns, kernel
+from crazychoir.math3d import GRAVITY, Triple, Vec, columns, kernel
 
 STEEPEST = 0.3
 """Of z_b along the vertical, at least: a drone on its side accelerates sideways by no more than this says."""
@@ -55,9 +55,3 @@ def shrunk(a: Triple, limit: float) -> Triple:
     """a, no longer than `limit`."""
     s = limit / max(length(a), limit)
     return (s * a[0], s * a[1], s * a[2])
-
-
-@kernel()
-def least(value: float, low: float) -> float:
-    """value, `low` at least."""
-    return clip(value, low, math.inf)

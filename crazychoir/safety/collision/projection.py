@@ -9,7 +9,7 @@ PARALLEL = 1e-9
 EXACT = 1e-10
 """m/s2, by which a half space may be left: rounding."""
 SLACK = 1e-6
-"""m/s2, by which a half space is relaxed beyond its least violation: the others leave a face, an edge or a point there."""
+"""m/s2, by which a half space is relaxed beyond its least violation: the others may leave but a point there."""
 FAR = 1e4
 """m/s2: the point of a bounded polytope that is nearest to one so far away in a direction is its farthest in it."""
 
@@ -91,7 +91,7 @@ def _nearest(u: Triple, planes: Vec, m: int) -> tuple[int, Triple]:
 
 @kernel()
 def nearest(u: Triple, planes: Vec, m: int) -> tuple[int, Triple]:
-    """The point nearest to u in half spaces n_k . x >= b_k, the first six of which are a box; and how many were relaxed.
+    """How many half spaces were relaxed, and the point nearest to u in them; the first six are a box.
 
         min |x - u|^2   s.t.   n_k . x >= b_k,   k = 0 ... m - 1
 

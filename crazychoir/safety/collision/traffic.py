@@ -11,12 +11,14 @@ from crazychoir.runtime.mailbox import Call
 from crazychoir.types import State
 
 BORN, SHARE, DISTANCE, COLUMNS = 16, 17, 18, 19
-"""Columns after the state (13,) and the acceleration (3,): s, when it was so; the share of keeping clear that is this
-drone's; m, how far away."""
+"""Columns after the state (13,) and the acceleration (3,): s, when it was so; 1 if it gives way to nobody, else 0.5;
+m, how far away."""
 SELDOM = 5.0
 """Hz, at which a drone is heard that is far away."""
-NEAR, NEARBY = 1.5, 3.0
-"""m, within which each state is heard, or one in four."""
+NEAR, NEARBY = 1.2, 2.5
+"""m, within which a drone is heard OFTEN, or SOMETIMES."""
+OFTEN, SOMETIMES = 50.0, 20.0
+"""Hz."""
 LOOK = 0.1
 """s, between two looks at who is near."""
 
@@ -57,5 +59,5 @@ class Traffic:
         distance = self.rows[:, DISTANCE]
         pace = (distance < NEARBY).astype(np.int64) + (distance < NEAR)
         for k in np.flatnonzero(pace != self._pace).tolist():
-            self.port.pace(STATE, self.ids[k], (0.0, 0.25 * STATE.rate, STATE.rate)[pace[k]])
+            self.port.pace(STATE, self.ids[k], (0.0, SOMETIMES, OFTEN)[pace[k]])
         self._pace = pace
