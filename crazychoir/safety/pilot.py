@@ -623,6 +623,7 @@ class Pilot(Actor):
         self._aside = far > BACK
         if far > AHEAD:
             self.flights.wait(self.period_ns / SECOND)
+            planned = FullState.at(planned.p, yaw=planned.yaw)
         if self.mode is LAND and far > BEHIND:
             self.flights.clear()
             self._descend()
