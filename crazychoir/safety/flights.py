@@ -1,7 +1,5 @@
 """The flights that a pilot plans itself: to a place, to rest, down; inside the fence and the limits of [flight]."""
 
-import math
-
 import numpy as np
 
 from crazychoir.math3d import GRAVITY, Vec, yaw_of
@@ -13,8 +11,6 @@ from crazychoir.safety.guard import INSET, Fence
 from crazychoir.swarm.tables import Flight
 from crazychoir.types import FullState, State
 
-ASTRAY = 0.2
-"""m from a plan beyond which a drone does not begin the next one on it, but where it is."""
 LONGEST_WAIT = 60.0
 """s that a plan waits for a drone that others keep off it."""
 DETOUR, PARKING = 2.0, 4.0
@@ -58,10 +54,7 @@ class Flights:
 
     def departure(self, state: State, now: float) -> FullState:
         """Where a new plan begins: on the plan that is flown, else at the state, with the speed it has."""
-        planned = self.sample(now)
-        if planned is None or math.dist(planned.flat[0:3], state.flat[0:3]) > ASTRAY:
-            return FullState.at(state.p, state.v, yaw=yaw_of(state.q))
-        return planned
+        return self.sample(now) or FullState.at(state.p, state.v, yaw=yaw_of(state.q))
 
     def go_to(self, start: FullState, goal: Vec, yaw: float, duration: float, now: float) -> float:
         """Fly to rest at goal (3,) m, in `duration` s or as fast as the limits allow; returns the time it takes."""

@@ -697,7 +697,7 @@ class Pilot(Actor):
     def _departure(self) -> FullState:
         """Where a new plan begins."""
         assert self.state is not None  # noqa: S101 - callers fly, and who flies has a state
-        if self._planar:  # which finds its own way: its plan says where to, not where it is
+        if self._planar or self._aside:  # its plan says where to, not where it is
             return FullState.at(self.state.p, self.state.v, yaw=yaw_of(self.state.q))
         return self.flights.departure(self.state, self.clock.now())
 
