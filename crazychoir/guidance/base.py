@@ -259,7 +259,7 @@ class CFGuidance:
             if pilot.gap(p) < (CLOSE if blocked else ARRIVED):
                 return
             attempts += seconds > 0.0 and pilot.gave_way < began
-            if blocked > 1 and first_at(pilot, np.asarray(p)) < self.id:
+            if blocked > 2 and first_at(pilot, np.asarray(p)) < self.id:
                 await self._wait_aside(np.asarray(p))
         place = np.round(np.asarray(p), 2).tolist()
         why = "held by its operator" if pilot.held else pilot.note or "no reason"
