@@ -14,7 +14,7 @@ NEAR, AROUND = 0.5, 0.75
 
 
 def first_at(pilot: Pilot, p: Vec) -> int:
-    """The lowest id of those that fly near a place p (3,) m, as far as this drone hears; its own counts anyway."""
+    """The lowest id of those that fly near a place p (3,) m, as far as this drone hears; its own if there is none."""
     if pilot.collision is None:
         return pilot.drone
     traffic, now = pilot.collision.traffic, pilot.clock.now()
