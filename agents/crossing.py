@@ -89,12 +89,12 @@ def _circle(draw: np.random.Generator, n: int, options: dict[str, Any], turn: fl
     raise ConfigError("mission_options.radius", options["radius"], f"room for {n} drones", "Take a larger one.")
 
 
-def _deranged(draw: np.random.Generator, n: int) -> Vec:
+def _deranged(draw: np.random.Generator, n: int) -> list[int]:
     """A permutation that leaves nobody where it is."""
     while True:
-        order: Vec = draw.permutation(n)
+        order = draw.permutation(n)
         if n == 1 or np.all(order != np.arange(n)):
-            return order
+            return [int(k) for k in order]
 
 
 def swarm(drones: int | None = None) -> SwarmConfig:

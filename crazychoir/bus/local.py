@@ -83,8 +83,10 @@ class Readers:
     mailboxes: list[AnyMailbox] = field(default_factory=list)
     every: list[int] = field(default_factory=list)
     some: dict[int, Rate] = field(default_factory=dict)
-    next_ns: int = 0
-    """Before that none of `some` is due."""
+    due: dict[int, list[int]] = field(default_factory=dict)
+    """When those of `some` are due, in ns; who is due at another time by now does not count."""
+    next_ns: int = NEVER_NS
+    """Before that nobody of `some` is due."""
 
     def add(self, address: int, interval_ns: int, phase: int = 0) -> None:
         """A port reads, at its fastest rate; phase: ns, of a slow grid, lest all drones say theirs in the same tick."""
@@ -95,11 +97,15 @@ class Readers:
             self.every.append(address)
         elif address in self.some:
             rate = self.some[address]
-            self.next_ns = 0
             rate.interval_ns, rate.asked_ns = min(rate.interval_ns, interval_ns), min(rate.asked_ns, interval_ns)
         else:
-            self.next_ns = 0
-            self.some[address] = Rate(interval_ns, phase % interval_ns if interval_ns >= SLOW_NS else 0, interval_ns)
+            rate = Rate(interval_ns, phase % interval_ns if interval_ns >= SLOW_NS else 0, interval_ns)
+            self.some[address] = rate
+            self._plan(address, rate)
+
+    def _plan(self, address: int, rate: Rate) -> None:
+        self.due.setdefault(rate.due_ns, []).append(address)
+        self.next_ns = min(self.next_ns, rate.due_ns)
 
     def pace(self, address: int, interval_ns: int) -> None:
         """A port that gets some values gets them at this interval, or as often as it asked, if that is more."""
@@ -107,15 +113,21 @@ class Readers:
         if rate is not None:
             rate.interval_ns = min(interval_ns, rate.asked_ns)
             rate.due_ns %= rate.asked_ns
-            self.next_ns = 0
+            self._plan(address, rate)
 
     def now_due(self, now_ns: int) -> list[int]:
         """The ports of `some` that get a value now."""
+        found: list[int] = []
         if now_ns < self.next_ns:
-            return []
-        due = [j for j, rate in self.some.items() if rate.due(now_ns)]
-        self.next_ns = min(rate.due_ns for rate in self.some.values())
-        return due
+            return found
+        for at in [at for at in self.due if at <= now_ns]:
+            for j in self.due.pop(at):
+                rate = self.some.get(j)
+                if rate is not None and rate.due_ns == at and rate.due(now_ns):
+                    found.append(j)
+                    self.due.setdefault(rate.due_ns, []).append(j)
+        self.next_ns = min(self.due, default=NEVER_NS)
+        return found
 
     def drop(self, addresses: Sequence[int]) -> None:
         """These ports read no more."""

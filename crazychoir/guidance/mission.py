@@ -68,7 +68,8 @@ def has(mission: Mission, what: str) -> bool:
 def look_before(mission: Mission, config: SwarmConfig, force: bool = False) -> list[str]:
     """The warnings of the mission's check; raises what it raises, and ConfigError for goals that are in conflict."""
     if has(mission, "goal"):
-        refuse_conflicts(config, {i: tuple(map(float, p)) for i, p in mission.goal(config).items()}, "goals")
+        goals = {i: (float(p[0]), float(p[1]), float(p[2])) for i, p in mission.goal(config).items()}
+        refuse_conflicts(config, goals, "goals")
     return mission.check(config, force) if has(mission, "check") else []
 
 

@@ -95,11 +95,13 @@ class Flights:
         duration = duration_for(outside, inside, start.yaw, self.limits.speed_limit, self.a_max)
         return [stop, PointToPoint(outside, inside, start.yaw, duration)]
 
-    def wait(self, seconds: float) -> None:
-        """The plan goes on so much later, unless it has waited for LONGEST_WAIT s."""
-        if self.waited < LONGEST_WAIT:
-            self.start += seconds
-            self.waited += seconds
+    def wait(self, seconds: float) -> bool:
+        """The plan goes on so much later, unless it has waited for LONGEST_WAIT s: then False."""
+        if self.waited >= LONGEST_WAIT:
+            return False
+        self.start += seconds
+        self.waited += seconds
+        return True
 
     def fly(self, plan: Trajectory, now: float) -> float:
         """Begin this one; returns the time it takes."""

@@ -621,13 +621,12 @@ class Pilot(Actor):
         """
         far = math.dist(planned.p.tolist(), state.p.tolist())
         self._aside = far > BACK
-        if far > AHEAD:
-            self.flights.wait(self.period_ns / SECOND)
-            planned = FullState.at(planned.p, yaw=planned.yaw)
-        if self.mode is LAND and far > BEHIND:
+        if far > BEHIND and self.mode is LAND:
             self.flights.clear()
             self._descend()
             planned = self.flights.sample(now) or planned
+        elif far > AHEAD and self.flights.wait(self.period_ns / SECOND):
+            planned = FullState.at(planned.p, yaw=planned.yaw)  # a plan that waits stands still
         return self.reference_limits.full_state(planned, state)
 
     def _kept_clear(self, state: State, reference: Acceleration | FullState, now: float) -> Vec | None:

@@ -252,7 +252,7 @@ class Collision(Table, frozen=True, kw_only=True):
     not heard may change its acceleration;  lag, delay: s, with which drones obey.
     """
 
-    method: Avoidance = "cells"
+    method: Avoidance = "barrier"
     semi_axes: SemiAxes = (0.12, 0.12, 0.3)
     margin: Metres = 0.08
     brake: Acceleration = 1.0

@@ -10,7 +10,7 @@ from crazychoir.safety.collision.cells import cell
 from crazychoir.safety.collision.deadlock import turned
 from crazychoir.safety.collision.motion import late, length, scaled, shrunk
 from crazychoir.safety.collision.projection import nearest
-from crazychoir.safety.collision.traffic import BORN, DISTANCE, SHARE, Traffic
+from crazychoir.safety.collision.traffic import BORN, SHARE, SLOW, SOON, Traffic
 from crazychoir.safety.guard import Fence
 from crazychoir.swarm.tables import Collision
 from crazychoir.types import State
@@ -21,8 +21,10 @@ STANDING = 0.08
 """m above the ground, below which a drone stands on the floor, or as good as."""
 BODY = 0.15
 """m, between the centres of two drones one of which stands on the floor: 0.137 m would touch."""
-USABLE = 0.5
+USABLE = 0.6
 """s: a state that is older is no use."""
+LASTS = 0.15
+"""s, for which a drone is taken to go on commanding what it did: two that foresee more of each other flee for ever."""
 GONE = 3.0
 """s: the motors of a drone that is not heard for so long are off: its pilot or its firmware cuts them after 2 s."""
 FLOOR_GAP = 0.2
@@ -71,7 +73,7 @@ def _insert(planes: Vec, near: Vec, count: int, d: float, normal: Triple, b: flo
 def _wall(gap: float, away: float, f: Vec) -> float:
     """What it must accelerate away from a wall, m/s2; gap: m, away: m/s, as in `barrier`."""
     speed, slope = approach(gap, f[BRAKE], f[STIFF])
-    return -f[GAMMA] * (speed + away) - slope * away
+    return float(-f[GAMMA] * (speed + away) - slope * away)
 
 
 @kernel()
@@ -107,23 +109,25 @@ def _filtered(
     near: Vec, out: Vec,
 ) -> int:  # fmt: skip
     """The law of CollisionFilter; out: (5,) = the acceleration, the row of the nearest that is in the way, relaxed."""
-    p, v = late(x, a, f[LAG], f[DELAY])
+    p, v = late(x, a, f[LAG], f[DELAY], LASTS)
     low, count, blind = x[2] < f[GROUND] + STANDING, 0, False
     for j in range(others.shape[0]):
         other = others[j]
         age = now - other[BORN]
         if not age < GONE:
-            other[DISTANCE] = math.inf
+            other[SOON] = math.inf
             continue
-        other[DISTANCE] = length((x[0] - other[0], x[1] - other[1], x[2] - other[2]))
-        if other[DISTANCE] > f[RANGE] + 2.0 * f[V_MAX] * age:
+        apart = length((x[0] - other[0], x[1] - other[1], x[2] - other[2]))
+        speeds = length((x[3], x[4], x[5])) + length((other[3], other[4], other[5]))
+        other[SOON] = (apart - 2.0 * f[WIDTH]) / (speeds + SLOW)
+        if apart > f[RANGE] + 2.0 * f[V_MAX] * age:
             continue
         stands = other[2] < f[GROUND] + STANDING
         if stands and low:
             continue
         scale = (1.0, 1.0, 1.0) if stands else (f[SX], f[SY], f[SZ])
         width = BODY if stands else f[WIDTH]
-        q, w = late(other, other[13:16], f[LAG], min(age, USABLE) + f[DELAY])
+        q, w = late(other, other[13:16], f[LAG], min(age, USABLE) + f[DELAY], LASTS)
         r, w = scaled(p, q, scale), scaled(v, w, scale)
         d = max(length(r), 1e-3)
         if age > USABLE and not stands:
@@ -155,7 +159,7 @@ def _filtered(
     if not acts:
         return CLEAR
     floor = min(box[2] + FLOOR_GAP, ref[2]) if follow > 0.0 else box[2]
-    _box(planes, _wall(p[2] - floor, v[2], f), f)
+    _box(planes, -f[A_Z] if low else _wall(p[2] - floor, v[2], f), f)
     u = turned(u, planes, 6, 6 + count, f[TURN])
     relaxed, u = nearest(u, planes, _walls(planes, 6 + count, p, v, box, f))
     out[0], out[1], out[2], out[4] = u[0], u[1], u[2], relaxed

@@ -19,23 +19,24 @@ def tilted(q: Vec, a: Vec) -> Triple:
 
 
 @kernel()
-def late(x: Vec, a: Vec, lag: float, t: float) -> Motion:
+def late(x: Vec, a: Vec, lag: float, t: float, lasts: float) -> Motion:
     """Place m and velocity m/s in which a drone that obeys late is a double integrator, moved on by t s.
 
         p~ = p + T v,   v~ = v + T a_t,   p~' = v~,   v~' = u      since  a_t' = (u - a_t) / T
 
     so that what it commands now acts on p~ and v~ at once, and p follows p~ by the lag T.  x: (13,) state;  u: a (3,),
-    what it commands;  a_t: of `tilted`;  lag: T, s.
+    what it commands, for `lasts` s at most: then nothing;  a_t: of `tilted`;  lag: T, s.
     """
     now = tilted(x[6:10], a)
     v = (x[3] + lag * now[0], x[4] + lag * now[1], x[5] + lag * now[2])
-    h = 0.5 * t * t
+    held = min(t, lasts)
+    h = held * (t - 0.5 * held)
     p = (
         x[0] + lag * x[3] + t * v[0] + h * a[0],
         x[1] + lag * x[4] + t * v[1] + h * a[1],
         x[2] + lag * x[5] + t * v[2] + h * a[2],
     )
-    return p, (v[0] + t * a[0], v[1] + t * a[1], v[2] + t * a[2])
+    return p, (v[0] + held * a[0], v[1] + held * a[1], v[2] + held * a[2])
 
 
 @kernel()

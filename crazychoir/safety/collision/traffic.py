@@ -10,23 +10,25 @@ from crazychoir.runtime.clock import SECOND
 from crazychoir.runtime.mailbox import Call
 from crazychoir.types import State
 
-BORN, SHARE, DISTANCE, COLUMNS = 16, 17, 18, 19
+BORN, SHARE, SOON, COLUMNS = 16, 17, 18, 19
 """Columns after the state (13,) and the acceleration (3,): s, when it was so; 1 if it gives way to nobody, else 0.5;
-m, how far away."""
-SELDOM = 5.0
+s, after which both could be near each other.
+"""
+SLOW = 0.3
+"""m/s, by which two drones may be faster at once than they are."""
+SELDOM = 4.0
 """Hz, at which a drone is heard that is far away."""
-NEAR, NEARBY = 1.2, 2.5
-"""m, within which a drone is heard OFTEN, or SOMETIMES."""
-OFTEN, SOMETIMES = 50.0, 20.0
-"""Hz."""
+RATES = ((0.7, 50.0), (1.5, 20.0))
+"""s, within which both could be near each other, and Hz, at which they then hear each other."""
 LOOK = 0.1
 """s, between two looks at who is near."""
 
 
 class Traffic:
-    """The table of the others, by their place in `ids`: state, acceleration, when, share, distance.
+    """The table of the others, by their place in `ids`: state, acceleration, when, share, how soon.
 
-    Each drone hears all others at SELDOM Hz; it says its own state more often to those that are near, as both know.
+    Each drone hears all others at SELDOM Hz; it says its own state more often to those that could be near soon, as
+    both know.
     alone: the drones that do not give way, as they fly by a planner on board.
     """
 
@@ -35,14 +37,15 @@ class Traffic:
         self.ids = [j for j in ids if j != port.address]
         self._row = {j: k for k, j in enumerate(self.ids)}
         self.rows = np.zeros((len(self.ids), COLUMNS))
-        self.rows[:, 9], self.rows[:, BORN], self.rows[:, DISTANCE] = 1.0, -np.inf, np.inf
+        self.rows[:, 9], self.rows[:, BORN], self.rows[:, SOON] = 1.0, -np.inf, np.inf
         self.rows[:, SHARE] = [1.0 if j in alone else 0.5 for j in self.ids]
-        self._pace = np.zeros(len(self.ids), dtype=np.int64)
+        self._pace = np.zeros(len(self.ids))
         self._looks = 0.0
         if self.ids:
-            port.bus.subscribe(STATE, ANY, port.address, Call(self.clock, self._hear, "traffic"), SELDOM)
+            port.bus.subscribe(STATE, ANY, port.address, Call(self.clock, self.hear, "traffic"), SELDOM)
 
-    def _hear(self, message: tuple[int, State], age: float) -> None:
+    def hear(self, message: tuple[int, State], age: float) -> None:
+        """Keep a state of a drone, `age` s old, unless a newer one is there."""
         j, state = message
         k = self._row.get(j)
         if k is None:
@@ -56,8 +59,9 @@ class Traffic:
         if now < self._looks:
             return
         self._looks = now + LOOK
-        distance = self.rows[:, DISTANCE]
-        pace = (distance < NEARBY).astype(np.int64) + (distance < NEAR)
+        soon, pace = self.rows[:, SOON], np.zeros(len(self.ids))
+        for within, rate in reversed(RATES):
+            pace[soon < within] = rate
         for k in np.flatnonzero(pace != self._pace).tolist():
-            self.port.pace(STATE, self.ids[k], (0.0, SOMETIMES, OFTEN)[pace[k]])
+            self.port.pace(STATE, self.ids[k], float(pace[k]))
         self._pace = pace

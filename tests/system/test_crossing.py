@@ -1,0 +1,97 @@
+"""Drones that fly straight to their goals, whoever is in their way, by the true places at every step."""
+
+import numpy as np
+import pytest
+from system.flights import fly
+
+from crazychoir.errors import ConfigError
+from crazychoir.guidance.mission import load, look_before
+from crazychoir.safety.pilot import Mode
+
+pytestmark = pytest.mark.system
+MEET = 0.24
+"""m: semi-axes (0.12, 0.12, 0.3) m meet at this distance, vertical ones times 0.4."""
+WITHIN = 0.05
+
+
+def crossing(n, seed, method, pattern="antipodal", **options):
+    mission = load("crossing")
+    config = mission.swarm(n).replace(seed=seed, collision={"method": method})
+    options = config.mission_options | {"pattern": pattern} | options
+    return mission, mission.scatter(config.replace(mission_options=options))
+
+
+def flown(mission, config):
+    """m, the least scaled distance of any two that fly, and s of the law after which all stayed at their goals."""
+    flights = fly(config, mission)
+    n = min(len(flight.t) for flight in flights.values())
+    p = np.stack([flight.p[:n] for flight in flights.values()], axis=1)
+    up = np.stack([flight.p[:n, 2] > 0.1 for flight in flights.values()], axis=1)
+    law = np.all([flight.during(Mode.FOLLOW)[:n] for flight in flights.values()], axis=0)
+    goals = np.array([mission.goal(config)[i] for i in flights])
+    away = np.any(np.linalg.norm(p - goals, axis=2) > WITHIN, axis=1)
+    arrived = 0.01 * float(np.sum(law[: np.flatnonzero(law & away)[-1] + 1]))
+    assert all(flight.result["success"] for flight in flights.values()), [f.result for f in flights.values()]
+    return least(p, up), arrived
+
+
+def least(p, up):
+    nearest = np.inf
+    for i in range(p.shape[1]):
+        for j in range(i):
+            both = up[:, i] & up[:, j]
+            d = np.linalg.norm((p[:, i] - p[:, j]) * [1.0, 1.0, 0.4], axis=1)
+            nearest = min(nearest, float(d[both].min(initial=np.inf)))
+    return nearest
+
+
+@pytest.mark.parametrize("method", ["barrier", "cells"])
+def test_two_head_on_and_six_antipodal_pass_each_other(method):
+    for n in (2, 6):
+        distance, arrived = flown(*crossing(n, 1, method, radius=1.2, low=0.8, high=1.2, jitter=0.02, duration=8.0))
+        assert distance > MEET, n
+        assert arrived < 8.0, n
+
+
+def test_without_the_filter_they_meet():
+    distance, _ = flown(*crossing(2, 1, "off", radius=1.2, low=0.8, high=1.2, jitter=0.02, duration=5.0))
+    assert distance < MEET
+
+
+def test_goals_in_conflict_are_refused_before_the_flight():
+    mission, config = crossing(4, 1, "barrier")
+    mission = load("bearing_formation")
+    shape = {"0": [0, 0, 1], "1": [1, 0, 1], "2": [1, 0.1, 1], "3": [0, 1, 1]}
+    config = mission.swarm(None).replace(mission_options={"shape": shape})
+    with pytest.raises(ConfigError, match=r"drone 1 at .* drone 2 at .* conflict"):
+        look_before(mission, config, force=True)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+@pytest.mark.parametrize("method", ["barrier", "cells"])
+@pytest.mark.parametrize("pattern", ["antipodal", "permutation"])
+@pytest.mark.parametrize("seed", range(50))
+def test_thirty_cross(seed, pattern, method):
+    distance, arrived = flown(*crossing(30, seed, method, pattern, duration=30.0))
+    assert distance > MEET
+    assert arrived < 30.0
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+@pytest.mark.parametrize("pattern", ["antipodal", "permutation"])
+def test_thirty_meet_without_the_filter(pattern):
+    mission, config = crossing(30, 0, "off", pattern, duration=9.0)
+    flights = fly(config, mission)
+    n = min(len(flight.t) for flight in flights.values())
+    p = np.stack([flight.p[:n] for flight in flights.values()], axis=1)
+    assert least(p, p[..., 2] > 0.1) < MEET
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1800)
+def test_a_hundred_cross():
+    distance, arrived = flown(*crossing(100, 1, "barrier", duration=40.0))
+    assert distance > MEET
+    assert arrived < 40.0

@@ -1,0 +1,143 @@
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from crazychoir.bus.local import Bus
+from crazychoir.bus.topics import STATE
+from crazychoir.control.gains import STANDARD
+from crazychoir.safety.collision.filter import CollisionFilter
+from crazychoir.safety.collision.traffic import BORN, SOON, Traffic
+from crazychoir.safety.guard import Fence
+from crazychoir.swarm.tables import Collision
+from crazychoir.types import FullState, State
+
+GAINS = STANDARD.position
+FENCE = Fence.box((-4.0, -4.0, 0.0), (4.0, 4.0, 3.0))
+METHODS = ("barrier", "cells")
+
+
+class Sky:
+    """Drone 0 with its filter among others, on one bus."""
+
+    def __init__(self, method="barrier", others=1, alone=()):
+        self.bus = Bus(SimpleNamespace(now_ns=lambda: 0, now=lambda: 0.0))
+        self.ports = [self.bus.port(i) for i in range(1 + others)]
+        self.traffic = Traffic(self.ports[0], range(1 + others), alone)
+        settings = Collision(method=method)
+        self.filter = CollisionFilter(settings, self.traffic, FENCE, a_max=2.0, v_max=1.0, ground=0.0)
+
+    def hears(self, j, p, v=(0.0, 0.0, 0.0), age=0.0):
+        self.traffic.hear((j, State.at(p, v)), age)
+
+    def wants(self, me, to, now=0.0):
+        return self.filter.full_state(me, FullState.at(to).flat, GAINS, now)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_who_has_nobody_near_flies_as_it_wants(method):
+    sky = Sky(method)
+    here = State.at((0.0, 0.0, 1.0))
+    assert sky.wants(here, (0.5, 0.0, 1.0)) is None, "nobody was ever heard"
+    sky.hears(1, (3.0, 0.0, 1.0))
+    assert sky.wants(here, (0.5, 0.0, 1.0)) is None
+    sky.hears(1, (0.5, 0.0, 1.0))
+    assert sky.wants(here, (-0.5, 0.0, 1.0)) is None, "away from it"
+    assert sky.filter.acted == 0
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_who_flies_at_another_brakes_and_turns_to_its_right(method):
+    sky = Sky(method)
+    sky.hears(1, (0.6, 0.0, 1.0), (-0.8, 0.0, 0.0))
+    a = sky.wants(State.at((0.0, 0.0, 1.0), (0.8, 0.0, 0.0)), (3.0, 0.0, 1.0))
+    assert a[0] < -1.0
+    assert a[1] < -0.1, "n points to -x: e3 x n to -y"
+    assert sky.filter.gives_way_to == 1
+    assert sky.filter.braked == 0
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_ellipsoids_are_tall(method):
+    sky = Sky(method)
+    me = State.at((0.0, 0.0, 1.0))
+    sky.hears(1, (0.0, 0.0, 1.55))
+    assert sky.wants(me, (0.0, 0.0, 1.0))[2] < -0.1, "0.55 m below: it sinks"
+    sky.hears(1, (0.55, 0.0, 1.0))
+    assert sky.wants(me, (0.0, 0.0, 1.0)) is None, "beside each other that is far"
+
+
+def test_a_drone_on_the_floor_is_in_the_way_of_who_comes_down_on_it_alone():
+    sky = Sky()
+    sky.hears(1, (0.0, 0.0, 0.02))
+    assert sky.wants(State.at((0.0, 0.0, 0.4), (0.5, 0.0, 0.0)), (1.0, 0.0, 0.4)) is None, "over it"
+    assert sky.wants(State.at((0.3, 0.0, 0.3), (0.0, 0.0, -0.3)), (0.3, 0.0, 0.2)) is None, "down beside it"
+    assert sky.wants(State.at((0.02, 0.0, 0.25), (0.0, 0.0, -0.3)), (0.02, 0.0, 0.0))[2] > 0.1, "down on it"
+    assert sky.wants(State.at((0.2, 0.0, 0.0)), (0.2, 0.0, 1.0)) is None, "up beside it"
+
+
+def test_who_takes_off_gives_way_to_who_flies_above():
+    sky = Sky()
+    sky.hears(1, (0.0, 0.0, 0.7))
+    assert sky.wants(State.at((0.0, 0.0, 0.0)), (0.0, 0.0, 0.5))[2] <= 0.1
+
+
+def test_without_a_usable_state_of_who_may_be_near_it_brakes_and_later_forgets_it():
+    sky = Sky()
+    me = State.at((0.0, 0.0, 1.0), (0.5, 0.0, 0.0))
+    sky.hears(1, (0.9, 0.0, 1.0))
+    assert sky.wants(me, (1.0, 0.0, 1.0), now=0.8)[0] < -0.5
+    assert (sky.filter.braked, sky.filter.gives_way_to) == (1, None)
+    sky.hears(1, (2.9, 0.0, 1.0))
+    assert sky.wants(me, (0.2, 0.0, 1.0), now=0.8) is None, "too far away to be here by now"
+    sky.hears(1, (0.9, 0.0, 1.0))
+    assert sky.wants(me, (1.0, 0.0, 1.0), now=3.5) is None, "its motors are off"
+
+
+def test_an_old_state_keeps_it_farther_away():
+    sky, me = Sky(), State.at((0.0, 0.0, 1.0), (0.3, 0.0, 0.0))
+    sky.hears(1, (0.8, 0.0, 1.0))
+    fresh, old = (sky.filter.acceleration(me, np.array([3.0, 0.0, 0.0]), GAINS, now) for now in (0.0, 0.3))
+    assert old[0] < fresh[0] - 0.3
+
+
+def test_who_gives_way_to_nobody_is_given_way_to_alone():
+    shared, alone = Sky(), Sky(alone=(1,))
+    for sky in (shared, alone):
+        sky.hears(1, (0.9, 0.0, 1.0), (-0.5, 0.0, 0.0))
+    half, whole = (s.wants(State.at((0.0, 0.0, 1.0), (0.5, 0.0, 0.0)), (2.0, 0.0, 1.0))[0] for s in (shared, alone))
+    assert whole < half - 0.2
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_between_too_many_it_keeps_above_the_floor(method):
+    sky = Sky(method, others=3)
+    for j, p in enumerate([(0.0, 0.0, 0.75), (0.2, 0.1, 0.7), (-0.2, 0.0, 0.7)], start=1):
+        sky.hears(j, p, (0.0, 0.0, -0.5))
+    a = sky.wants(State.at((0.0, 0.0, 0.2), (0.0, 0.0, -0.4)), (0.0, 0.0, 1.0))
+    assert a[2] > 0.5
+    assert sky.filter.relaxed == 1
+
+
+def test_the_fence_is_not_left_for_another():
+    sky = Sky()
+    sky.hears(1, (3.2, 0.0, 1.0), (0.5, 0.0, 0.0))
+    a = sky.wants(State.at((3.8, 0.0, 1.0), (0.4, 0.0, 0.0)), (3.8, 0.0, 1.0))
+    assert a[0] < 0.0
+
+
+def test_traffic_keeps_the_newest_state_and_hears_who_is_near_more_often():
+    sky = Sky(others=2)
+    sky.hears(1, (1.0, 0.0, 1.0))
+    sky.hears(1, (9.0, 0.0, 1.0), age=0.1)
+    row = sky.traffic.rows[0]
+    assert row[0] == 1.0, "an older one that comes late changes nothing"
+    assert row[BORN] == 0.0
+    assert sky.traffic.rows[1, BORN] == -np.inf
+    other = Traffic(sky.ports[1], range(3))
+    sky.wants(State.at((0.5, 0.0, 1.0)), (0.5, 0.0, 1.0))
+    assert sky.traffic.rows[0, SOON] < 0.5, "0.5 m away"
+    sky.traffic.look(0.0)
+    readers = sky.ports[0]._readers[STATE.number].some
+    assert {j: round(1e9 / rate.interval_ns) for j, rate in readers.items()} == {1: 50}
+    assert other.rows[0, BORN] == -np.inf
