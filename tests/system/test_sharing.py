@@ -71,7 +71,7 @@ def test_a_place_at_which_somebody_stands_is_waited_for():
 
     async def does(self):
         await self.take_off()
-        if self.id == 0:
+        if self.id == 1:
             await self.sleep(15.0)
             await self.go_to([-1.5, 0.0, 0.5])
         else:
@@ -80,9 +80,9 @@ def test_a_place_at_which_somebody_stands_is_waited_for():
         await self.land()
         return {"arrived": arrived, "at": self.state.p[:2].tolist()}
 
-    flights = two(does, (0.0, 0.0), (1.5, 0.0))
-    assert 15.0 < flights[1].result["arrived"] < 30.0
-    assert flights[1].result["at"] == pytest.approx([0.0, 0.0], abs=0.1)
+    flights = two(does, (1.5, 0.0), (0.0, 0.0))
+    assert 15.0 < flights[0].result["arrived"] < 30.0
+    assert flights[0].result["at"] == pytest.approx([0.0, 0.0], abs=0.1)
 
 
 def test_nobody_rises_into_or_comes_down_on_one_who_is_in_its_way():
