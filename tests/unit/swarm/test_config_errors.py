@@ -16,8 +16,8 @@ CASES = {
         "",
         'x.toml: colour = "red": there is no such key; the keys here are name, drones, mission, mission_options, seed, '
         "graph, edges, directed, start, start_deadline, lost_after, lease, base_port, processes, hosts, network, "
-        "flight, fence, mocap, plant, motors, mujoco, world, collision, control, roles. Remove it; keys of your own go into "
-        "[mission_options].",
+        "flight, fence, mocap, plant, motors, mujoco, world, collision, control, roles. Remove it; keys of your own go "
+        "into [mission_options].",
     ),
     "misspelt key of a drone": (
         "",
