@@ -43,7 +43,6 @@ def swarm(drones: int | None = None) -> SwarmConfig:
     return SwarmConfig.of(
         {
             "name": "online",
-            "collision": {"method": "off"},  # levels keep the flights apart, and their lengths as planned
             "mission": "online_delivery",
             "drones": [{"id": i, "home": home} for i, home in enumerate(homes)],
             "graph": "k-regular:4" if n > 5 else "complete",

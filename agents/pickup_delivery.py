@@ -41,7 +41,6 @@ def swarm(drones: int | None = None, path: str | Path = DEMO) -> SwarmConfig:
     return SwarmConfig.of(
         {
             "name": "pickup",
-            "collision": {"method": "off"},  # start delays keep the flights apart, and their lengths as planned
             "mission": "pickup_delivery",
             "mission_options": {"instance": str(path)},
             "drones": [{"id": i, "home": [*home[:2], 0.0]} for i, home in enumerate(homes)],

@@ -191,7 +191,7 @@ def default_swarm(n: int) -> SwarmConfig:
 
 def demo_swarm() -> SwarmConfig:
     """Six simulated drones that share pickups and deliveries."""
-    return _on_a_grid("demo", 6, columns=3).replace(mission="pickup_delivery", collision={"method": "off"})
+    return _on_a_grid("demo", 6, columns=3).replace(mission="pickup_delivery")
 
 
 def find_swarm(option: str | None = None) -> tuple[SwarmConfig, str]:
