@@ -9,12 +9,12 @@ circle;  duration: s of the law. All is drawn from the swarm's seed.
 
 from typing import Any
 
-import matplotlib.pyplot as plt
 import msgspec
 import numpy as np
 
 from crazychoir import CFDistributedFeedback, SwarmConfig
 from crazychoir.errors import ConfigError
+from crazychoir.recording.tracks import draw_tracks
 from crazychoir.types import FullState, Heard, State, Vec
 
 Results = dict[int, dict[str, Any]]
@@ -151,14 +151,5 @@ def report(config: SwarmConfig, results: Results) -> dict[str, Any]:
 
 
 def picture(config: SwarmConfig, results: Results, path: str) -> None:
-    """The straight lines from above, and where each drone has ended."""
-    shown, axes = plt.subplots(figsize=(4.5, 4.5))
-    starts, goals = places(config)
-    for i in config.ids:
-        line = axes.plot(*np.array([starts[i], goals[i]])[:, :2].T, linewidth=0.8)[0]
-        axes.plot(*goals[i][:2], "o", markersize=9, fillstyle="none", color=line.get_color())
-        if place := results.get(i, {}).get("place"):
-            axes.plot(*place[:2], "o", markersize=4, color=line.get_color())
-    axes.set(xlabel="x in m", ylabel="y in m", aspect="equal", title=f"{len(config.ids)} straight ways")
-    shown.savefig(path, dpi=200, bbox_inches="tight")
-    plt.close(shown)
+    """What was flown, from above, and the goals."""
+    draw_tracks(results, path, marks={"goal": np.array(list(goal(config).values()))})

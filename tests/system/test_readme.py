@@ -10,6 +10,7 @@ import pytest
 
 from crazychoir.guidance.base import CFDistributedFeedback, CFGuidance
 from crazychoir.guidance.hooks import HOOKS
+from crazychoir.guidance.mission import names as missions
 from crazychoir.optimization.problems import CostCoupled
 
 pytestmark = pytest.mark.system
@@ -231,3 +232,12 @@ def test_the_demo_shows_the_plan_that_is_flown(repository, said):
     assert messages["lost"] == pytest.approx(0.2 * messages["sent"], rel=0.1)
     assert counted(rows["planned_m"]) == pytest.approx(demo["planned_m"], abs=2e-3)
     assert counted(rows["flown_m"]) == pytest.approx(demo["flown_m"], rel=0.1)
+
+
+def test_the_page_of_missions_shows_each_with_a_picture_that_there_is(repository):
+    page = (repository / "agents" / "README.md").read_text()
+    assert [name for name in missions() if f"crazychoir run {name} " not in page] == []
+    pictures = set(re.findall(r"\]\(pictures/(.*?)\)", page))
+    assert pictures == {path.name for path in (repository / "agents" / "pictures").iterdir()}
+    swarms = re.findall(r"deploy/\w+\.toml", page)
+    assert [path for path in swarms if not (repository / path).is_file()] == []
