@@ -29,6 +29,7 @@ from crazychoir.types import (
     Drive,
     FullState,
     Goto,
+    Plan,
     Pose,
     State,
     Status,
@@ -257,6 +258,7 @@ MESSAGES: dict[Any, Message] = {
     Body: Message("crazychoir_msgs/Body", lambda body: (body.harm, body.flying)),
     Status: Message("crazychoir_msgs/Status", lambda status: [getattr(status, n) for n in status.__struct_fields__]),
     str: Message("std_msgs/String", lambda line: (line,)),
+    Plan: Message("crazychoir_msgs/Value", lambda plan: (in_json(plan),)),
     dict: Message("crazychoir_msgs/Value", lambda value: (in_json(value),)),
     Exchanged: Message("crazychoir_msgs/Round", exchanged),
 }

@@ -1,6 +1,7 @@
 """The recorder: all that drones say, exactly; nothing that goes wrong in it reaches them."""
 
 import asyncio
+import json
 import logging
 import time
 
@@ -16,6 +17,7 @@ from crazychoir.bus.topics import (
     COMMAND,
     LOG,
     OBSERVABLE,
+    PLAN,
     POSE,
     REFERENCE,
     RESULT,
@@ -30,7 +32,7 @@ from crazychoir.recording.file import RecordingFile
 from crazychoir.recording.recorder import Recorder
 from crazychoir.runtime.clock import run_virtual, run_wall
 from crazychoir.runtime.supervisor import Supervisor
-from crazychoir.types import FPQR, Body, FullState, Pose, State, Status, Vel
+from crazychoir.types import FPQR, Body, FullState, Plan, Pose, State, Status, Vel
 
 ABOUT = {"version": "1.2"}
 
@@ -60,6 +62,7 @@ VALUES = {
     COMMAND: FPQR(np.arange(4.0)), TRUTH: State.at((7, 8, 9)), STATUS: Status("hovering", suspect=[1], cost=0.5),
     RESULT: {"success": True, "place": np.ones(3)}, LOG: "drone 1: a line",
     BODY: Body("crashed"), TELEMETRY: {"pm.vbat": [3.9, 0.05]},
+    PLAN: Plan(np.ones((1, 25)), 0.5, np.zeros((0, 25)), 0.0, 3, {0: 2}),
 }  # fmt: skip
 
 
@@ -72,7 +75,7 @@ def test_every_observable_topic_arrives_as_it_was_sent(tmp_path, observer):
 
     assert [topic.name for topic in VALUES] == list(OBSERVABLE)
     path = tmp_path / "a.mcap"
-    assert recorded(path, work, observer) == {"file": str(path), "messages": 10, "lost": 0, "error": ""}
+    assert recorded(path, work, observer) == {"file": str(path), "messages": 11, "lost": 0, "error": ""}
     found = by_mcap_ros2(path)
     assert found == by_rosbags(path)
     assert [name for name, *_ in found] == [f"/drone1/{topic.name}" for topic in VALUES]
@@ -87,6 +90,8 @@ def test_every_observable_topic_arrives_as_it_was_sent(tmp_path, observer):
     assert by_topic["log"] == {"data": "drone 1: a line"}
     assert by_topic["body"]["harm"] == "crashed"
     assert by_topic["telemetry"]["json"] == '{"pm.vbat": [3.9, 0.05]}'
+    plan = json.loads(by_topic["plan"]["json"])
+    assert (plan["way"], plan["offer"], plan["agreed"]) == ([[1.0] * 25], [], {"0": 2})
 
 
 def test_ages_make_times_of_birth(tmp_path):
