@@ -19,11 +19,11 @@ from crazychoir import CFGuidance, SwarmConfig
 from crazychoir.errors import ConfigError
 from crazychoir.guidance.aggregative import Defence, Defender
 from crazychoir.guidance.timed import SETTLE, TimedFlight
-from crazychoir.guidance.way_picture import draw_ways
 from crazychoir.math3d import Mat, Vec
 from crazychoir.planning.feasibility import Limits
 from crazychoir.planning.goal import timed_goals
 from crazychoir.planning.piecewise import Piecewise
+from crazychoir.recording.tracks import draw_ways
 from crazychoir.swarm.graph import Graph, metropolis
 from crazychoir.types import FullState
 

@@ -15,11 +15,11 @@ import numpy as np
 from crazychoir import CFGuidance, SwarmConfig
 from crazychoir.errors import ConfigError
 from crazychoir.guidance.timed import TimedFlight
-from crazychoir.guidance.way_picture import draw_ways
 from crazychoir.math3d import Vec
 from crazychoir.planning.feasibility import Limits
 from crazychoir.planning.goal import timed_goals
 from crazychoir.planning.piecewise import Piecewise
+from crazychoir.recording.tracks import draw_ways
 from crazychoir.swarm.graph import span
 from crazychoir.types import FullState
 

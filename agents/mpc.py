@@ -18,8 +18,8 @@ import numpy as np
 from crazychoir import CFGuidance, SwarmConfig
 from crazychoir.errors import ConfigError
 from crazychoir.guidance.mpc import Motion, MPCGuidance
-from crazychoir.guidance.way_picture import draw_ways
 from crazychoir.math3d import Vec
+from crazychoir.recording.tracks import draw_ways
 from crazychoir.safety.guard import EDGE
 from crazychoir.swarm.tables import Drone
 

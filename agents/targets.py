@@ -14,8 +14,8 @@ import numpy as np
 from crazychoir import CFGuidance, SwarmConfig
 from crazychoir.errors import ConfigError
 from crazychoir.guidance.timed import TargetList
-from crazychoir.guidance.way_picture import draw_ways
 from crazychoir.math3d import Mat, Vec
+from crazychoir.recording.tracks import draw_ways
 
 Results = dict[int, dict[str, Any]]
 TARGETS = ((0.8, 0.0, 1.0), (0.8, 0.8, 1.3), (0.0, 0.8, 1.0), (-0.4, 0.4, 0.6), (0.0, 0.0, 1.0))

@@ -14,7 +14,7 @@ from crazychoir.errors import ConfigError
 from crazychoir.guidance.airspace import levels
 from crazychoir.guidance.task_assignment import TaskAssignmentGuidance, Work
 from crazychoir.guidance.task_book import Task
-from crazychoir.guidance.way_picture import draw_ways
+from crazychoir.recording.tracks import draw_ways
 from crazychoir.safety.guard import EDGE
 from crazychoir.swarm.reading import read
 from crazychoir.swarm.tables import Metres, Probability, Table

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from crazychoir import CFDistributedFeedback, SwarmConfig, Velocity
-from crazychoir.guidance.way_picture import draw_ways
+from crazychoir.recording.tracks import draw_ways
 from crazychoir.swarm.checks import UNICYCLE
 from crazychoir.types import Heard, State, Vec
 

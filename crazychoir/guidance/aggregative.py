@@ -115,9 +115,11 @@ class AggregativeGuidance(CFDistributedFeedback):
                 agent.step(heard)
                 due = max(due + 1.0 / self.round_rate, clock.now())
                 await clock.sleep(due - clock.now(), drone=self.id)
-        except CrazyChoirError as error:
+        except Exception as error:
             if self._law is not None and not self._law.done():
                 self._law.set_exception(error)
+            elif not isinstance(error, CrazyChoirError):  # of a team that has ended, nothing is lost any more
+                raise
 
     async def mission(self) -> dict[str, Any]:
         """The law, with what came of the optimisation."""

@@ -121,9 +121,11 @@ class MPCGuidance(CFDistributedFeedback):
                     log.warning("drone %d: %s: it goes on with its last plan", self.id, scheme.tally.why)
                 await self.send(scheme.message(), self.mates, channel=CHANNEL)
                 await clock.sleep(pause, drone=self.id)
-        except CrazyChoirError as error:
+        except Exception as error:
             if self._law is not None and not self._law.done():
                 self._law.set_exception(error)
+            elif not isinstance(error, CrazyChoirError):  # of a team that has ended, nothing is lost any more
+                raise
 
     async def mission(self) -> dict[str, Any]:
         """The law, with how its steps went."""

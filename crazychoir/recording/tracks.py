@@ -1,15 +1,19 @@
-"""What a swarm has flown, as one small picture: a mission's `picture` may be this one line."""
+"""What a swarm has flown, from above, as a picture: a mission's `picture` may be one line."""
 
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from crazychoir.optimization.picture import COLOURS, INK
-from crazychoir.types import Mat, Vec
+from crazychoir.optimization.picture import COLOURS, DASHES, INK
+from crazychoir.types import Mat, Point, Vec
 
-LEADER = "#D55E00"
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+LEADER, GREY = "#D55E00", "#909090"
+Ways = Mapping[int, Sequence[Sequence[float]]]
 
 
 def draw_tracks(
@@ -45,22 +49,66 @@ def draw_tracks(
     axes.set_aspect("equal")
     axes.margins(0.08)
     axes.set(xlabel="x [m]", ylabel="y [m]", title=title)
-    axes.grid(color="#eeeeee", linewidth=0.6)
-    axes.set_axisbelow(True)
-    axes.spines[["top", "right"]].set_visible(False)
+    _tidy(axes)
     figure.savefig(path)
 
 
-def _name(axes: Any, leaders: Collection[int], tracks: Collection[int], marked: bool) -> None:
+def _name(axes: "Axes", leaders: Collection[int], tracks: Collection[int], marked: bool) -> None:
     """Say what the marks mean, above the picture."""
     from matplotlib.lines import Line2D
 
     def mark(label: str, kind: str, colour: str, fill: str | None = None) -> Line2D:
         return Line2D([], [], label=label, marker=kind, color=colour, markersize=4.5, markerfacecolor=fill or colour)
 
-    handles = [mark("start", "o", COLOURS[0], "white")]
+    handles: list[Any] = [mark("start", "o", COLOURS[0], "white")]
     handles.append(mark("follower" if leaders else "end", "o", COLOURS[0]))
     if any(i in tracks for i in leaders):
         handles.append(mark("leader", "s", LEADER))
     handles += axes.get_legend_handles_labels()[0] if marked else []
     axes.figure.legend(handles=handles, loc="outside upper center", ncols=4, frameon=False, fontsize=7)
+
+
+def draw_ways(
+    path: str | Path, ways: Ways, beside: Mapping[int, Any], label: str, goals: Mapping[int, Point] | None = None,
+    seen: Ways | None = None, target: Point | None = None,
+) -> None:  # fmt: skip
+    """Write a PNG (or what the suffix of `path` says).
+
+    Left: ways, rows [t s, x, y, .. m], from their dots;  goals: crosses, (2,) m or more;  seen: ways of others, grey;
+    target: a star.  Right: beside, (T,) of each drone at the times of its way, with its label.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(7.2, 3.4), dpi=150, layout="constrained")
+    FigureCanvasAgg(figure)
+    above, right = figure.subplots(1, 2)
+    for other in (seen or {}).values():
+        above.plot(*np.array(other)[:, 1:3].T, color=GREY, linewidth=0.9, linestyle=(0, (1, 1.2)))
+        above.plot(*other[-1][1:3], "s", color=GREY, markersize=4)
+    for i, way in ways.items():
+        rows, look = np.array(way), _look(i)
+        above.plot(rows[:, 1], rows[:, 2], **look, label=f"drone {i}")
+        above.plot(rows[0, 1], rows[0, 2], "o", color=look["color"], markersize=3.5)
+        right.plot(rows[: len(beside[i]), 0], beside[i], **look)
+    for i, place in (goals or {}).items():
+        above.plot(place[0], place[1], "x", color=_look(i)["color"], markersize=7, markeredgewidth=1.6)
+    if target is not None:
+        above.plot(target[0], target[1], "*", color=INK, markersize=9)
+    above.set_aspect("equal", adjustable="datalim")
+    above.set(xlabel="x [m]", ylabel="y [m]")
+    right.set(xlabel="t [s]", ylabel=label)
+    for axes in (above, right):
+        _tidy(axes)
+    figure.legend(loc="outside upper center", ncols=6, frameon=False, fontsize=8)
+    figure.savefig(path)
+
+
+def _look(i: int) -> dict[str, Any]:
+    return {"color": COLOURS[i % len(COLOURS)], "linestyle": DASHES[i % len(DASHES)], "linewidth": 1.3}
+
+
+def _tidy(axes: "Axes") -> None:
+    axes.grid(color="#e6e6e6", linewidth=0.6)
+    axes.set_axisbelow(True)
+    axes.spines[["top", "right"]].set_visible(False)
