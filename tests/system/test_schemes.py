@@ -9,6 +9,7 @@ from crazychoir.guidance.mission import load
 from crazychoir.guidance.mpc import MPCGuidance
 from crazychoir.launch.flight import fly_fast
 from crazychoir.launch.recording import recording_file
+from crazychoir.optimization.aggregative_tracking import AggregativeTracking
 from crazychoir.runtime.clock import SECOND, run_virtual
 from crazychoir.swarm.config import SwarmConfig
 
@@ -37,6 +38,21 @@ def test_defenders_end_between_their_intruders_and_the_target(x, loss, places):
     for i, place in places.items():
         assert np.linalg.norm(np.subtract(result["places"][i], place)) < 0.01
     assert result["final_error_m"] < 0.01
+
+
+def test_a_round_that_fails_beside_the_law_ends_the_law_at_once(monkeypatch):
+    step = AggregativeTracking.step
+
+    def fails(self, heard):
+        if self.k == 20:
+            raise ValueError("no idea")
+        step(self, heard)
+
+    monkeypatch.setattr(AggregativeTracking, "step", fails)
+    _, result = flown("aggregative", flight=QUICK, mission_options={"duration": 30.0})
+    assert all("ValueError: no idea" in reason for reason in result["reasons"].values())
+    assert set(result["reasons"]) == {0, 1, 2}
+    assert result["simulated_s"] < 20.0
 
 
 def test_defenders_follow_intruders_that_fly_and_the_same_ones_replayed_from_a_recording(repository, tmp_path):
