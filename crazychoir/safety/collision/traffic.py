@@ -18,7 +18,7 @@ SLOW = 0.3
 """m/s, by which two drones may be faster at once than they are."""
 SELDOM = 2.0
 """Hz, at which a drone is heard that is far away."""
-RATES = ((0.7, 50.0), (1.5, 20.0), (3.0, 4.0))
+RATES = ((0.7, 50.0), (3.0, 20.0))
 """s, within which both could be near each other, and Hz, at which they then hear each other."""
 LOOK = 0.1
 """s, between two looks at who is near."""
