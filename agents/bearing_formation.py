@@ -33,6 +33,9 @@ from crazychoir.types import Acceleration, Heard, State, Vec
 Results = dict[int, dict[str, Any]]
 REST = 4.0
 """s of hovering before the paper's law, whose slow modes turn mm/s2 that the trim is off into centimetres."""
+BRISK: dict[str, Any] = {"brake": 2.0, "stiff": 5.0}
+"""[collision] of drones that accelerate with 4 m/s2: with its defaults drones that pass each other wait for so long that
+they push a formation off, whose weak modes turn 1 m/s2 of evading into metres."""
 TOLERANCE = 0.01
 """m from its place at the end of the law: a drone that is farther away has not formed up."""
 
@@ -56,7 +59,7 @@ class BearingFormation(CFDistributedFeedback):
         self, i: int, shape: Shape, neighbors: Iterable[int], law: Law = "normalised", kp: float = 8.0, kv: float = 4.5,
         in_height: float = 1.0, moving: bool = False, gains: Gains = AGILE,
     ) -> None:  # fmt: skip
-        self.neighbors, self.moving, self.gains = tuple(neighbors), moving, gains
+        self.neighbors, self.gains = tuple(neighbors), gains
         weights: dict[int, Any] = {j: projector(np.subtract(shape[j], shape[i])) for j in self.neighbors}
         if law == "normalised":
             total = sum(weights.values())
@@ -68,7 +71,7 @@ class BearingFormation(CFDistributedFeedback):
         blocks = [np.pad(np.kron([kp, kv], w), ((0, 0), (0, 7))) for w in weights.values()]
         parts = [-sum(blocks), *blocks, *(weights.values() if law == "normalised" else ())]
         self.W, self.a_counts = np.hstack(parts), law == "normalised"
-        self._before: dict[int, Vec] = {}
+        self.paired = self.a_counts and not moving
 
     def height(self) -> float | None:
         """Of its options, so that it may start elsewhere than in the plane."""
@@ -78,14 +81,8 @@ class BearingFormation(CFDistributedFeedback):
     def step(self, me: State, heard: Heard) -> Acceleration | None:
         """The law; who does not hear all its neighbours hovers."""
         if len(heard) < len(self.neighbors):
-            self._before = {}
             return None
-        states, old = [me.flat], self._before
-        if self.a_counts and not self.moving:
-            states += [old.get(j, heard[j].flat) for j in self.neighbors]
-            self._before = {j: heard[j].flat for j in self.neighbors}
-        else:
-            states += [heard[j].flat for j in self.neighbors]
+        states = [me.flat, *(heard[j].flat for j in self.neighbors)]
         if self.a_counts:
             states += [heard[j].a for j in self.neighbors]
         return Acceleration(self.W.dot(np.concatenate(states)))
@@ -181,6 +178,7 @@ def _swarm(
             "drones": [{"id": i, "home": [*p[:2], 0.0], "leader": i in leaders} for i, p in places.items()],
             "flight": {"speed_limit": 2.0, "acceleration_limit": 4.0},
             "plant": {"rate_lag": 0.0, "command_delay": 0.0},
+            "collision": BRISK,
             "mission_options": extra,
         }
     )

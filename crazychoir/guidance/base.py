@@ -14,7 +14,7 @@ from crazychoir.bus.topics import STATE
 from crazychoir.control.gains import FORMATION, Gains
 from crazychoir.control.position import HEADROOM
 from crazychoir.errors import ConfigError, CrazyChoirError, Refused
-from crazychoir.guidance.hearing import Hearing, VelocitySum
+from crazychoir.guidance.hearing import Hearing, Paired, VelocitySum
 from crazychoir.guidance.sensors import Readings, Sensors
 from crazychoir.optimization.checks import require_graph
 from crazychoir.planning.feasibility import Limits, check
@@ -371,6 +371,7 @@ class CFDistributedFeedback(CFGuidance):
     duration = 20.0
     gains: Gains = FORMATION
     rest = 0.0
+    paired = False
 
     @abstractmethod
     def step(self, me: State, heard: Heard) -> Reference | None:
@@ -381,9 +382,15 @@ class CFDistributedFeedback(CFGuidance):
         super().bind(member)
         member.pilot.controls.lead_by(self.gains)
         bus = member.communicator.port.bus
-        self._hearings: dict[int, Hearing] = {}
+        self._hearings: dict[int, Hearing | Paired] = {}
         for j in self.graph.in_neighbors(self.id):
-            hearing = self._hearings[j] = Hearing(member.clock, f"drone {self.id} state of {j}", self._sum())
+            name = f"drone {self.id} state of {j}"
+            hearing: Hearing | Paired
+            if self.paired:
+                hearing = Paired(member.clock, name, 1.0 / member.config.mocap.rate)
+            else:
+                hearing = Hearing(member.clock, name, self._sum())
+            self._hearings[j] = hearing
             bus.subscribe(STATE, j, self.id, hearing, self.rate if self.rate < STATE.rate else 0.0)
         self._own, self._measured = self._sum(), 0.0
         self._unheard = dict.fromkeys(self._hearings, 0)

@@ -8,7 +8,7 @@ from crazychoir.bus.topics import STATE
 from crazychoir.math3d import Vec, kernel, memory, real, vector
 from crazychoir.runtime.clock import SECOND, Clock
 from crazychoir.runtime.mailbox import Latest
-from crazychoir.types import State
+from crazychoir.types import STILL, State
 
 SPREAD = 10.0  # steps within which a law is told what the velocities so far have lacked
 NOTHING = 1e-7  # m; less is not owed
@@ -126,6 +126,54 @@ class Hearing(Latest[State]):
             state = State(moved_on(state.flat, age - state.age), age, state.a)
         self._told_version = version
         return sums.told(state, age, held, steps)
+
+
+class Paired(Latest[State]):
+    """The mailbox for the states of one neighbour, for a law that adds up what its neighbours command.
+
+    Place and velocity are those of the tick in which the acceleration was commanded, that is of the message before; of
+    what was between, where n - 1 messages were lost.
+
+        x = x_m + (x_m-n - x_m) / n,   a = a_m
+
+    In a step without a new message it tells the same again, with its age: all three belong together, and where a drone
+    is on its way to changes less than where it is.
+    """
+
+    def __init__(self, clock: Clock, name: str, h: float) -> None:
+        super().__init__(clock, name, STATE.max_age)
+        self._h_ns, self._max_ns = round(h * SECOND), round(STATE.max_age * SECOND)
+        self._told_version = self._told_ns = 0
+        self._last: State | None = None
+        self._flat = STILL
+
+    def forget(self) -> None:
+        """Steps begin now."""
+        self._last = None
+
+    def state(self, now_ns: int, held: int) -> State | None:
+        """The neighbour's state for this step, with the age of the message; None if that is too old."""
+        born_ns, state, last = self._born_ns, self._value, self._last
+        if now_ns - born_ns > self._max_ns or state is None:
+            self.stale += state is not None
+            self._last = None
+            return None
+        self._seen = self.version
+        if self._told_version != self.version or last is None:
+            steps = round((born_ns - self._told_ns) / self._h_ns)
+            if last is None or steps < 1:
+                self._flat = state.flat
+            else:
+                self._flat = between(state.flat, last.flat, 1.0 / steps)
+            self._told_version, self._told_ns, self._last = self.version, born_ns, state
+        return State(self._flat, (now_ns - born_ns) / SECOND, state.a)
+
+
+def between(flat: Vec, before: Vec, share: float) -> Vec:
+    """A state (13,) with the place and velocity of this share of the way back to the one before."""
+    now = flat.copy()
+    now[0:6] += share * (before[0:6] - now[0:6])
+    return now
 
 
 def moved_on(flat: Vec, seconds: float) -> Vec:

@@ -10,7 +10,7 @@ from crazychoir.guidance.leader import places
 from crazychoir.math3d import Vec
 from crazychoir.swarm.config import SwarmConfig
 
-CLEAR = 0.3
+CLEAR = 0.35
 """m between two starts, seen from above: more than the collision filter keeps."""
 LOWEST = 0.3
 """m above the ground, of a start: below, the air is rough."""

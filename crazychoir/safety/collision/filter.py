@@ -10,7 +10,7 @@ from crazychoir.safety.collision.cells import cell
 from crazychoir.safety.collision.deadlock import turned
 from crazychoir.safety.collision.motion import late, length, scaled, shrunk
 from crazychoir.safety.collision.projection import nearest
-from crazychoir.safety.collision.traffic import BORN, SHARE, SLOW, SOON, Traffic
+from crazychoir.safety.collision.traffic import BORN, BORNE, SHARE, SLOW, SOON, Traffic
 from crazychoir.safety.guard import Fence
 from crazychoir.swarm.tables import Collision
 from crazychoir.types import State
@@ -23,6 +23,8 @@ BODY = 0.15
 """m, between the centres of two drones one of which stands on the floor: 0.137 m would touch."""
 USABLE = 0.6
 """s: a state that is older is no use."""
+NEAR = 0.5
+"""m, between the ellipsoids of this drone and of one that it does not hear, below which it brakes."""
 LASTS = 0.15
 """s, for which a drone is taken to go on commanding what it did: two that foresee more of each other flee for ever."""
 GONE = 3.0
@@ -115,11 +117,12 @@ def _filtered(
         other = others[j]
         age = now - other[BORN]
         if not age < GONE:
-            other[SOON] = math.inf
+            other[SOON] = other[BORNE] = math.inf
             continue
         apart = length((f[SX] * (x[0] - other[0]), f[SY] * (x[1] - other[1]), f[SZ] * (x[2] - other[2])))
         speeds = length((x[3], x[4], x[5])) + length((other[3], other[4], other[5]))
         other[SOON] = (apart - 2.0 * f[WIDTH]) / (speeds + SLOW)
+        other[BORNE] = USABLE + max(apart - f[WIDTH] - NEAR, 0.0) / f[V_MAX]
         if apart > f[RANGE] + 2.0 * f[V_MAX] * age:
             continue
         stands = other[2] < f[GROUND] + STANDING
@@ -131,7 +134,7 @@ def _filtered(
         r, w = scaled(p, q, scale), scaled(v, w, scale)
         d = max(length(r), 1e-3)
         if age > USABLE and not stands:
-            blind = blind or d < width + f[V_MAX] * (age - USABLE) + 0.5
+            blind = blind or d < width + f[V_MAX] * (age - USABLE) + NEAR
             continue
         n = (r[0] / d, r[1] / d, r[2] / d)
         side = (scale[0] * n[0], scale[1] * n[1], scale[2] * n[2])

@@ -10,9 +10,9 @@ from crazychoir.runtime.clock import SECOND
 from crazychoir.runtime.mailbox import Call
 from crazychoir.types import State
 
-BORN, SHARE, SOON, COLUMNS = 16, 17, 18, 19
+BORN, SHARE, SOON, BORNE, COLUMNS = 16, 17, 18, 19, 20
 """Columns after the state (13,) and the acceleration (3,): s, when it was so; 1 if it gives way to nobody, else 0.5;
-s, after which both could be near each other.
+s, after which both could be near each other; s, the age of its state beyond which one brakes for want of a newer one.
 """
 SLOW = 0.3
 """m/s, by which two drones may be faster at once than they are."""
@@ -20,6 +20,8 @@ SELDOM = 2.0
 """Hz, at which a drone is heard that is far away."""
 RATES = ((0.7, 50.0), (3.0, 20.0))
 """s, within which both could be near each other, and Hz, at which they then hear each other."""
+PATIENCE = ((1.0, 10.0), (2.0, 5.0))
+"""s, of ages that are borne, and Hz, so that several states in a row may be lost before somebody brakes."""
 LOOK = 0.1
 """s, between two looks at who is near."""
 
@@ -27,8 +29,8 @@ LOOK = 0.1
 class Traffic:
     """The table of the others, by their place in `ids`: state, acceleration, when, share, how soon.
 
-    Each drone hears all others at SELDOM Hz; it says its own state more often to those that could be near soon, as
-    both know.
+    Each drone hears all others at SELDOM Hz; it says its own state more often to those that could be near soon, or
+    that would brake soon if they did not hear it, as both know.
     alone: the drones that do not give way, as they fly by a planner on board.
     """
 
@@ -38,6 +40,7 @@ class Traffic:
         self.rows = np.zeros((len(self.ids), COLUMNS))
         self._parts = {j: (row, row[0:13], row[13:16]) for j, row in zip(self.ids, self.rows, strict=True)}
         self.rows[:, 9], self.rows[:, BORN], self.rows[:, SOON] = 1.0, -np.inf, np.inf
+        self.rows[:, BORNE] = np.inf
         self.rows[:, SHARE] = [1.0 if j in alone else 0.5 for j in self.ids]
         self._pace = np.zeros(len(self.ids))
         self._looks = 0.0
@@ -60,9 +63,10 @@ class Traffic:
         if now < self._looks:
             return
         self._looks = now + LOOK
-        soon, pace = self.rows[:, SOON], np.zeros(len(self.ids))
-        for within, rate in reversed(RATES):
-            pace[soon < within] = rate
+        soon, borne, pace = self.rows[:, SOON], self.rows[:, BORNE], np.zeros(len(self.ids))
+        for reached, tiers in ((soon, RATES), (borne, PATIENCE)):
+            for within, rate in tiers:
+                pace[reached < within] = np.maximum(pace[reached < within], rate)
         for k in np.flatnonzero(pace != self._pace).tolist():
             self.port.pace(STATE, self.ids[k], float(pace[k]))
         self._pace = pace
