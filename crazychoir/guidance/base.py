@@ -16,7 +16,7 @@ from crazychoir.control.position import HEADROOM
 from crazychoir.errors import ConfigError, CrazyChoirError, Refused
 from crazychoir.guidance.hearing import Hearing, VelocitySum
 from crazychoir.guidance.sensors import Readings, Sensors
-from crazychoir.guidance.turns import aside, first_at
+from crazychoir.guidance.turns import CLOSE, TURN, aside, blocked, first_at
 from crazychoir.optimization.checks import require_graph
 from crazychoir.planning.feasibility import Limits, check
 from crazychoir.planning.trajectory import Trajectory
@@ -47,9 +47,6 @@ THERE, STILL, STOOD = 0.003, 0.02, 0.3
 """m, m/s, s: so near, slow and long a drone that has risen stands, and knows its thrust to some thousandths."""
 PATIENT = 5.0
 """s that it gets for that."""
-BLOCKED, CLOSE, TURN = 0.5, 0.1, 10.0
-"""s since it gave way in which others are in its way; m from a goal that then counts as there; s that it leaves it to
-one whose turn it is."""
 ATTEMPTS = 5
 BLOWN = 2.0
 """s after the planned time of a flight in which a drone may still arrive: in a wind that it has yet to learn."""
@@ -252,20 +249,20 @@ class CFGuidance:
         gives way to others, as to one who stands at p.
         Raises Interrupted when the pilot lands, and when p cannot be reached, as outside the fence.
         """
-        attempts, blocked, pilot, clock = 0, 0, self.member.pilot, self.member.clock
+        attempts, hindered, pilot, clock = 0, 0, self.member.pilot, self.member.clock
         ends = clock.now() + PATIENCE
         while attempts < ATTEMPTS and clock.now() < ends:
             self._may_fly()
             began, seconds = clock.now(), pilot.go_to(p, yaw, duration)
             await self._while(seconds or SETTLE, Mode.TAKEOFF, Mode.FOLLOW)
-            blocked = blocked + 1 if clock.now() < pilot.gave_way + BLOCKED else 0
-            blown = clock.now() + BLOWN if seconds > 0.0 and not blocked else 0.0
+            hindered = hindered + 1 if blocked(pilot) else 0
+            blown = clock.now() + BLOWN if seconds > 0.0 and not hindered else 0.0
             while pilot.gap(p) >= ARRIVED and clock.now() < blown:
                 await self._while(SETTLE, Mode.TAKEOFF, Mode.FOLLOW)
-            if pilot.gap(p) < (CLOSE if blocked else ARRIVED):
+            if pilot.gap(p) < (CLOSE if hindered else ARRIVED):
                 return
             attempts += seconds > 0.0 and pilot.gave_way < began
-            if blocked > 2 and first_at(pilot, np.asarray(p)) < self.id:
+            if hindered > 2 and first_at(pilot, np.asarray(p)) < self.id:
                 await self._wait_aside(np.asarray(p))
         place = np.round(np.asarray(p), 2).tolist()
         why = "held by its operator" if pilot.held else pilot.note or "no reason"
@@ -275,7 +272,7 @@ class CFGuidance:
         """Leave a place to another one whose turn it is, at most TURN s."""
         pilot, clock = self.member.pilot, self.member.clock
         ends = clock.now() + TURN
-        await self._while(pilot.go_to(aside(self.state.p, p)), Mode.FOLLOW)
+        await self._while(pilot.go_to(aside(self.state.p, p, pilot.fence)), Mode.FOLLOW)
         while first_at(pilot, p) < self.id and clock.now() < ends:
             await self._while(SETTLE, Mode.FOLLOW)
 
@@ -366,7 +363,7 @@ async def touch_down(pilot: Pilot, grace: float) -> None:
             ends = clock.now() + grace
             if clock.now() > patient:
                 pilot.land(f"held for {PATIENCE:g} s, with its mission over: landing")
-        if pilot.remaining() > 0.0 or (clock.now() < pilot.gave_way + BLOCKED and clock.now() < patient):
+        if pilot.remaining() > 0.0 or (blocked(pilot) and clock.now() < patient):
             ends = clock.now() + pilot.remaining() + grace
         await clock.sleep(SETTLE, drone=pilot.drone)
 
