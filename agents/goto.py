@@ -2,8 +2,8 @@
 
 crazychoir run goto --fast --picture out/goto.png
 
-[mission_options]: goals: {"0": [[t, x, y, z], ...], ...}, s of the law and m, of each drone, instead of the crossing;
-levels: m between the heights of two drones in the crossing, that keeps them apart while they cross.
+All cross at one height, at one time: the collision filter leads them round each other.
+[mission_options]: goals: {"0": [[t, x, y, z], ...], ...}, s of the law and m, of each drone, instead of the crossing.
 """
 
 from itertools import combinations
@@ -26,20 +26,19 @@ from crazychoir.types import FullState
 Results = dict[int, dict[str, Any]]
 CORNERS = ((1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0))
 TIMES, HEIGHT = (5.0, 25.0, 45.0), 1.0
-"""s, at which a drone is at its own corner, at the opposite one, and at the next; m, the middle height."""
+"""s, at which a drone is at its own corner, at the opposite one, and at the next; m."""
 INSIDE = 0.8
 """Of the corners, where the drones stand at the start."""
 TOLERANCE = 0.05
 """m from a goal at its time."""
 NEAR = 0.25
-"""m between two planned flights, below which something else must keep the drones apart."""
+"""m between two planned flights, below which the collision filter must keep the drones apart."""
 
 
 class Options(msgspec.Struct, frozen=True, kw_only=True):
     """[mission_options]."""
 
     goals: dict[int, tuple[tuple[float, float, float, float], ...]] | None = None
-    levels: float = 0.3
 
 
 def given(config: SwarmConfig) -> Options:
@@ -75,14 +74,13 @@ def goals(config: SwarmConfig) -> dict[int, tuple[tuple[float, float, float, flo
     options = given(config)
     if options.goals is not None:
         return options.goals
-    middle = 0.5 * (len(config.ids) - 1)
-    return {i: crossing(k, HEIGHT + options.levels * (k - middle)) for k, i in enumerate(config.ids)}
+    return {i: crossing(k) for k, i in enumerate(config.ids)}
 
 
-def crossing(k: int, z: float) -> tuple[tuple[float, float, float, float], ...]:
+def crossing(k: int) -> tuple[tuple[float, float, float, float], ...]:
     """The k-th drone's own corner, the opposite one, and the next."""
     corners = [CORNERS[(k + turn) % len(CORNERS)] for turn in (0, 2, 3)]
-    return tuple((t, *corner, z) for t, corner in zip(TIMES, corners, strict=True))
+    return tuple((t, *corner, HEIGHT) for t, corner in zip(TIMES, corners, strict=True))
 
 
 def swarm(drones: int | None = None) -> SwarmConfig:
@@ -99,7 +97,7 @@ def swarm(drones: int | None = None) -> SwarmConfig:
 
 
 def check(config: SwarmConfig, force: bool = False) -> list[str]:
-    """Each drone has goals, and can be there in time; says where two flights meet."""
+    """Each drone has goals, and can be there in time; says where two flights meet if nothing keeps them apart."""
     options = given(config)
     if options.goals is None and len(config.ids) != len(CORNERS):
         raise ConfigError(f"swarm {config.name}: drones", len(config.ids), f"{len(CORNERS)}, or mission_options.goals")
@@ -107,9 +105,9 @@ def check(config: SwarmConfig, force: bool = False) -> list[str]:
         where, found = f"swarm {config.name}: mission_options.goals", f"goals of drones {sorted(goals(config))}"
         raise ConfigError(where, found, f"goals of each drone, {span(config.ids)}")
     gap, i, j, t = nearest(config)
-    if gap >= NEAR:
+    if gap >= NEAR or config.collision.method != "off":
         return []
-    return [f"drones {i} and {j} are planned {gap:.2f} m from each other at {t:.1f} s: a collision filter must act"]
+    return [f"drones {i} and {j} are planned {gap:.2f} m from each other at {t:.1f} s, and the collision filter is off"]
 
 
 def nearest(config: SwarmConfig) -> tuple[float, int, int, float]:

@@ -2,7 +2,8 @@
 
 crazychoir run head_on --fast
 
-[mission_options]: goals, see agents/goto.py; by default the two pass above each other.
+Their plans know nothing of each other, and meet at one height: the collision filter leads them past.
+[mission_options]: goals, see agents/goto.py.
 """
 
 from typing import Any
@@ -12,7 +13,7 @@ from crazychoir.agents import goto
 
 Results = dict[int, dict[str, Any]]
 ENDS = ((-1.0, 0.1), (1.0, -0.1))
-START, ARRIVAL, HEIGHT, LEVELS = 3.0, 23.0, 1.0, 0.3
+START, ARRIVAL, HEIGHT = 3.0, 23.0, 1.0
 
 
 def guidance(i: int, config: SwarmConfig) -> CFGuidance:
@@ -21,11 +22,8 @@ def guidance(i: int, config: SwarmConfig) -> CFGuidance:
 
 
 def swarm(drones: int | None = None) -> SwarmConfig:
-    """One at each end, and for each a goal at the other end; a level of its own each."""
-    goals = {
-        str(i): [[START, *ENDS[i], z], [ARRIVAL, *ENDS[1 - i], z]]
-        for i, z in enumerate((HEIGHT - 0.5 * LEVELS, HEIGHT + 0.5 * LEVELS))
-    }
+    """One at each end, and for each a goal at the other end."""
+    goals = {str(i): [[START, *ENDS[i], HEIGHT], [ARRIVAL, *ENDS[1 - i], HEIGHT]] for i in range(len(ENDS))}
     return SwarmConfig.of(
         {
             "name": "exchange",

@@ -9,7 +9,6 @@ import msgspec
 import numpy as np
 
 from crazychoir.errors import ConfigError
-from crazychoir.guidance.airspace import levels
 from crazychoir.guidance.delivery_checks import require_flown, require_servable, require_used
 from crazychoir.guidance.delivery_options import Appearance, DeliveryOptions
 from crazychoir.guidance.delivery_picture import draw_flown
@@ -18,7 +17,6 @@ from crazychoir.guidance.site import Site
 from crazychoir.guidance.task_book import Fate, Task
 from crazychoir.guidance.task_source import Event
 from crazychoir.routing.instance import Instance
-from crazychoir.safety.guard import EDGE
 from crazychoir.swarm.config import SwarmConfig
 from crazychoir.swarm.graph import span
 from crazychoir.swarm.reading import read
@@ -129,11 +127,9 @@ def _appearing(config: SwarmConfig) -> tuple[Appearance, ...]:
 
 def options(config: SwarmConfig) -> Options:
     """What all robots have in common."""
-    chosen, flight = given(config), config.flight
-    highest = config.fence.max[2] - flight.ground - EDGE
+    chosen = given(config)
     last = max((event.t for event in events(config)), default=0.0)
     return Options(
-        levels(config.ids, flight.takeoff_height, chosen.level_spacing, highest),
         Site(config, chosen.clearance, instance(config)),
         service_time=chosen.service_time,
         recover=chosen.recover,
@@ -143,7 +139,7 @@ def options(config: SwarmConfig) -> Options:
 
 
 def check(config: SwarmConfig, force: bool = False) -> list[str]:
-    """The drones stand where the instance says, all levels fit, and each task can be served without a collision."""
+    """The drones stand where the instance says, and each task can be served."""
     chosen, where = given(config), f"swarm {config.name}: mission_options"
     require_used(config.mission_options, where)
     problem = instance(config)

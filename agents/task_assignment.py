@@ -11,13 +11,11 @@ from scipy.optimize import linear_sum_assignment
 
 from crazychoir import SwarmConfig
 from crazychoir.errors import ConfigError
-from crazychoir.guidance.airspace import levels
 from crazychoir.guidance.task_assignment import TaskAssignmentGuidance, Work
 from crazychoir.guidance.task_book import Task
 from crazychoir.recording.tracks import draw_ways
-from crazychoir.safety.guard import EDGE
 from crazychoir.swarm.reading import read
-from crazychoir.swarm.tables import Metres, Probability, Table
+from crazychoir.swarm.tables import Probability, Table
 from crazychoir.types import Mat
 
 Results = dict[int, dict[str, Any]]
@@ -37,19 +35,17 @@ Times = Annotated[int, Meta(ge=1, le=1000, description="a number of times, 1 to 
 class Options(Table, frozen=True, kw_only=True):
     """[mission_options].
 
-    generations: how often the table is filled up;  chance: that a robot may do a task;  level_spacing: m between the
-    heights of two robots, 0: all fly at the take-off height.
+    generations: how often the table is filled up;  chance: that a robot may do a task.
     """
 
     generations: Times = 8
     chance: Probability = 0.5
-    level_spacing: Metres = 0.15
 
 
 def guidance(i: int, config: SwarmConfig) -> TaskAssignmentGuidance:
     """Robot i."""
     options = given(config)
-    return TaskAssignmentGuidance(Work(lambda count: drawn(config, count), options.generations, heights(config)))
+    return TaskAssignmentGuidance(Work(lambda count: drawn(config, count), options.generations))
 
 
 def swarm(drones: int | None = None) -> SwarmConfig:
@@ -78,13 +74,6 @@ def given(config: SwarmConfig) -> Options:
     return read(config.mission_options, Options, f"swarm {config.name}", "mission_options")
 
 
-def heights(config: SwarmConfig) -> dict[int, float]:
-    """m above the ground, of each robot; none where all fly at one height."""
-    spacing, flight = given(config).level_spacing, config.flight
-    highest = config.fence.max[2] - flight.ground - EDGE
-    return levels(config.ids, flight.takeoff_height, spacing, highest) if spacing > 0.0 else {}
-
-
 def drawn(config: SwarmConfig, count: int) -> list[Task]:
     """The first `count` tasks of the seed: x, y of a task, then for each robot whether it may do it."""
     draw, chance = np.random.RandomState(config.seed), given(config).chance  # the generator of the original
@@ -97,8 +86,8 @@ def drawn(config: SwarmConfig, count: int) -> list[Task]:
 
 
 def check(config: SwarmConfig, force: bool = False) -> list[str]:
-    """The heights fit under the fence, tasks inside it, and messages go both ways."""
-    heights(config)
+    """Tasks fit into the fence, and messages go both ways."""
+    given(config)
     if not config.graph().is_undirected:
         raise ConfigError(f"swarm {config.name}: graph", "a directed graph", "an undirected one")
     low, high = np.array(config.fence.min[:2]), np.array(config.fence.max[:2])

@@ -16,6 +16,7 @@ from crazychoir.control.position import HEADROOM
 from crazychoir.errors import ConfigError, CrazyChoirError, Refused
 from crazychoir.guidance.hearing import Hearing, Paired, VelocitySum
 from crazychoir.guidance.sensors import Readings, Sensors
+from crazychoir.guidance.turns import CLOSE, TURN, aside, blocked, first_at
 from crazychoir.optimization.checks import require_graph
 from crazychoir.planning.feasibility import Limits, check
 from crazychoir.planning.trajectory import Trajectory
@@ -244,23 +245,36 @@ class CFGuidance:
     async def go_to(self, p: Point, duration: float = 0.0, yaw: float | None = None) -> None:
         """Fly to p (3,) m, world, yaw rad (None: as it is), and be there; stopped by the safety table, it flies again.
 
-        It waits, at most PATIENCE s, while an operator holds the drone or the safety table brakes it.
+        It waits, at most PATIENCE s, while an operator holds the drone or the safety table brakes it, and where it
+        gives way to others, as to one who stands at p.
         Raises Interrupted when the pilot lands, and when p cannot be reached, as outside the fence.
         """
-        attempts, ends = 0, self.member.clock.now() + PATIENCE
-        while attempts < ATTEMPTS and self.member.clock.now() < ends:
+        attempts, hindered, pilot, clock = 0, 0, self.member.pilot, self.member.clock
+        ends = clock.now() + PATIENCE
+        while attempts < ATTEMPTS and clock.now() < ends:
             self._may_fly()
-            seconds = self.member.pilot.go_to(p, yaw, duration)
-            attempts += seconds > 0.0
+            began, seconds = clock.now(), pilot.go_to(p, yaw, duration)
             await self._while(seconds or SETTLE, Mode.TAKEOFF, Mode.FOLLOW)
-            blown = self.member.clock.now() + BLOWN if seconds > 0.0 else 0.0
-            while (gap := self.member.pilot.gap(p)) >= ARRIVED and self.member.clock.now() < blown:
+            hindered = hindered + 1 if blocked(pilot) else 0
+            blown = clock.now() + BLOWN if seconds > 0.0 and not hindered else 0.0
+            while pilot.gap(p) >= ARRIVED and clock.now() < blown:
                 await self._while(SETTLE, Mode.TAKEOFF, Mode.FOLLOW)
-            if gap < ARRIVED:
+            if pilot.gap(p) < (CLOSE if hindered else ARRIVED):
                 return
+            attempts += seconds > 0.0 and pilot.gave_way < began
+            if hindered > 2 and first_at(pilot, np.asarray(p)) < self.id:
+                await self._wait_aside(np.asarray(p))
         place = np.round(np.asarray(p), 2).tolist()
-        why = "held by its operator" if self.member.pilot.held else self.member.pilot.note
-        raise Interrupted(f"drone {self.id}: does not reach {place}, still {gap:.2f} m from it: {why or 'no reason'}")
+        why = "held by its operator" if pilot.held else pilot.note or "no reason"
+        raise Interrupted(f"drone {self.id}: does not reach {place}, still {pilot.gap(p):.2f} m from it: {why}")
+
+    async def _wait_aside(self, p: Vec) -> None:
+        """Leave a place to another one whose turn it is, at most TURN s."""
+        pilot, clock = self.member.pilot, self.member.clock
+        ends = clock.now() + TURN
+        await self._while(pilot.go_to(aside(self.state.p, p, pilot.fence)), Mode.FOLLOW)
+        while first_at(pilot, p) < self.id and clock.now() < ends:
+            await self._while(SETTLE, Mode.FOLLOW)
 
     async def fly(self, trajectory: Trajectory) -> None:
         """Go to where a trajectory begins, fly it, and be at its end.
@@ -338,7 +352,10 @@ class CFGuidance:
 
 
 async def touch_down(pilot: Pilot, grace: float) -> None:
-    """Wait until a pilot's motors are off; at most `grace` s beyond the flight that it has planned, whenever it did."""
+    """Wait until a pilot's motors are off; at most `grace` s beyond the flight that it has planned, whenever it did.
+
+    At most PATIENCE s while it gives way to others.
+    """
     clock = pilot.clock
     ends, patient = clock.now() + grace, clock.now() + PATIENCE
     while pilot.airborne and clock.now() < ends:
@@ -346,7 +363,7 @@ async def touch_down(pilot: Pilot, grace: float) -> None:
             ends = clock.now() + grace
             if clock.now() > patient:
                 pilot.land(f"held for {PATIENCE:g} s, with its mission over: landing")
-        if pilot.remaining() > 0.0:
+        if pilot.remaining() > 0.0 or (blocked(pilot) and clock.now() < patient):
             ends = clock.now() + pilot.remaining() + grace
         await clock.sleep(SETTLE, drone=pilot.drone)
 

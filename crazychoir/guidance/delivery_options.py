@@ -58,8 +58,8 @@ class DeliveryOptions(Table, frozen=True, kw_only=True):
 
     instance: a file; without one `tasks` are drawn from the seed, and unless `appear` says which, `later` more;
     recover: goods of a robot that is gone are fetched from where it was last;  service_time: s at each stop;
-    until: s after the start before which the mission does not end;  level_spacing: m between the levels of two drones;
-    clearance: m from other robots' homes, in the plane;  method: how tasks are shared out, see Replanning.
+    until: s after the start before which the mission does not end;  clearance: m from other robots' homes,
+    in the plane;  method: how tasks are shared out, see Replanning.
     """
 
     instance: Text | None = None
@@ -70,6 +70,5 @@ class DeliveryOptions(Table, frozen=True, kw_only=True):
     recover: Flag = False
     service_time: Seconds = 1.0
     until: Seconds = 0.0
-    level_spacing: Gap = 0.2
     clearance: Gap = 0.4
     method: Method = AUCTION

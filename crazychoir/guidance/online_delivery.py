@@ -22,7 +22,6 @@ from typing import Any
 import numpy as np
 
 from crazychoir.errors import CrazyChoirError, RosterChanged
-from crazychoir.guidance.airspace import way_round
 from crazychoir.guidance.base import ARRIVED, TOUCHDOWN, CFGuidance, Interrupted, Member, touch_down
 from crazychoir.guidance.commitments import Commitments
 from crazychoir.guidance.replanning import AUCTION, Goods, Mark, Replanning, Share, mark
@@ -55,13 +54,12 @@ TOO_FAR = "no drone that can serve it has enough left of its route_length_limit"
 class Options:
     """What all robots of a mission have in common.
 
-    levels: m above the ground, of each robot;  site: where goods may lie, and who may serve which;
-    service_time: s at each stop;  recover: goods of a robot that is gone are fetched from where it was last;
+    site: where goods may lie, and who may serve which;  service_time: s at each stop;
+    recover: goods of a robot that is gone are fetched from where it was last;
     until: s after GO before which nobody thinks that the mission is over;
     method: how tasks are shared out, see Replanning.
     """
 
-    levels: dict[int, float]
     site: Site
     service_time: float = 1.0
     recover: bool = False
@@ -351,7 +349,7 @@ class OnlinePDVRPGuidance(CFGuidance):
         if not self.up:
             self.up = True
             self.news.say(landed=False, idle=False)
-            await self.take_off(self.options.levels[self.id])
+            await self.take_off()
         return await self._to(goal := self._place(stop), lambda: self._leads_to(stop, goal))
 
     def _leads_to(self, stop: Stop, goal: Vec) -> bool:
@@ -359,25 +357,22 @@ class OnlinePDVRPGuidance(CFGuidance):
         return self.commitments.next() == stop and float(np.linalg.norm(self._place(stop) - goal)) < ARRIVED
 
     async def _to(self, goal: Vec, valid: Callable[[], bool]) -> bool:
-        """Fly to a place, round the homes of the others, as long as it is where to fly."""
-        config, site = self.member.config, self.options.site
-        homes = np.array([drone.home[:2] for drone in config.drones if drone.id != self.id])
-        z = config.flight.ground + self.options.levels[self.id]
+        """Fly straight to a place, as long as it is where to fly."""
+        flight = self.member.config.flight
         await self._come_to_rest()
-        for point in way_round(np.array(self._here()), goal, homes, site.clearance, site.low, site.high):
-            leg = asyncio.ensure_future(self.go_to([*point.tolist(), z]))
-            began = np.array(self._here())
-            try:
-                while not leg.done():
-                    self._redirected.clear()
-                    await unless(leg, self._redirected)
-                    if not valid():
-                        return False
-                leg.result()
-            finally:
-                await given_up(leg)
-                self.flown += float(np.linalg.norm(self._here() - began))
-                self.way.append(self._here())
+        leg = asyncio.ensure_future(self.go_to([*goal.tolist(), flight.ground + flight.takeoff_height]))
+        began = np.array(self._here())
+        try:
+            while not leg.done():
+                self._redirected.clear()
+                await unless(leg, self._redirected)
+                if not valid():
+                    return False
+            leg.result()
+        finally:
+            await given_up(leg)
+            self.flown += float(np.linalg.norm(self._here() - began))
+            self.way.append(self._here())
         return valid()
 
     async def _come_to_rest(self) -> None:

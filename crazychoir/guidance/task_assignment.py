@@ -3,7 +3,7 @@
 import asyncio
 import logging
 import math
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from math import inf
 from typing import Any
@@ -18,8 +18,9 @@ from crazychoir.guidance.task_book import Deed, Place, Task
 from crazychoir.guidance.task_source import TaskSource
 from crazychoir.guidance.team_news import Key, TeamNews
 from crazychoir.guidance.together import run_together
+from crazychoir.guidance.turns import Turns
 from crazychoir.safety.modes import Mode
-from crazychoir.types import Goto, State
+from crazychoir.types import Goto, State, Vec
 
 log = logging.getLogger(__name__)
 POLL = 0.05
@@ -47,12 +48,11 @@ class Work:
     """What all robots of a mission have in common.
 
     draw: the tasks, in their order;  generations: how often the table is filled up to as many open tasks as robots;
-    cost: CostFunction;  levels: m above the ground of each robot, empty: all at the take-off height.
+    cost: CostFunction.
     """
 
     draw: Draw
     generations: int
-    levels: dict[int, float]
     cost: CostFunction = distance
 
 
@@ -83,6 +83,7 @@ class TaskAssignmentGuidance(CFGuidance):
         self._born = self._now
         self.news = TeamNews(member.communicator, (), self._here, recover=True, period=POLL)
         self.source = TaskSource(self.news, Room(member.config), may_end=self._may_end)
+        self._turns = Turns(member.pilot)
         member.report = lambda: {"task": self._doing(), "cost": self.tables[-1]["cost"] if self.tables else None}
 
     async def mission(self) -> dict[str, Any]:
@@ -219,7 +220,7 @@ class TaskAssignmentGuidance(CFGuidance):
     async def _fly(self) -> None:
         """Up, from task to task, home, and down with the others. Who cannot fly on says so, and stays a talker."""
         try:
-            await self.take_off(self._level())
+            await self.take_off()
             while not (self.news.ended or self._alone):
                 self._pursue()
                 self._note()
@@ -234,21 +235,25 @@ class TaskAssignmentGuidance(CFGuidance):
             await touch_down(self.member.pilot, TOUCHDOWN)
             self.news.say(out=True)
 
-    def _level(self) -> float:
-        return self.work.levels.get(self.id, self.member.config.flight.takeoff_height)
+    def _above(self, place: Sequence[float]) -> Vec:
+        flight = self.member.config.flight
+        return np.array([*place[0:2], flight.ground + flight.takeoff_height])
 
     def _pursue(self) -> None:
-        """Fly to the own task, and have done it there; without one, wait in the air."""
+        """Fly to the own task, and have done it there; without one, wait in the air, where nobody else wants to be."""
         pilot = self.member.pilot
         if pilot.mode not in FLIES:
             raise Interrupted(f"drone {self.id}: {pilot.mode.value}: {pilot.note}")
         generation, mine = self.generation, self._mine
         if generation is None or mine is None:
-            pilot.hover()
+            if (away := self._turns.away()) is None:
+                pilot.hover()
+            else:
+                self.follow(Goto(away))
             return
-        x, y = self.news.book.tasks[mine].pickup
-        self.follow(Goto(np.array([x, y, self.member.config.flight.ground + self._level()])))
-        if not self._shares and math.dist(self._here(), (x, y)) < REACHED:
+        place = self.news.book.tasks[mine].pickup
+        self.follow(Goto(self._turns.to(self._above(place))))
+        if not self._shares and math.dist(self._here(), place) < REACHED:
             self.done.append((mine, generation.number))
             self.news.say(deeds=(*self.news.record.deeds, Deed(mine, "delivery", 1)))
 
@@ -269,8 +274,7 @@ class TaskAssignmentGuidance(CFGuidance):
 
     async def _go_home(self) -> None:
         """Over the own home; nobody comes down while somebody flies about above."""
-        home = self.member.config.drone(self.id).home
-        await self.go_to([home[0], home[1], self.member.config.flight.ground + self._level()])
+        await self.go_to(self._above(self.member.config.drone(self.id).home))
         self.news.say(idle=True)
         ends = self._now + REUNION
         while self._now < ends and not (self._alone or self._all_home()):

@@ -19,7 +19,7 @@ LARGEST = 1e6
 """m and units of load: no task and no place says more."""
 Number = Annotated[float, Meta(ge=-LARGEST, le=LARGEST)]
 Place = tuple[Number, Number]
-"""m, in the plane: robots fly at levels of their own."""
+"""m, in the plane: robots fly at one height."""
 Count = Annotated[int, Meta(ge=0, le=(1 << 63) - 1)]
 """Incarnations are as large as that: random, so they say who lives, not who lived first."""
 

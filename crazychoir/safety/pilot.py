@@ -78,8 +78,9 @@ GIVE_UP_HOVER = 2.0
 GIVE_UP_TICKS = 0.5
 """s of failed ticks, within 10 s, after which the pilot is given up: as long as it flies on without a pose."""
 
-BACK, BEHIND = 0.05, 0.15
-"""m from its plan: one that was pushed aside is back; the plan waits for it."""
+BACK, BEHIND, AHEAD = 0.05, 0.15, 0.5
+"""m from its plan: one that was pushed aside is back; one that lands does so where it is; the plan waits for it: so far
+ahead it is beyond who stands in the way."""
 LIFTED = 0.03
 """m above where it stood at which a drone flies: below, its controllers learn nothing from an error of the height."""
 SEEN = 0.1
@@ -191,6 +192,8 @@ class Pilot(Actor):
         self._goto_plan: Trajectory | None = None
         self._a = STILL  # m/s2, what the last command asks of the drone
         self._flown: FullState | None = None  # in the last tick, if it was a FullState
+        self.gave_way = -math.inf
+        """s, when it last gave way to another drone."""
         self._lift_off = 0.0  # m, the height above which a drone that takes off flies
         self._obeyed = Action.NOMINAL  # the last verdict
         self._ticked_ns = 0
@@ -586,7 +589,8 @@ class Pilot(Actor):
             return self.flights.done(now) and bool(np.linalg.norm(state.v) < AT_REST)
         low = seen and state.flat[2] < self.limits.ground + ON_THE_FLOOR
         landing = isinstance(self.flights.plan, Landing)
-        over = landing and self.flights.done(now, TOUCHDOWN_LATE if seen else TOUCHDOWN_UNSEEN)
+        late = TOUCHDOWN_LATE if seen else TOUCHDOWN_UNSEEN
+        over = landing and self.flights.done(now, late) and now > self.gave_way + late
         over = over and not (self.planned is not None and self.planned.delayed)  # it waits until it may go down
         return bool(low or (over and np.linalg.norm(state.v) < AT_REST))
 
@@ -637,7 +641,7 @@ class Pilot(Actor):
             self.flights.clear()
             self._descend()
             planned = self.flights.sample(now) or planned
-        elif far > BEHIND and self.flights.wait(self.period_ns / SECOND):
+        elif far > AHEAD and self.flights.wait(self.period_ns / SECOND):
             planned = FullState.at(planned.p, yaw=planned.yaw)  # a plan that waits stands still
         return self.reference_limits.full_state(planned, state)
 
@@ -675,6 +679,7 @@ class Pilot(Actor):
     def _evade(self, state: State, a: Vec, yaw: float, now: float) -> Command | None:
         """Fly the acceleration (3,) that the collision filter wants."""
         assert self.collision is not None  # noqa: S101 - it has spoken
+        self.gave_way = now
         other = self.collision.gives_way_to
         if other is None:
             self._say("collision", "braking: who is near is not heard")
@@ -728,7 +733,7 @@ class Pilot(Actor):
     def _departure(self) -> FullState:
         """Where a new plan begins."""
         assert self.state is not None  # noqa: S101 - callers fly, and who flies has a state
-        if self._planar:  # which finds its own way: its plan says where to, not where it is
+        if self._planar or self._aside:  # its plan says where to, not where it is
             return FullState.at(self.state.p, self.state.v, yaw=yaw_of(self.state.q))
         if self.planned is not None and self._flown is not None:
             elsewhere = self.planned.departure(self._flown.yaw, self.clock.now())

@@ -116,9 +116,8 @@ def fly_online(
             for stop in guidance.served:
                 if stop["kind"] == "delivery":
                     delivered.setdefault(stop["task"], []).append(i)
-        return Outcome(
-            config, results, aboard, delivered, clock.now(), score.min_separation, dict(score.touching), struck, []
-        )
+        touching = {pair: gap for pair, gap in score.touching.items() if pair not in struck}  # it may lie there
+        return Outcome(config, results, aboard, delivered, clock.now(), score.min_separation, touching, struck, [])
 
     outcome = run_virtual(main)
     outcome.reasons = list(faults(outcome))

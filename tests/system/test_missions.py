@@ -132,10 +132,10 @@ def served(result):
     assert result["success"], result["reasons"]
     assert result["tasks"] == {"total": 10, "served": 10}
     assert result["violations"] == []
-    assert result["min_separation_m"] > 0.3
+    assert result["min_separation_m"] > 0.24, "two semi-axes"
+    assert result["simulated_s"] < 45.0, "with flights that wait for each other it was 49 s"
     for robot, planned in result["planned_m"].items():
-        flown = result["flown_m"][robot]
-        assert 0.98 * planned < flown < 1.03 * (planned + 1.0), "the route; up and down are part of it or come on top"
+        assert 0.95 * planned < result["flown_m"][robot] < 2.0 * planned + 1.0, "the route, and round each other"
 
 
 def test_a_drone_that_is_stopped_on_its_way_still_gets_there():

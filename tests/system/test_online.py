@@ -40,12 +40,13 @@ def test_all_that_the_living_can_serve_is_served_though_two_are_killed(seed):
 
 
 def test_one_that_falls_past_another_is_told_apart_from_two_that_fly():
-    """It is killed above the other at a moment that nobody knows; what the living serve does not depend on it."""
-    outcome = fly_online(drawn(148), {7: 6.05})
+    """It is killed above one that stands at its home; what the living serve does not depend on it."""
+    over_home_1 = {"t": 3.0, "pickup": [0.0, 6.3], "delivery": [0.0, 2.5], "robots": [0]}
+    outcome = fly_online(drawn(1, drones=3, tasks=1, appear=[over_home_1]), {0: 17.8})
     assert outcome.reasons == []
     assert outcome.touching == {}
     (pair, gap), = outcome.struck.items()
-    assert (pair, 0.05 < gap < TOUCHING) == ((5, 7), True)
+    assert (pair, gap < TOUCHING) == ((0, 1), True)
 
 
 def test_drones_do_not_go_where_none_can_stand_and_fly_on():

@@ -15,6 +15,9 @@ from crazychoir.swarm.config import SwarmConfig
 
 pytestmark = pytest.mark.system
 QUICK = {"takeoff_height": 0.5, "landing_speed": 1.0}
+CLEAR = 0.24
+"""m: two semi-axes, between two at one height."""
+ABOVE = {str(i): [[9.0, 0.5 * i, 0.0, 4.0]] for i in range(4)}
 
 
 def flown(name, loss=0.0, file=None, config=None, **changes):
@@ -153,22 +156,29 @@ def test_defenders_that_stand_wrong_or_follow_late_are_no_success():
 
 def test_four_cross_a_square_in_time():
     goals = {
-        str(k): [[2.5, x, y, z], [9.5, -x, -y, z], [14.5, y, -x, z]]
-        for k, (x, y, z) in enumerate([(1, 1, 0.55), (-1, 1, 0.85), (-1, -1, 1.15), (1, -1, 1.45)])
+        str(k): [[2.5, x, y, 1.0], [9.5, -x, -y, 1.0], [14.5, y, -x, 1.0]]
+        for k, (x, y) in enumerate([(1, 1), (-1, 1), (-1, -1), (1, -1)])
     }
     _, result = flown("goto", flight=QUICK, graph="path", mission_options={"goals": goals})
     assert result["success"], result["reasons"]
     assert max(max(errors) for errors in result["goal_errors_m"].values()) < 0.02
     assert [len(errors) for errors in result["goal_errors_m"].values()] == [3] * 4
-    assert result["min_separation_m"] > 0.25
+    assert result["min_separation_m"] > CLEAR
 
 
-def test_two_exchange_their_places_head_on():
-    _, result = flown("head_on", flight=QUICK)
+@pytest.mark.parametrize("method", ["barrier", pytest.param("cells", marks=pytest.mark.slow)])
+def test_two_exchange_their_places_head_on(method):
+    _, result = flown("head_on", 0.1, flight=QUICK, collision={"method": method})
     assert result["success"], result["reasons"]
     for i, end in ((0, [1.0, -0.1]), (1, [-1.0, 0.1])):
         assert np.linalg.norm(np.subtract(result["results"][i]["way"][-1][1:3], end)) < 0.02
-    assert result["min_separation_m"] > 0.25
+    assert result["min_separation_m"] > CLEAR
+
+
+def test_two_head_on_meet_without_the_filter():
+    goals = {"0": [[2.5, -0.5, 0.1, 1], [6.5, 0.5, -0.1, 1]], "1": [[2.5, 0.5, -0.1, 1], [6.5, -0.5, 0.1, 1]]}
+    _, result = flown("head_on", flight=QUICK, collision={"method": "off"}, mission_options={"goals": goals})
+    assert result["min_separation_m"] < 0.15
 
 
 def test_targets_are_reached_one_after_the_other_by_one_command(here):
@@ -230,8 +240,8 @@ PATH = [[0, 1], [1, 2], [0, 3], [1, 4]]
             "drone 0: goal.*1.00 m more or less to go than drone 1.*infeasible at the start",
         ),
         ("goto", {"mission_options": {"goals": {"0": [[5, 0, 0, 1]]}}}, "goals of drones .0.*0 to 3"),
-        ("goto", {"mission_options": {"levels": 2.0}}, r"drone 0: goals.*\[-2.0, -2.0, 0.0\]"),
-        ("goto", {"mission_options": {"levels": "none"}}, "levels.*see agents/goto.py"),
+        ("goto", {"mission_options": {"goals": ABOVE}}, r"drone 0: goals.*\[-2.0, -2.0, 0.0\]"),
+        ("goto", {"mission_options": {"goals": "none"}}, "goals.*see agents/goto.py"),
         ("head_on", {"mission_options": {"goals": {"0": [[1, 1, 0, 1]], "1": [[9, -1, 0, 1]]}}}, "drone 0: goals.0."),
         ("targets", {"mission_options": {"targets": [[0, 0, 9]]}}, r"targets\[0\].*fence"),
         ("targets", {"mission_options": {"targets": []}}, "targets: found none"),
@@ -248,6 +258,6 @@ def test_what_cannot_be_flown_is_refused(name, changes, says):
 def test_flights_that_meet_are_named_before_the_flight():
     mission = load("goto")
     assert mission.check(mission.swarm(None), False) == []
-    notes = mission.check(mission.swarm(None).replace(mission_options={"levels": 0.0}), False)
+    notes = mission.check(mission.swarm(None).replace(collision={"method": "off"}), False)
     assert len(notes) == 1
     assert "are planned 0.00 m from each other" in notes[0]

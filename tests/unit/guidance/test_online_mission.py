@@ -1,9 +1,7 @@
 """The online mission: what it is made of, and what is refused before anybody flies."""
 
 import json
-import math
 
-import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
@@ -60,7 +58,6 @@ def appear(**changes):
     [
         ({"methd": 1}, "methd"),
         ({"method": "magic"}, "magic.*auction"),
-        ({"level_spacing": 0.5}, "levels of the drones"),
         ({"appear": [{"t": 1.0, "pickup": [0.0, -0.7], "delivery": [1.0, 1.0]}]}, "from the home of drone 0"),
         ({"cancel": [{"t": 1.0, "task": 99}]}, "99"),
         ({"appear": [{"t": 1.0, "pickup": [0.0, 1.0]}]}, "delivery"),
@@ -89,8 +86,7 @@ def appear(**changes):
         ({"until": -1.0}, r"mission_options\.until"),
         ({"until": "late"}, r"mission_options\.until"),
         ({"recover": 1}, r"mission_options\.recover: found 1; allowed: true or false"),
-        ({"level_spacing": 0.0}, r"mission_options\.level_spacing: found 0"),
-        ({"level_spacing": 0.1}, r"mission_options\.level_spacing.*nearer, drones touch"),
+        ({"clearance": 0.1}, r"mission_options\.clearance.*nearer, drones touch"),
         ({"clearance": -0.4}, r"mission_options\.clearance"),
         ({"instance": 3}, r"mission_options\.instance: found 3"),
         ({"instance": "no/such.json"}, "no/such.json"),
@@ -101,7 +97,7 @@ def test_what_cannot_be_is_refused_before_anybody_flies(options, said):
         MISSION.check(config(**options), False)
 
 
-@pytest.mark.parametrize("key", ["service_time", "until", "clearance", "level_spacing"])
+@pytest.mark.parametrize("key", ["service_time", "until", "clearance"])
 def test_no_number_is_not_a_number(key):
     with pytest.raises(ConfigError, match=f"mission_options.{key}"):
         config(**{key: float("nan")})
@@ -185,13 +181,6 @@ def test_a_run_succeeds_if_all_is_delivered_once_and_all_say_so(results, success
     assert bool(report["reasons"]) != success
     assert report["plannings"] == 1
     assert report["longest_wait_s"] == 0.5
-
-
-def test_levels_leave_room_between_drones():
-    heights = sorted(MISSION.options(config()).levels.values())
-    assert np.diff(heights).min() == pytest.approx(0.2)
-    assert heights[0] == 0.4
-    assert math.isclose(heights[-1], 2.2)
 
 
 def test_why_a_task_was_not_served_is_in_the_report():

@@ -1,4 +1,4 @@
-"""PDVRPGuidance: the states that a robot goes through, as its status tells them, and the path that it announces."""
+"""PDVRPGuidance: the states that a robot goes through, as its status tells them, and how two share a stop."""
 
 from itertools import groupby
 
@@ -11,9 +11,7 @@ from crazychoir.bus.topics import STATE, STATUS
 from crazychoir.guidance.base import Member
 from crazychoir.guidance.mission import load
 from crazychoir.guidance.pickup_delivery import PDVRPGuidance
-from crazychoir.guidance.separation import STEP
 from crazychoir.routing.instance import Instance
-from crazychoir.routing.plan import Route
 from crazychoir.runtime.clock import run_virtual
 from crazychoir.runtime.mailbox import Call
 
@@ -62,25 +60,13 @@ def states(told):
     return [state for state, _ in groupby(task.split(":")[0].split("/")[0] for _, task in told)]
 
 
-def test_a_robot_plans_agrees_waits_flies_lands_and_is_done(flown):
+def test_a_robot_plans_flies_lands_and_is_done(flown):
     *_, told, _ = flown
-    start = ["waiting for the others", "planning", "agreeing on start times"]
-    assert states(told[0]) == [*start, "flying", "landing", "done"]
-    wait = next(task for _, task in told[1] if "for its start" in task)
-    assert states(told[1]) == [*start, wait, "flying", "landing", "done"]
     for i in (0, 1):
+        assert states(told[i]) == ["waiting for the others", "planning", "flying", "landing", "done"]
         flights = list(dict.fromkeys(task for _, task in told[i] if task.startswith("flying")))
         assert flights == [f"flying: {n}/2 stops" for n in range(3)]
-        assert not [phase for phase, task in told[i] if phase == "on ground" and task.startswith("flying")]
         assert told[i][-1] == ("on ground", "done: 2 stops")
-
-
-def test_one_of_two_that_would_meet_waits_on_the_ground_for_its_start(flown):
-    *_, told, _ = flown
-    waits = {i: [(phase, task) for phase, task in told[i] if "for its start" in task] for i in (0, 1)}
-    assert not [task for _, task in waits[0] if task != "waiting 0 s for its start"]
-    assert waits[1]
-    assert {phase for phase, _ in waits[1]} == {"on ground"}
 
 
 def test_a_robot_without_stops_stays_at_home_and_succeeds(flown):
@@ -101,36 +87,6 @@ def test_what_is_served_is_the_route_and_everybody_has_the_same_plan(flown):
     assert [results[i]["cost"] for i in config.ids] == pytest.approx([4.0] * 3)
 
 
-def test_the_drones_keep_the_distance_that_their_delays_promise(flown):
-    *_, track = flown
-    n = min(len(track[0]), len(track[1]))
-    assert np.linalg.norm(track[0][:n] - track[1][:n], axis=1).min() > 0.3
-
-
-def test_the_path_that_it_announces_is_the_one_that_it_flies(flown):
-    instance, config, results, _, track = flown
-    guidance = PDVRPGuidance(instance.local(0), service_time=SERVICE)
-    guidance.member = Member(0, config, None, None, None)
-    path = guidance.timed_path(Route.from_json(results[0]["route"]))
-    above = guidance.above_home()
-    assert path[0] == pytest.approx([0.0, 0.0, 0.0])
-    assert path[-1] == pytest.approx([0.0, 0.0, 0.0])
-    assert np.linalg.norm(np.diff(path, axis=0), axis=1).max() <= 1.1 * BRISK["speed_limit"] * STEP
-    for place in ([0.5, 0.0, 0.5], [1.0, 0.0, 0.5], above):
-        assert np.linalg.norm(path - place, axis=1).min() < 1e-9
-    far = [np.linalg.norm(path - p, axis=1).min() for p in track[0]]
-    assert max(far) < 0.15
-    up, announced = (track[0][:, 2] > 0.05).sum() * 0.01, (path[:, 2] > 0.05).sum() * STEP
-    assert up == pytest.approx(announced, abs=0.5), "the time in the air, pauses included"
-
-
-def test_one_who_stays_announces_its_home_alone(flown):
-    instance, config, *_ = flown
-    guidance = PDVRPGuidance(instance.local(2))
-    guidance.member = Member(2, config, None, None, None)
-    assert guidance.timed_path(Route(2, (), 0.0)) == pytest.approx(np.array([[9.0, 9.0, 0.0]]))
-
-
 def test_a_place_of_the_plane_is_visited_at_take_off_height_one_of_space_at_its_own():
     raw = {**THREE, "home": [[*p, 0.0] for p in THREE["home"]]}
     raw |= {"pickup": [[0.5, 0.0, 0.9], [1.5, 0.0, 0.9]], "delivery": [[1.0, 0.0, 1.1], [1.0, 0.0, 1.1]]}
@@ -142,9 +98,16 @@ def test_a_place_of_the_plane_is_visited_at_take_off_height_one_of_space_at_its_
         assert guidance.place(0, "delivery") == pytest.approx([1.0, 0.0, heights[1]])
 
 
-def test_a_stop_is_served_for_its_time(flown):
-    """At each stop the drone stands for the service time."""
+def test_two_take_off_at_once_and_serve_the_same_stop_one_after_the_other(flown):
+    """At each stop a drone stands for the service time, at the last one while the other waits near it."""
     *_, track = flown
-    for place in ([0.5, 0.0, 0.5], [1.0, 0.0, 0.5]):
-        there = np.linalg.norm(track[0] - place, axis=1) < 0.05
-        assert there.sum() * 0.01 >= SERVICE
+    there = {i: np.linalg.norm(track[i] - [1.0, 0.0, 0.5], axis=1) < 0.1 for i in (0, 1)}
+    for i, x in ((0, 0.5), (1, 1.5)):
+        pickup = np.linalg.norm(track[i] - [x, 0.0, 0.5], axis=1) < 0.05
+        assert pickup.sum() * 0.01 >= SERVICE
+        assert there[i].sum() * 0.01 >= SERVICE
+    n = min(len(track[0]), len(track[1]))
+    risen = [int(np.argmax(track[i][:, 2] > 0.1)) for i in (0, 1)]
+    assert abs(risen[0] - risen[1]) < 20, "ticks of 0.01 s"
+    assert not (there[0][:n] & there[1][:n]).any()
+    assert np.linalg.norm(track[0][:n] - track[1][:n], axis=1).min() > 0.24, "two semi-axes"

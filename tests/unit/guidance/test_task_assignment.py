@@ -35,9 +35,7 @@ def test_tasks_are_those_of_the_seed_however_many_are_drawn():
     assert not MISSION.may_be_done(CONFIG.replace(mission_options={"chance": 0.0}), 0)
 
 
-def test_each_robot_has_a_height_or_all_have_one():
-    assert MISSION.heights(CONFIG) == pytest.approx({i: 0.5 + 0.15 * i for i in range(6)})
-    assert MISSION.heights(CONFIG.replace(mission_options={"level_spacing": 0.0})) == {}
+def test_the_missions_own_swarms_may_fly():
     assert MISSION.check(CONFIG, False) == []
     assert MISSION.check(MISSION.swarm(9), False) == []
 
@@ -47,7 +45,6 @@ def test_each_robot_has_a_height_or_all_have_one():
     [
         ({"mission_options": {"generation": 3}}, "generation.*generations"),
         ({"mission_options": {"chance": 1.5}}, r"chance.*0 to 1"),
-        ({"mission_options": {"level_spacing": 0.6}}, "levels of the drones"),
         ({"fence": {"min": [-2.0, -4.0, 0.0]}}, "square from -3 to 3 m"),
         ({"edges": [[0, 1], [1, 2], [2, 3], [3, 4], [4, 5], [5, 0]], "directed": True}, "undirected"),
     ],
@@ -126,14 +123,14 @@ def test_costs_that_left_with_a_lost_robot_are_not_compared():
 def test_while_the_team_plans_nothing_is_completed():
     """A task may be somebody else's by then."""
     said = []
-    guidance = TaskAssignmentGuidance(Work(lambda count: [], 1, {}))
+    guidance = TaskAssignmentGuidance(Work(lambda count: [], 1))
     pilot = SimpleNamespace(mode=Mode.HOVER, state=State.at((1.0, 1.02, 0.5)), follow=lambda reference: True)
     guidance.member = SimpleNamespace(pilot=pilot, config=CONFIG, id=0, ended="")
     book, record = TaskBook([Task(3, 0, False, (1.0, 1.0), (1.0, 1.0))]), Record(0, 1, 1, (0.0, 0.0))
     guidance.news = SimpleNamespace(
         book=book, members=CONFIG.ids, record=record, say=lambda **changes: said.append(changes)
     )
-    guidance.generation = SimpleNamespace(mine=3, number=7)
+    guidance.generation, guidance._turns = SimpleNamespace(mine=3, number=7), SimpleNamespace(to=lambda p: p)
     guidance._shares = True
     guidance._pursue()
     assert (guidance.done, said) == ([], [])

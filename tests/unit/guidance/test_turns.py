@@ -1,0 +1,95 @@
+"""Whose turn it is at a place, and where the others wait."""
+
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from crazychoir.guidance.turns import AROUND, LEAVES, NEAR, PATIENT, Turns, aside, blocked, first_at
+from crazychoir.safety.collision.traffic import BORN, COLUMNS
+from crazychoir.safety.guard import Fence
+
+P = np.array([1.0, 2.0, 0.5])
+ME = 5
+HALL = Fence.box((-3.0, -3.0, 0.0), (3.0, 3.0, 2.0))
+
+
+def pilot(others, now=10.0, at=P, gave_way=-math.inf):
+    """That of drone 5, which hears others: {id: (m from P along x, m height, s old)}; where it is, when it gave way."""
+    rows = np.zeros((len(others), COLUMNS))
+    for row, (away, z, age) in zip(rows, others.values(), strict=True):
+        row[0:3], row[BORN] = (P[0] + away, P[1], z), now - age
+    return SimpleNamespace(
+        drone=ME, clock=SimpleNamespace(now=lambda: now), limits=SimpleNamespace(ground=0.0), fence=HALL,
+        collision=SimpleNamespace(traffic=SimpleNamespace(rows=rows, ids=list(others))), gave_way=gave_way,
+        state=SimpleNamespace(p=np.array(at)), gap=lambda p: float(np.linalg.norm(np.subtract(p, at))),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("others", "first"),
+    [
+        ({}, ME),
+        ({3: (0.9 * NEAR, 0.5, 0.0), 2: (0.1, 0.9, 0.0), 7: (0.0, 0.5, 0.0)}, 2),
+        ({7: (0.0, 0.5, 0.0)}, 7),
+        ({2: (1.1 * NEAR, 0.5, 0.0)}, ME),
+        ({2: (0.1, 0.02, 0.0)}, ME),
+        ({2: (0.1, 0.5, 1.0)}, ME),
+    ],
+)
+def test_the_lowest_of_those_that_fly_near_a_place_is_first(others, first):
+    assert first_at(pilot(others), P) == first
+
+
+def test_who_gives_way_to_nobody_is_first():
+    assert first_at(SimpleNamespace(drone=ME, collision=None), P) == ME
+
+
+def test_the_others_wait_on_their_own_side_as_high_as_the_place():
+    assert aside(np.add(P, [0.0, -0.2, 0.3]), P, HALL) == pytest.approx(P - [0.0, AROUND, 0.0])
+    assert np.linalg.norm(aside(P, P, HALL) - P) == pytest.approx(AROUND)
+
+
+def test_where_the_fence_is_near_they_wait_on_another_side():
+    wall = np.array([0.0, 2.8, 0.5])
+    here = np.add(wall, [0.0, 0.1, 0.0])
+    assert aside(here, wall, HALL) == pytest.approx(np.subtract(wall, [AROUND, 0.0, 0.0]))
+    assert aside(here, wall, Fence.box((-0.1, 2.7, 0.0), (0.1, 2.9, 2.0)))[1] > 3.0, "there is none"
+
+
+def seen(turns, **changes):
+    """The same turns, a moment later."""
+    turns.pilot = pilot(**changes)
+    return turns
+
+
+SHARED, NEXT = {2: (0.1, 0.5, 0.0)}, P - [0.3, 0.0, 0.0]
+
+
+def test_who_is_hindered_for_long_leaves_its_place_to_a_lower_id_for_a_while():
+    turns = Turns(pilot(SHARED, at=NEXT))
+    at = {"others": SHARED, "at": NEXT}
+    assert turns.to(P) is P
+    assert seen(turns, now=12.0, gave_way=12.0, **at).to(P) is P, "it may get out of the way"
+    left = seen(turns, now=10.1 + PATIENT, gave_way=10.1 + PATIENT, **at).to(P)
+    assert left == pytest.approx(P - [AROUND, 0.0, 0.0])
+    later = 10.2 + PATIENT
+    assert seen(turns, now=later, **at).to(P) is left
+    assert seen(turns, now=later, others={}, at=NEXT).to(P) is P, "the other one has gone"
+    assert seen(turns, now=later + LEAVES, **at).to(P) is P, "it has had its time"
+
+
+def test_who_wants_nothing_gets_out_of_the_way_at_once_and_stays_there():
+    turns = Turns(pilot(SHARED, at=NEXT))
+    assert turns.away() is None, "it hinders nobody"
+    left = seen(turns, others=SHARED, at=NEXT, gave_way=10.0).away()
+    assert left == pytest.approx(np.add(P, [0.1 - AROUND, 0.0, 0.0]))
+    assert seen(turns, others=SHARED, at=NEXT, now=11.0).away() is left
+    assert seen(turns, others=SHARED, at=left, now=11.0, gave_way=11.0).away() is None, "it is there"
+    assert seen(turns, others={}, at=NEXT, now=20.0, gave_way=20.0).away() is None, "nobody is near"
+
+
+def test_one_is_hindered_for_half_a_second_after_it_gave_way():
+    assert blocked(pilot({}, gave_way=9.6))
+    assert not blocked(pilot({}, gave_way=9.4))
