@@ -106,7 +106,6 @@ def swarm(drones: int | None = None) -> SwarmConfig:
     ]  # fmt: skip
     fence = {"min": [-radius - 1.0, -radius - 1.0, 0.0], "max": [max(n, radius) + 1.0, radius + 1.0, 3.0]}
     raw = {"name": "crossing", "mission": "crossing", "graph": "ring", "drones": rows, "fence": fence}
-    raw["collision"] = {"method": "barrier"}
     return scatter(
         SwarmConfig.of(raw | {"network": {"loss": 0.1, "burst": 4.0}, "mission_options": {"radius": float(radius)}})
     )

@@ -260,7 +260,7 @@ class Collision(Table, frozen=True, kw_only=True):
     not heard may change its acceleration;  lag, delay: s, with which drones obey.
     """
 
-    method: Avoidance = "off"
+    method: Avoidance = "barrier"
     semi_axes: SemiAxes = (0.12, 0.12, 0.3)
     margin: Metres = 0.08
     slack: Metres = 0.02

@@ -117,7 +117,7 @@ def _filtered(
         if not age < GONE:
             other[SOON] = math.inf
             continue
-        apart = length((x[0] - other[0], x[1] - other[1], x[2] - other[2]))
+        apart = length((f[SX] * (x[0] - other[0]), f[SY] * (x[1] - other[1]), f[SZ] * (x[2] - other[2])))
         speeds = length((x[3], x[4], x[5])) + length((other[3], other[4], other[5]))
         other[SOON] = (apart - 2.0 * f[WIDTH]) / (speeds + SLOW)
         if apart > f[RANGE] + 2.0 * f[V_MAX] * age:

@@ -16,9 +16,9 @@ s, after which both could be near each other.
 """
 SLOW = 0.3
 """m/s, by which two drones may be faster at once than they are."""
-SELDOM = 4.0
+SELDOM = 2.0
 """Hz, at which a drone is heard that is far away."""
-RATES = ((0.7, 50.0), (1.5, 20.0))
+RATES = ((0.7, 50.0), (1.5, 20.0), (3.0, 4.0))
 """s, within which both could be near each other, and Hz, at which they then hear each other."""
 LOOK = 0.1
 """s, between two looks at who is near."""
@@ -35,8 +35,8 @@ class Traffic:
     def __init__(self, port: Port, ids: Iterable[int], alone: Sequence[int] = ()) -> None:
         self.port, self.clock = port, port.bus.clock
         self.ids = [j for j in ids if j != port.address]
-        self._row = {j: k for k, j in enumerate(self.ids)}
         self.rows = np.zeros((len(self.ids), COLUMNS))
+        self._parts = {j: (row, row[0:13], row[13:16]) for j, row in zip(self.ids, self.rows, strict=True)}
         self.rows[:, 9], self.rows[:, BORN], self.rows[:, SOON] = 1.0, -np.inf, np.inf
         self.rows[:, SHARE] = [1.0 if j in alone else 0.5 for j in self.ids]
         self._pace = np.zeros(len(self.ids))
@@ -47,12 +47,13 @@ class Traffic:
     def hear(self, message: tuple[int, State], age: float) -> None:
         """Keep a state of a drone, `age` s old, unless a newer one is there."""
         j, state = message
-        k = self._row.get(j)
-        if k is None:
+        found = self._parts.get(j)
+        if found is None:
             return
-        row, born = self.rows[k], self.clock.now_ns() / SECOND - age
+        row, flat, a = found
+        born = self.clock.now_ns() / SECOND - age
         if born >= row[BORN]:
-            row[0:13], row[13:16], row[BORN] = state.flat, state.a, born
+            flat[:], a[:], row[BORN] = state.flat, state.a, born
 
     def look(self, now: float) -> None:
         """Say the own state more often to who is near, now and then."""
