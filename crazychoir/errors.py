@@ -138,6 +138,9 @@ class ProcessFailed(CrazyChoirError, RuntimeError):
 class Hung(CrazyChoirError, RuntimeError):
     """Raised by the watchdog inside code that kept the event loop for too long."""
 
+    def __init__(self, text: str = "did not return, and was interrupted") -> None:
+        super().__init__(text)
+
 
 class Deadlock(CrazyChoirError, RuntimeError):
     """Virtual time: nothing is ready and no timer is set; the text names who waits for what."""

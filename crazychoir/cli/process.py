@@ -37,7 +37,8 @@ def run_agent(
         link = _link(agent, config, ids, listen, connect)
         link.open()
         agent.alarm = link.alarm
-        agent.watchdog = watchdog = Watchdog(clock, agent.stalled, soon=bool(agent.owned))
+        others_hang_too = bool(agent.owned) or len(ids) > 1
+        agent.watchdog = watchdog = Watchdog(clock, agent.stalled, soon=others_hang_too)
         watchdog.start()
         agent.services += [link, *(PublicCopies(link, i) for i in ids)]
         try:

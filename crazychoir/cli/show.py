@@ -216,8 +216,6 @@ def summary_table(run: dict[str, Any]) -> Table:
         table.add_row("recording", Text(_recording(run["recording"])))
     for i, reason in run["reasons"].items():
         table.add_row(f"drone {i}", Text(_of(i, reason), "red"))
-    if run["absent"]:
-        table.add_row("absent", f"[red]{run['absent']}[/]")
     return table
 
 

@@ -26,6 +26,7 @@ from crazychoir.swarm.config import SwarmConfig
 log = logging.getLogger(__name__)
 NO_REASONS = "its mission's report returned success = False, without reasons"
 NO_REASON = "its mission returned success = False, without a reason"
+NO_RESULT = "its process has ended without a result; the log says how"
 NOBODY_MOVED = "the law returned None in every step of every drone: all hovered, nobody moved"
 Results = dict[int, dict[str, Any]]
 
@@ -128,7 +129,7 @@ def summary(
         "messages": score.messages(),
         "rounds": max((status.round for status in score.statuses.values()), default=0),
         "digest": None,
-        "reasons": off | failed,
+        "reasons": off | failed | dict.fromkeys(absent, NO_RESULT),
         "absent": absent,
         "flown_m": {i: round(length, 4) for i, length in score.flown.items()},
         "log": list(score.log),

@@ -144,11 +144,15 @@ class Ticks:
     def __anext__(self) -> "Ticks":
         """Wait for the next tick; its value is the due time in ns."""
         self.due_ns += self.period_ns
+        self.skip()
+        return self
+
+    def skip(self) -> None:
+        """Go on to the newest tick that is due: those before it are missed."""
         behind = (self.clock.now_ns() - self.due_ns) // self.period_ns
         if behind > 0:
             self.missed += behind
             self.due_ns += behind * self.period_ns
-        return self
 
     def __await__(self) -> Generator["Ticks", None, int]:
         self._asyncio_future_blocking, self._cancelled = True, False

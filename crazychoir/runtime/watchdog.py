@@ -59,7 +59,8 @@ class Watchdog:
 
     A stall is reported when it reaches LATE, HAND_OVER and INTERRUPT, and then whenever it has doubled; short ones of
     one actor, or of no task and no guarded code, once in QUIET s, with their number.
-    soon: code under `guard` is interrupted when it has computed for HAND_OVER s: bodies elsewhere would fall.
+    soon: code under `guard` is interrupted when it has computed for HAND_OVER s: bodies elsewhere would fall, and other
+    drones of the process would not be flown.
     stalls: how many there were;  worst: s, the longest.
     """
 
@@ -85,8 +86,10 @@ class Watchdog:
         self._thread.start()
 
     def stop(self) -> None:
-        """End the thread."""
+        """End the thread, and with it what would end a process that hangs."""
         self._ending.set()
+        if self._thread.is_alive():
+            self._thread.join(1.0)
 
     def guard(self, actor: str, patient: bool = False) -> "Guard":
         """Code in `with watchdog.guard(actor):` is interrupted by `Hung` once it has kept the loop for a second.

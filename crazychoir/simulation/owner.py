@@ -67,13 +67,14 @@ class WorldOwner(Actor):
         return link
 
     async def run(self) -> None:
-        """One step a tick; late ticks of real time are made up for, up to a limit."""
-        missed = 0
-        async for due_ns in self.ticks:
-            late, missed = self.ticks.missed - missed, self.ticks.missed
+        """One step a tick; late ticks of real time are made up for, up to a limit, before anybody looks."""
+        ticks, missed = self.ticks, 0
+        async for _ in ticks:
+            ticks.skip()
+            late, missed = ticks.missed - missed, ticks.missed
             for _ in range(min(late, MOST_CATCH_UP)):
                 self._advance()
-            self.step((self.bus.clock.now_ns() - due_ns) / SECOND)
+            self.step((self.bus.clock.now_ns() - ticks.due_ns) / SECOND)
 
     def step(self, late: float = 0.0) -> None:
         """Advance, look, publish. A tick `late` s shows the world as it was when it was due: so old are its poses."""

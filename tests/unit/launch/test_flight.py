@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 from crazychoir.guidance.base import CFGuidance
 from crazychoir.guidance.drone import WAITING
-from crazychoir.launch.flight import NO_REASON, all_wait, fly_fast, starts_world, summary
+from crazychoir.launch.flight import NO_REASON, NO_RESULT, all_wait, fly_fast, starts_world, summary
 from crazychoir.swarm.config import SwarmConfig, default_swarm
 from crazychoir.types import Status
 
@@ -40,6 +40,8 @@ def test_a_drone_without_result_is_absent():
     result = result_of({0: {"success": True}, 2: {"success": True}})
     assert result["success"] is False
     assert result["absent"] == [1]
+    assert result["reasons"] == {1: NO_RESULT}
+    assert result["reasons"] == {1: NO_RESULT}
 
 
 def test_the_drones_that_were_started_here_decide():

@@ -1,6 +1,7 @@
 """The owner of a simulated world: when it looks, what it shows and how old that is, how it makes up for lost time."""
 
 import asyncio
+import time
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from crazychoir.bus.local import BODIES, Bus
 from crazychoir.bus.topics import BODY, POSE, TRUTH
 from crazychoir.mocap.simulated import SimulatedMocap
 from crazychoir.platforms import PAPER
-from crazychoir.runtime.clock import run_virtual
+from crazychoir.runtime.clock import run_virtual, run_wall
 from crazychoir.runtime.mailbox import Call
 from crazychoir.simulation.integrator import CFIntegrator
 from crazychoir.simulation.owner import MOST_CATCH_UP, WorldOwner
@@ -97,6 +98,23 @@ async def test_a_world_that_was_late_makes_up_for_it_up_to_a_limit(clock):
     owned.owner.ticks.due_ns -= 1000 * owned.owner.ticks.period_ns
     await owned.run(0.01)
     assert owned.world.tick <= 10 + 1 + MOST_CATCH_UP + 2
+
+
+def test_after_a_stall_nobody_is_shown_the_world_as_it_was_before():
+    async def main(clock):
+        owned = Owned(clock)
+        running = asyncio.create_task(owned.owner.run())
+        await clock.sleep(0.05)
+        before, steps = len(owned.poses[0]), owned.world.tick
+        time.sleep(0.15)  # noqa: ASYNC251 - that is what hangs
+        await clock.sleep(0.015)
+        running.cancel()
+        return [age for _, age in owned.poses[0][before:]], owned.world.tick - steps
+
+    ages, steps = run_wall(main)
+    assert ages
+    assert max(ages) < 0.05, "not 0.15 s: the world has made up for it"
+    assert steps >= 15
 
 
 def test_a_tick_that_comes_late_shows_the_world_as_it_was_when_it_was_due():
