@@ -99,12 +99,33 @@ class Kept(NullCache):
     def save_overload(self, sig: Any, data: Any) -> None:
         """Keep the machine code for these types."""
         self._files.save_overload(sig, data)
+        self.give_up()
+
+    def give_up(self) -> None:
+        """Let others compile it, whether we have or not."""
         if self._turn is not None:
             self._turn.end()
 
     def flush(self) -> None:
         """Forget all of it."""
         self._files.flush()
+
+
+def keep(dispatcher: Any, law: Callable[..., Any], *options: Any) -> None:
+    """Give a law its cache.
+
+    What breaks compiling off, as a signal does, ends our turn: we would wait for ourselves, and the others, too.
+    """
+    kept, compile_law = Kept(law, *options), dispatcher.compile
+
+    def compile_in_turn(types: Any) -> Any:
+        try:
+            return compile_law(types)
+        except BaseException:
+            kept.give_up()
+            raise
+
+    dispatcher._cache, dispatcher.compile = kept, compile_in_turn
 
 
 def say(text: str) -> None:

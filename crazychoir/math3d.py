@@ -12,7 +12,7 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from crazychoir.cache import Kept
+from crazychoir.cache import keep
 
 Vec = npt.NDArray[np.float64]
 Mat = npt.NDArray[np.float64]
@@ -44,7 +44,7 @@ def kernel(*arguments: Any, **options: bool) -> Callable[[Law], Law]:
         dispatcher = njit(error_model="numpy", no_cfunc_wrapper=True, **options)(law)
         if dispatcher is law:  # with NUMBA_DISABLE_JIT
             return law
-        dispatcher._cache = Kept(law, arguments, sorted(dispatcher.targetoptions.items()))
+        keep(dispatcher, law, arguments, sorted(dispatcher.targetoptions.items()))
         if arguments:
             dispatcher.compile(arguments)
             dispatcher.disable_compile()

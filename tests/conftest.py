@@ -4,6 +4,9 @@ import fcntl
 import os
 import tempfile
 from collections.abc import Callable, Generator
+from dataclasses import replace
+from functools import partial
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -13,7 +16,37 @@ from hypothesis import settings
 settings.register_profile("repeatable", derandomize=True, deadline=None)
 settings.load_profile("repeatable")
 REPOSITORY = Path(__file__).resolve().parents[1]
+LAW = "\n@kernel("
 REFERENCE_DATA = REPOSITORY.parent / "shared" / "data"
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_sessionstart(session: pytest.Session) -> None:
+    """On a fresh machine the workers of pytest-xdist compile all laws, one from each end of the list, before any test.
+
+    Otherwise each would wait for the law that the other one compiles, and then for the next one; and what a test
+    compiles would count for its timeout.
+    """
+    worker = os.environ.get("PYTEST_XDIST_WORKER", "")
+    if not worker:
+        return
+    laws = [compile_routing, *(partial(import_module, name) for name in modules_with_laws())]
+    for compile_law in reversed(laws) if int(worker.removeprefix("gw")) % 2 else laws:
+        compile_law()
+
+
+def modules_with_laws() -> list[str]:
+    files = sorted((REPOSITORY / "crazychoir").rglob("*.py"))
+    return [".".join(file.relative_to(REPOSITORY).with_suffix("").parts) for file in files if LAW in file.read_text()]
+
+
+def compile_routing() -> None:
+    """The search compiles its laws when they are called, for one trip and for several: nearly half of all compiling."""
+    from crazychoir.routing.generate import random_instance
+    from crazychoir.routing.solve import warm
+
+    for trips in (1, 2):
+        warm(replace(random_instance(2, 3, seed=0), recharge=trips))
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:

@@ -42,14 +42,6 @@ def test_four_with_motors_form_up_in_time(case):
     assert 0.5 < settled <= case.limit
 
 
-@pytest.mark.timeout(180)
-def test_thirty_with_motors_form_up_in_time_by_the_normalised_law():
-    case = next(c for c in CASES if (c.drones, c.law, c.network) == (30, "normalised", "perfect"))
-    [settled] = times(case, range(1, 2))
-    assert settled is not None
-    assert settled <= case.limit
-
-
 @pytest.mark.slow
 @pytest.mark.timeout(7200)
 @pytest.mark.parametrize("case", CASES, ids=str)

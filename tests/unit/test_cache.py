@@ -1,5 +1,6 @@
 import dis
 import os
+import runpy
 import subprocess
 import sys
 import types
@@ -59,6 +60,23 @@ def test_of_processes_that_start_together_one_compiles(folder):
     assert [result for result, *_ in answers] == [7.0] * 3
     assert sum(missed for _, missed, _ in answers) == 2, "law and piece, once each"
     assert not list(folder.rglob("*.turn"))
+
+
+def test_a_turn_ends_when_compiling_is_broken_off(folder, monkeypatch):
+    """After a test's timeout it held the turn for ever: the others waited for it, and its process for itself."""
+    law, turns = runpy.run_path(folder / "pieces.py")["scaled"], []
+
+    def alarm(*_types):
+        turns.extend(folder.rglob("*.turn"))
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(law._compiler, "compile", alarm)
+        with pytest.raises(KeyboardInterrupt):
+            law(2.0)
+    assert len(turns) == 1
+    assert not turns[0].exists()
+    assert law(2.0) == 6.0
 
 
 def test_who_waits_is_told_that_it_compiles_once_though_standard_error_is_no_terminal(folder):
