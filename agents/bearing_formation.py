@@ -34,8 +34,8 @@ Results = dict[int, dict[str, Any]]
 REST = 4.0
 """s of hovering before the paper's law, whose slow modes turn mm/s2 that the trim is off into centimetres."""
 BRISK: dict[str, Any] = {"brake": 2.0, "stiff": 5.0}
-"""[collision] of drones that accelerate with 4 m/s2: with its defaults drones that pass each other wait for so long that
-they push a formation off, whose weak modes turn 1 m/s2 of evading into metres."""
+"""[collision] of drones that accelerate with 4 m/s2: with its defaults drones that pass each other wait for so long
+that they push a formation off, whose weak modes turn 1 m/s2 of evading into metres."""
 TOLERANCE = 0.01
 """m from its place at the end of the law: a drone that is farther away has not formed up."""
 

@@ -172,7 +172,7 @@ def test_hold_freezes_and_go_frees():
         assert await operator.order("hold", 0) == (REFUSED, "it is landing")
 
     results = play(There, scene)
-    assert results[0] == {"success": False, "reason": "landed on command"}
+    assert (results[0]["success"], results[0]["reason"]) == (False, "landed on command")
     assert results[1] == {"success": True, "there": True}
 
 

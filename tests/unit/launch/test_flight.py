@@ -102,7 +102,7 @@ def test_drones_that_swap_places_have_failed_though_nothing_in_their_missions_sa
             await self.land()
 
     mission = SimpleNamespace(guidance=lambda i, config: Swaps())
-    result = fly_fast(default_swarm(2).replace(mission="swap"), mission)
+    result = fly_fast(default_swarm(2).replace(mission="swap", collision={"method": "off"}), mission)
     assert result["success"] is False
     assert result["min_separation_m"] < 0.05
     assert list(result["reasons"]) == [0, 1]
