@@ -171,7 +171,7 @@ class Pilot(Actor):
         self.drone = port.address
         self.mode: Mode = GROUND
         self.state: State | None = None
-        self.note = ""
+        self.note = self._evades = ""  # the latter: what the collision filter has said last
         self.brought_down = ""
         """Why the safety table has first ended a flight by landing it; empty if it never did."""
         self.held = False
@@ -648,6 +648,8 @@ class Pilot(Actor):
     def _planned_flight(self, planned: PlannedFlights, state: State, wanted: FullState, now: float) -> FullState:
         """The plan's reference, as far as the others have agreed to it."""
         flights = self.flights
+        if self._obeyed is Action.LAND and not planned.hears(state, now):
+            return planned.lands(wanted, now)
         plan = flights.plan
         whole = flights.remaining(now) if isinstance(plan, PointToPoint) else 0.0
         flown = self._agreed(state, wanted, lambda later: flights.sample(now + later) or wanted, whole, now)
@@ -672,24 +674,34 @@ class Pilot(Actor):
         if collision is None:
             return None
         collision.traffic.look(now)
+        gains = self.reference_limits.gains
         if isinstance(reference, FullState):
-            return collision.full_state(state, reference.flat, self.reference_limits.gains, now)
-        return collision.acceleration(state, reference.a, self.reference_limits.gains, now)
+            safe = collision.full_state(state, reference.flat, gains, now, lands=self.mode is LAND)
+        else:
+            safe = collision.acceleration(state, reference.a, gains, now)
+        if safe is None and self.note == self._evades:
+            self.note = ""
+        return safe
 
     def _evade(self, state: State, a: Vec, yaw: float, now: float) -> Command | None:
         """Fly the acceleration (3,) that the collision filter wants."""
         assert self.collision is not None  # noqa: S101 - it has spoken
         self.gave_way = now
-        other = self.collision.gives_way_to
-        if other is None:
-            self._say("collision", "braking: who is near is not heard")
-        elif not self.kept_clear:
-            self.note = f"keeps clear of drone {other}"
-            log.info("drone %d: %s", self.drone, self.note)
+        if self._obeyed is NOMINAL:  # else the safety table has said why
+            self._say_evades(self.collision.gives_way_to)
         self.kept_clear += 1
         self.controls.trim.frozen = True
         self._flown = FullState(np.array([*state.flat[0:6], *a, 0.0, 0.0, 0.0, yaw, 0.0]))
         return self._commanded(self.controls.tracker, state, self._flown, now)
+
+    def _say_evades(self, other: int | None) -> None:
+        if other is None:
+            self._say("collision", "braking: who is near is not heard")
+        else:
+            self.note = f"keeps clear of drone {other}"
+            if not self.kept_clear:
+                log.info("drone %d: %s", self.drone, self.note)
+        self._evades = self.note
 
     def _commanded(
         self, controller: CrazyflieController, state: State, reference: Reference | None, now: float

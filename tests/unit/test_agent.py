@@ -354,6 +354,26 @@ def test_a_drone_that_was_landed_for_lack_of_poses_is_no_success_though_its_miss
     assert results[0]["reason"] == "drone 0: pose 0.52 s old, limit 0.50 s: landing"
 
 
+@pytest.mark.parametrize("method", ["off", "barrier", "cells"])
+def test_drones_that_nobody_sees_land_whatever_keeps_them_clear_of_each_other(method):
+    """Their places are old news to each other, too: that may not keep them in the air until their motors are cut."""
+
+    async def main(clock):
+        config = default_swarm(2).replace(flight=BRISK, collision={"method": method})
+        agent = Agent(clock, config, mission_of(stays), config.ids)
+        running = asyncio.create_task(agent.run())
+        await clock.sleep(4.0)
+        blind(4.0, 60.0)[1](agent)
+        await clock.sleep(1.6)
+        states, notes = agent.owners[0].world.states, [drone.pilot.note for drone in agent.drones.values()]
+        running.cancel()
+        return states[:, 2].tolist(), notes
+
+    heights, notes = run_virtual(main)
+    assert max(heights) < 0.15, "of 0.3 m"
+    assert all(re.fullmatch(r"pose 1\.\d+ s old, limit 0.50 s: landing", note) for note in notes), notes
+
+
 def test_a_drone_that_crashed_is_no_success():
     """A gust throws it to the floor, whence it rises again."""
 

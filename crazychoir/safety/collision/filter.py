@@ -37,7 +37,8 @@ CLEAR, ACTS, BRAKES = 0, 1, 2
 """What the filter does: nothing; it bends what is wanted; it brakes, for want of a usable state."""
 
 # Figures of the kernel.
-LAG, DELAY, SX, SY, SZ, WIDTH, BRAKE, GAMMA, A_XY, A_Z, TURN, RANGE, UNSURE, GROUND, V_MAX, CELLS, STIFF = range(17)
+LAG, DELAY, SX, SY, SZ, WIDTH, BRAKE, GAMMA, A_XY = range(9)
+A_Z, TURN, RANGE, UNSURE, GROUND, V_MAX, CELLS, STIFF, WAITS = range(9, 18)
 
 
 @kernel()
@@ -134,7 +135,7 @@ def _filtered(
         r, w = scaled(p, q, scale), scaled(v, w, scale)
         d = max(length(r), 1e-3)
         if age > USABLE and not stands:
-            blind = blind or d < width + f[V_MAX] * (age - USABLE) + NEAR
+            blind = blind or (f[WAITS] > 0.0 and d < width + f[V_MAX] * (age - USABLE) + NEAR)
             continue
         n = (r[0] / d, r[1] / d, r[2] / d)
         side = (scale[0] * n[0], scale[1] * n[1], scale[2] * n[2])
@@ -180,7 +181,7 @@ class CollisionFilter:
     the side where somebody is in the way. Places and velocities are those of `late`, so that the lag of the drones
     counts. What cannot be had all is relaxed by least violation, the nearest drone last; the floor never. Drones that
     stand on the floor are balls of BODY m; who is low himself does not see them. If one that may be near has not been
-    heard for USABLE s, it brakes.
+    heard for USABLE s, it brakes, unless it lands.
     settings: [collision];  fence: from the floor upwards;  a_max: m/s2, with which it brakes;  v_max: m/s, at which
     others fly at most;  ground: m.
     acted, braked, relaxed: ticks in which it did so.
@@ -194,20 +195,21 @@ class CollisionFilter:
         self._figures = np.array([
             settings.lag, settings.delay, 1.0, sx / sy, sx / sz, 2.0 * sx + settings.margin, settings.brake,
             settings.gamma, 1.5 * a_max, a_max, settings.turn, settings.range, settings.unsure, ground, v_max,
-            float(settings.method == "cells"), settings.stiff,
+            float(settings.method == "cells"), settings.stiff, 1.0,
         ])  # fmt: skip
         self._box = np.array([*fence.low, *fence.high]) + np.repeat([1.0, -1.0], 3) * settings.margin
         self._planes, self._near, self._out = np.zeros((6 + MOST + 6, 4)), np.zeros((MOST, 2)), np.zeros(5)
         self._accelerates = np.zeros(14)
         self.acted = self.braked = self.relaxed = 0
 
-    def full_state(self, state: State, reference: Vec, gains: Vec, now: float) -> Vec | None:
+    def full_state(self, state: State, reference: Vec, gains: Vec, now: float, lands: bool = False) -> Vec | None:
         """The acceleration (3,) for who flies the reference (14,) by these gains; None: as he would."""
+        self._figures[WAITS] = 0.0 if lands else 1.0
         return self._run(state, reference, gains, 1.0, now)
 
     def acceleration(self, state: State, a: Vec, gains: Vec, now: float) -> Vec | None:
         """The same for who flies an acceleration (3,)."""
-        self._accelerates[6:9] = a
+        self._accelerates[6:9], self._figures[WAITS] = a, 1.0
         return self._run(state, self._accelerates, gains, 0.0, now)
 
     def _run(self, state: State, reference: Vec, gains: Vec, follow: float, now: float) -> Vec | None:

@@ -102,6 +102,20 @@ class PlannedFlights:
         self._kept = math.dist(flown[0:3], wanted.p) < ON
         return wanted if self._kept else _reference(flown, wanted.yaw)
 
+    def hears(self, state: State, now: float) -> bool:
+        """Whether it sees itself, and hears all that fly: else it cannot agree with them."""
+        return state.age <= USABLE and self.agreement.ready(now)
+
+    def lands(self, wanted: FullState, now: float) -> FullState:
+        """What is wanted, whoever is in the way: for a drone that must come down, and cannot agree."""
+        if now >= self._next:
+            self.agreement.begin(braking(wanted.flat[0:12], self.a_max), now)
+            self._next = now + PERIOD
+        self._look(now)
+        self.agreement.tell(now)
+        self._flew, self._kept = now, True
+        return wanted
+
     def departure(self, yaw: float, now: float) -> FullState | None:
         """Where it is to be now, if it is not where it is wanted."""
         if self._kept or now - self._flew > AWAY:

@@ -94,6 +94,16 @@ def test_without_a_usable_state_of_who_may_be_near_it_brakes_and_later_forgets_i
     assert sky.wants(me, (1.0, 0.0, 1.0), now=3.5) is None, "its motors are off"
 
 
+@pytest.mark.parametrize("method", METHODS)
+def test_who_lands_does_not_brake_for_who_is_not_heard(method):
+    sky, me = Sky(method), State.at((0.0, 0.0, 1.0), (0.0, 0.0, -0.3))
+    sky.hears(1, (0.7, 0.0, 1.0))
+    down = FullState.at((0.0, 0.0, 0.99), (0.0, 0.0, -0.3)).flat
+    assert sky.filter.full_state(me, down, GAINS, 0.8)[2] > 0.5, "it brakes"
+    assert sky.filter.full_state(me, down, GAINS, 0.8, lands=True) is None
+    assert sky.filter.full_state(me, down, GAINS, 0.8) is not None, "the next one does not land"
+
+
 def test_an_old_state_keeps_it_farther_away():
     sky, me = Sky(), State.at((0.0, 0.0, 1.0), (0.3, 0.0, 0.0))
     sky.hears(1, (0.8, 0.0, 1.0))

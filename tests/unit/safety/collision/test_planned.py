@@ -13,7 +13,7 @@ from crazychoir.bus.topics import PLAN, STATE
 from crazychoir.runtime.clock import SECOND
 from crazychoir.safety.collision.agreement import NO_WAY
 from crazychoir.safety.collision.filter import GONE
-from crazychoir.safety.collision.planned import ASKING, PlannedFlights
+from crazychoir.safety.collision.planned import ASKING, PERIOD, PlannedFlights
 from crazychoir.safety.collision.traffic import Traffic
 from crazychoir.safety.collision.ways import end, flight, hold, moving, seconds
 from crazychoir.safety.guard import Fence
@@ -191,6 +191,24 @@ async def test_it_brakes_before_a_stranger_who_comes_in_its_way(clock):
         await fly(clock, drones, TICK)
     assert sum(drones[0].filter.kinds.values()) > 1
     assert min(np.linalg.norm((np.array(drones[0].track) - drones[1].track)[190:], axis=1)) > 0.3
+
+
+@virtual
+async def test_who_must_come_down_waits_for_nobody_who_is_not_heard(clock):
+    _, drones = crowd(clock, (A,), (A + np.array([0.8, 0.0, 0.0]),))
+    await fly(clock, drones, 0.5)
+    lands, now = drones[0], clock.now()
+    lands.goal = A - [0.0, 0.0, 0.5]
+    assert lands.filter.hears(State.at(A), now)
+    assert not lands.filter.hears(State(State.at(A).flat, 1.0), now), "who is not seen does not know where it is"
+    await fly(clock, drones[:1], 1.5)
+    now = clock.now()
+    assert not lands.filter.hears(State.at(A), now)
+    assert lands.filter.delayed
+    assert lands.filter.lands(lands.wanted(), now).p.tolist() == lands.goal.tolist()
+    assert not lands.filter.delayed
+    lands.filter.lands(lands.wanted(), now + PERIOD)
+    assert math.dist(end(lands.filter.agreement.way), lands.goal) < 0.01, "that is what the others hear"
 
 
 @virtual
