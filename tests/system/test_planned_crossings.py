@@ -122,12 +122,7 @@ def kept_clear(flights):
 
 
 @pytest.mark.slow
-def test_six_that_fly_go_to_across_a_circle_keep_clear_of_each_other():
-    kept_clear(crossing(Crosses, "antipodal", 0))
-
-
-@pytest.mark.slow
-def test_without_that_they_meet():
+def test_without_cells_they_meet():
     assert nearest(crossing(Crosses, "antipodal", 0, method="off")) < CLEAR
 
 
