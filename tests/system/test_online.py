@@ -31,9 +31,8 @@ def whole(seed, kills=2, loss=0.2, **options):
     return fly_online(config, killed_at(config, kills))
 
 
-@pytest.mark.parametrize("seed", [1000, pytest.param(1001, marks=pytest.mark.slow)])
-def test_all_that_the_living_can_serve_is_served_though_two_are_killed(seed):
-    outcome = whole(seed)
+def test_all_that_the_living_can_serve_is_served_though_two_are_killed():
+    outcome = whole(1000)
     assert outcome.reasons == []
     assert len(outcome.fates) == 20
     assert max(result.get("longest_wait_s", 0.0) for result in outcome.results.values()) < 2.0
@@ -101,8 +100,8 @@ MOMENTS = [0.0, 0.9, *(pytest.param(s, marks=pytest.mark.slow) for s in (0.1, 0.
 
 
 def killed_at_stop(kind, after, **options):
-    """Five drones, four tasks; the first that announces a stop of this kind is killed so many s later."""
-    config = drawn(3, 0.2, drones=5, tasks=4, later=0, **options)
+    """Four drones, four tasks; the first that announces a stop of this kind is killed so many s later."""
+    config = drawn(3, 0.2, drones=4, tasks=4, later=0, **options)
     victims = []
 
     def prepare(agent):
@@ -231,7 +230,7 @@ def test_others_take_over_from_a_drone_that_is_held_on_its_way():
 
 
 def test_a_drone_that_is_landed_by_its_operator_leaves_its_tasks_to_the_others():
-    config, landed = drawn(7, 0.2, drones=5, tasks=6, later=0, recover=True), []
+    config, landed = drawn(7, 0.2, drones=4, tasks=5, later=0, recover=True), []
 
     def prepare(agent):
         def land():
@@ -256,7 +255,7 @@ BROKEN = [("commitments", "next"), ("news", "letter"), ("", "_seconds")]
 @pytest.mark.parametrize(("part", "name"), BROKEN)
 def test_a_mission_that_raises_alone_leaves_its_tasks_to_the_others(part, name):
     """Others came for its goods while it was above them; and of one that could not say it nobody heard, for ever."""
-    config, failed = drawn(7, 0.2, drones=5, tasks=6, later=0, recover=True), []
+    config, failed = drawn(7, 0.2, drones=4, tasks=5, later=0, recover=True), []
 
     def prepare(agent):
         def fail():
@@ -286,7 +285,7 @@ def test_a_mission_that_raises_alone_leaves_its_tasks_to_the_others(part, name):
     [(0, True), (3, False), *(pytest.param(*both, marks=pytest.mark.slow) for both in ((0, False), (3, True)))],
 )
 def test_a_drone_that_is_cut_off_and_comes_back_serves_nothing_that_others_serve(who, recover):
-    config = drawn(8, 0.2, drones=5, tasks=8, later=0, recover=recover, until=40.0)
+    config = drawn(8, 0.2, drones=4, tasks=6, later=0, recover=recover, until=40.0)
     config = config.replace(network={"loss": 0.2, "partitions": [{"at": 6.0, "until": 18.0, "groups": [[who]]}]})
     outcome = fly_online(config, {})
     others = [i for i in config.ids if i != who]
