@@ -20,7 +20,7 @@ from crazychoir.swarm.config import SwarmConfig
 TICK = 0.01
 
 
-@dataclass
+@dataclass(repr=False)  # asyncio asks for that of a task's result, twice: seconds, for so many arrays
 class Flight:
     """What one drone did, tick by tick.
 
