@@ -631,9 +631,9 @@ class Pilot(Actor):
         return self._commanded(chosen.tracker, state, self._flown, now)
 
     def _pulled_back(self, state: State, planned: FullState, now: float) -> FullState:
-        """The reference for a drone that was pushed off its plan, no harder than the limits allow; the plan waits.
+        """The reference for a drone that was pushed off its plan, no harder than the limits allow.
 
-        One that lands does so where it is.
+        Far off it goes on from where it is, or its plan waits, if that is a way. One that lands does so where it is.
         """
         far = math.dist(planned.p.tolist(), state.p.tolist())
         self._aside = far > BACK
@@ -641,9 +641,19 @@ class Pilot(Actor):
             self.flights.clear()
             self._descend()
             planned = self.flights.sample(now) or planned
+        elif far > AHEAD and self._resume(state, now):
+            planned = self.flights.sample(now) or planned
         elif far > AHEAD and self.flights.wait(self.period_ns / SECOND):
             planned = FullState.at(planned.p, yaw=planned.yaw)  # a plan that waits stands still
         return self.reference_limits.full_state(planned, state)
+
+    def _resume(self, state: State, now: float) -> bool:
+        """Go on from where it is, if it flies to a place and its plan has waited in vain."""
+        flights = self.flights
+        same, goes_on = flights.plan is self._goto_plan, flights.resume(FullState.at(state.p, yaw=yaw_of(state.q)), now)
+        if same:
+            self._goto_plan = flights.plan
+        return goes_on
 
     def _planned_flight(self, planned: PlannedFlights, state: State, wanted: FullState, now: float) -> FullState:
         """The plan's reference, as far as the others have agreed to it."""
