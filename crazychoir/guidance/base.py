@@ -261,7 +261,7 @@ class CFGuidance:
                 await self._while(SETTLE, Mode.TAKEOFF, Mode.FOLLOW)
             if pilot.gap(p) < (CLOSE if hindered else ARRIVED):
                 return
-            attempts += seconds > 0.0 and pilot.gave_way < began
+            attempts += seconds > 0.0 and pilot.clearance.gave_way < began
             if hindered > 2 and first_at(pilot, np.asarray(p)) < self.id:
                 await self._wait_aside(np.asarray(p))
         place = np.round(np.asarray(p), 2).tolist()

@@ -192,8 +192,8 @@ class GuidanceActor(Actor):
     def _judged(self, result: Result) -> Result:
         """The result, now that the drone is down: a success only if nobody had to bring it down, and it is whole."""
         pilot, harm = self.drone.pilot, self.drone.harm()
-        if pilot.kept_clear:
-            result = {**result, "kept_clear_s": round(pilot.kept_clear * pilot.period_ns / SECOND, 2)}
+        if pilot.clearance.ticks:
+            result = {**result, "kept_clear_s": round(pilot.clearance.ticks * pilot.period_ns / SECOND, 2)}
         cut = pilot.note if pilot.mode is Mode.CUT else ""
         brought_down = self._aborted or cut or pilot.guard.latched or pilot.brought_down
         if result.get("success"):

@@ -22,7 +22,7 @@ SIDES = (0.0, 0.5 * math.pi, -0.5 * math.pi, math.pi)
 
 def blocked(pilot: Pilot) -> bool:
     """Whether others are in its way, or it is in theirs."""
-    return pilot.clock.now() < pilot.gave_way + BLOCKED
+    return pilot.clock.now() < pilot.clearance.gave_way + BLOCKED
 
 
 def first_at(pilot: Pilot, p: Vec) -> int:
@@ -40,9 +40,10 @@ def aside(at: Vec, p: Vec, fence: Fence) -> Vec:
 
 def _flying_near(pilot: Pilot, p: Vec, far: float) -> dict[int, Vec]:
     """Where those are that fly less than `far` m from p (3,), in the plane, as far as this drone hears."""
-    if pilot.collision is None:
+    collision = pilot.clearance.filter
+    if collision is None:
         return {}
-    traffic, now = pilot.collision.traffic, pilot.clock.now()
+    traffic, now = collision.traffic, pilot.clock.now()
     rows, floor = traffic.rows, pilot.limits.ground + STANDING
     near = np.hypot(rows[:, 0] - p[0], rows[:, 1] - p[1]) < far
     fly = near & (rows[:, 2] > floor) & (now - rows[:, BORN] < USABLE)

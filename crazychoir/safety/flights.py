@@ -13,8 +13,8 @@ from crazychoir.types import FullState, State
 
 DETOUR, PARKING = 2.0, 4.0
 """A robot that finds its own way to a pose is given so many times what a straight one takes, and s to come to rest."""
-LONGEST_WAIT = 60.0
-"""s that a plan waits for a drone that others keep off it."""
+LONGEST_WAIT, IN_VAIN = 60.0, 1.5
+"""s that a plan waits for a drone that others keep off it, and before it begins anew."""
 
 
 def braking(limits: Flight, platform: Platform, share: float) -> float:
@@ -35,6 +35,7 @@ class Flights:
         self.start = 0.0
         self.waited = 0.0
         """s that this plan has waited for its drone."""
+        self._resumed = 0.0  # s that it had waited when it was begun anew the last time
 
     def clear(self) -> None:
         """Nothing is planned."""
@@ -103,7 +104,18 @@ class Flights:
         self.waited += seconds
         return True
 
+    def resume(self, start: FullState, now: float) -> bool:
+        """Go on to the place where a flight to one leads, in the time that is left if the limits allow it, from a start
+        off its way; the time that this costs counts as waiting. False as in `wait`, and for other plans.
+        """
+        plan, left, waited = self.plan, self.remaining(now), self.waited
+        if not isinstance(plan, PointToPoint) or waited >= LONGEST_WAIT or waited - self._resumed < IN_VAIN:
+            return False
+        yaw = plan.sample(plan.duration).yaw
+        self.waited = self._resumed = waited + self.go_to(start, plan.goal, yaw, left, now) - left
+        return True
+
     def fly(self, plan: Trajectory, now: float) -> float:
         """Begin this one; returns the time it takes."""
-        self.plan, self.start, self.waited = plan, now, 0.0
+        self.plan, self.start, self.waited, self._resumed = plan, now, 0.0, 0.0
         return plan.duration

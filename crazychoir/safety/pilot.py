@@ -25,13 +25,13 @@ from crazychoir.filters.state_filter import StateFilter
 from crazychoir.filters.velocity import VelocityFilter
 from crazychoir.math3d import yaw_of
 from crazychoir.planning.landing import Landing
-from crazychoir.planning.point_to_point import PointToPoint
 from crazychoir.planning.trajectory import Trajectory
 from crazychoir.runtime.actor import Actor, Restart
 from crazychoir.runtime.clock import SECOND
 from crazychoir.runtime.mailbox import Call
+from crazychoir.safety.clearance import Clearance
 from crazychoir.safety.collision.filter import CollisionFilter
-from crazychoir.safety.collision.planned import Future, PlannedFlights
+from crazychoir.safety.collision.planned import PlannedFlights
 from crazychoir.safety.flights import Flights, braking
 from crazychoir.safety.guard import BELOW_GROUND, EDGE, Action, Fence, Guard, Throttle, Verdict
 from crazychoir.safety.homecoming import Homecoming
@@ -78,9 +78,6 @@ GIVE_UP_HOVER = 2.0
 GIVE_UP_TICKS = 0.5
 """s of failed ticks, within 10 s, after which the pilot is given up: as long as it flies on without a pose."""
 
-BACK, BEHIND, AHEAD = 0.05, 0.15, 0.5
-"""m from its plan: one that was pushed aside is back; one that lands does so where it is; the plan waits for it: so far
-ahead it is beyond who stands in the way."""
 LIFTED = 0.03
 """m above where it stood at which a drone flies: below, its controllers learn nothing from an error of the height."""
 SEEN = 0.1
@@ -154,8 +151,6 @@ class Pilot(Actor):
         chosen: Controls | None = None, state_filter: StateFilter | None = None, body: int | None = None,
         collision: CollisionFilter | PlannedFlights | None = None, limit_area: Fence | None = None,
     ) -> None:  # fmt: skip
-        self.collision = collision if isinstance(collision, CollisionFilter) else None
-        self.planned = collision if isinstance(collision, PlannedFlights) else None
         self.port, self.link, self.limits = port, link, limits
         self.controls = controls() if chosen is None else chosen
         self.parameters = Parameters(self.controls)
@@ -165,6 +160,7 @@ class Pilot(Actor):
         ground = max(fence.low[2], limits.ground)
         self.fence = fence.with_floor(ground if self._takes_off else ground - BELOW_GROUND)
         self.flights = Flights(limits, self.fence, a_max)
+        self.clearance = Clearance(collision, self.flights, 1.0 / rate)
         self.guard = Guard(self.fence, a_max=a_max, ground=limits.ground, limit=limit_area)
         self.reference_limits = ReferenceLimits(limits, self.controls.gains)
         self.clock, self._stages = port.bus.clock, port.bus.stages
@@ -192,16 +188,11 @@ class Pilot(Actor):
         self._goto_plan: Trajectory | None = None
         self._a = STILL  # m/s2, what the last command asks of the drone
         self._flown: FullState | None = None  # in the last tick, if it was a FullState
-        self.gave_way = -math.inf
-        """s, when it last gave way to another drone."""
         self._lift_off = 0.0  # m, the height above which a drone that takes off flies
         self._obeyed = Action.NOMINAL  # the last verdict
         self._ticked_ns = 0
         self._cut_for = ""
         self._said = Throttle()
-        self.kept_clear = 0
-        """Ticks in which the collision filter has flown it."""
-        self._aside = False  # it was pushed off its plan, and is not back
         self._braked = 0  # how often, in this flight
         self._takes_over = False
         self._idle, self._level = self.controls.sender.idle, self.controls.sender.steady(platform.weight)
@@ -590,8 +581,9 @@ class Pilot(Actor):
         low = seen and state.flat[2] < self.limits.ground + ON_THE_FLOOR
         landing = isinstance(self.flights.plan, Landing)
         late = TOUCHDOWN_LATE if seen else TOUCHDOWN_UNSEEN
-        over = landing and self.flights.done(now, late) and now > self.gave_way + late
-        over = over and not (self.planned is not None and self.planned.delayed)  # it waits until it may go down
+        over = landing and self.flights.done(now, late) and now > self.clearance.gave_way + late
+        planned = self.clearance.planned
+        over = over and not (planned is not None and planned.delayed)  # it waits until it may go down
         return bool(low or (over and np.linalg.norm(state.v) < AT_REST))
 
     def _follow(self, state: State, now: float) -> Command | None:
@@ -607,7 +599,8 @@ class Pilot(Actor):
                 reference = FullState.at(state.p, reference.v, yaw=reference.yaw)
             if isinstance(reference, FullState):
                 wanted, flights.plan = self.reference_limits.full_state(reference, state), None
-                self._flown = self._agreed(state, wanted, partial(ahead, reference), 0.0, now)
+                self._flown = self.clearance.agreed(state, wanted, partial(ahead, reference), 0.0, now)
+                self._say_delayed()
                 if (safe := self._kept_clear(state, self._flown, now)) is not None:
                     return self._evade(state, safe, self._flown.yaw, now)
                 chosen.trim.frozen = self._flown is not reference or state.age > SEEN
@@ -616,80 +609,58 @@ class Pilot(Actor):
             self._brake()
         planned = flights.sample(now)
         assert planned is not None  # noqa: S101 - there is a plan
-        if self.planned is not None:
-            flown = self._planned_flight(self.planned, state, planned, now)
-        else:
-            flown = self._pulled_back(state, planned, now) if self._aside else planned
-        self._flown = flown
+        self._flown = flown = self._flown_of(state, planned, now)
         if self.mode in (TAKEOFF, FOLLOW) and self._reference is None and flights.done(now):
             self._change(Event.ARRIVED)
         if (safe := self._kept_clear(state, flown, now)) is not None:
-            self._aside = True
+            self.clearance.aside = True
             return self._evade(state, safe, flown.yaw, now)
         low = self.mode is TAKEOFF and state.flat[2] < self._lift_off
         chosen.trim.frozen = low or state.age > SEEN or flown is not planned
         return self._commanded(chosen.tracker, state, self._flown, now)
 
-    def _pulled_back(self, state: State, planned: FullState, now: float) -> FullState:
-        """The reference for a drone that was pushed off its plan, no harder than the limits allow; the plan waits.
-
-        One that lands does so where it is.
-        """
-        far = math.dist(planned.p.tolist(), state.p.tolist())
-        self._aside = far > BACK
-        if far > BEHIND and self.mode is LAND:
-            self.flights.clear()
-            self._descend()
-            planned = self.flights.sample(now) or planned
-        elif far > AHEAD and self.flights.wait(self.period_ns / SECOND):
-            planned = FullState.at(planned.p, yaw=planned.yaw)  # a plan that waits stands still
+    def _flown_of(self, state: State, planned: FullState, now: float) -> FullState:
+        """What of its plan it flies, among others; one that was pushed aside comes back as the limits allow."""
+        clearance = self.clearance
+        if clearance.planned is not None:
+            flown = clearance.planned_flight(clearance.planned, state, planned, now, self._obeyed is Action.LAND)
+            self._say_delayed()
+            return flown
+        if not clearance.aside:
+            return planned
+        if clearance.astray(state, planned):
+            planned = self._come_back(state, planned, now)
         return self.reference_limits.full_state(planned, state)
 
-    def _planned_flight(self, planned: PlannedFlights, state: State, wanted: FullState, now: float) -> FullState:
-        """The plan's reference, as far as the others have agreed to it."""
+    def _come_back(self, state: State, planned: FullState, now: float) -> FullState:
+        """The reference for one that was pushed far off its plan; one that lands does so where it is."""
         flights = self.flights
-        if self._obeyed is Action.LAND and not planned.hears(state, now):
-            return planned.lands(wanted, now)
-        plan = flights.plan
-        whole = flights.remaining(now) if isinstance(plan, PointToPoint) else 0.0
-        flown = self._agreed(state, wanted, lambda later: flights.sample(now + later) or wanted, whole, now)
-        if planned.delayed:
-            arrives = isinstance(plan, PointToPoint) and planned.comes_to(plan.goal)
-            flights.wait(planned.left(now) - whole if arrives else self.period_ns / SECOND)
-        return flown
+        if self.mode is LAND:
+            flights.clear()
+            self._descend()
+            return flights.sample(now) or planned
+        same = flights.plan is self._goto_plan
+        wanted = self.clearance.awaited(state, planned, now)
+        if same:
+            self._goto_plan = flights.plan
+        return wanted
 
-    def _agreed(self, state: State, wanted: FullState, future: Future, whole: float, now: float) -> FullState:
-        """What a drone that tells its ways may fly instead of `wanted`; others may fly that."""
-        planned = self.planned
-        if planned is None:
-            return wanted
-        flown = planned.fly(state, wanted, future, whole, now)
-        if planned.delayed and planned.gives_way_to is not None:
-            self._say("collision", f"keeps clear of drone {planned.gives_way_to}")
-        return flown
+    def _say_delayed(self) -> None:
+        other = self.clearance.delayed_by
+        if other is not None:
+            self._say("collision", f"keeps clear of drone {other}")
 
     def _kept_clear(self, state: State, reference: Acceleration | FullState, now: float) -> Vec | None:
-        """The acceleration (3,) that keeps it clear of the others; None: it is clear, and may fly as it wants."""
-        collision = self.collision
-        if collision is None:
-            return None
-        collision.traffic.look(now)
-        gains = self.reference_limits.gains
-        if isinstance(reference, FullState):
-            safe = collision.full_state(state, reference.flat, gains, now, lands=self.mode is LAND)
-        else:
-            safe = collision.acceleration(state, reference.a, gains, now)
+        safe = self.clearance.evasion(state, reference, self.reference_limits.gains, now, lands=self.mode is LAND)
         if safe is None and self.note == self._evades:
             self.note = ""
         return safe
 
     def _evade(self, state: State, a: Vec, yaw: float, now: float) -> Command | None:
         """Fly the acceleration (3,) that the collision filter wants."""
-        assert self.collision is not None  # noqa: S101 - it has spoken
-        self.gave_way = now
+        assert self.clearance.filter is not None  # noqa: S101 - it has spoken
         if self._obeyed is NOMINAL:  # else the safety table has said why
-            self._say_evades(self.collision.gives_way_to)
-        self.kept_clear += 1
+            self._say_evades(self.clearance.filter.gives_way_to)
         self.controls.trim.frozen = True
         self._flown = FullState(np.array([*state.flat[0:6], *a, 0.0, 0.0, 0.0, yaw, 0.0]))
         return self._commanded(self.controls.tracker, state, self._flown, now)
@@ -699,7 +670,7 @@ class Pilot(Actor):
             self._say("collision", "braking: who is near is not heard")
         else:
             self.note = f"keeps clear of drone {other}"
-            if not self.kept_clear:
+            if self.clearance.ticks == 1:
                 log.info("drone %d: %s", self.drone, self.note)
         self._evades = self.note
 
@@ -745,10 +716,11 @@ class Pilot(Actor):
     def _departure(self) -> FullState:
         """Where a new plan begins."""
         assert self.state is not None  # noqa: S101 - callers fly, and who flies has a state
-        if self._planar or self._aside:  # its plan says where to, not where it is
+        if self._planar or self.clearance.aside:  # its plan says where to, not where it is
             return FullState.at(self.state.p, self.state.v, yaw=yaw_of(self.state.q))
-        if self.planned is not None and self._flown is not None:
-            elsewhere = self.planned.departure(self._flown.yaw, self.clock.now())
+        planned = self.clearance.planned
+        if planned is not None and self._flown is not None:
+            elsewhere = planned.departure(self._flown.yaw, self.clock.now())
             if elsewhere is not None:
                 return elsewhere
         return self.flights.departure(self.state, self.clock.now())

@@ -40,12 +40,18 @@ def test_all_bring_their_goods_to_one_place_one_after_the_other(seed, tmp_path):
     assert result["simulated_s"] < 70.0
 
 
-def two(does, *homes):
-    """Two drones that do this, at motor level; their flights."""
+def flown(does, *homes):
+    """Drones that do this, at motor level; their flights."""
     rows = [{"id": i, "home": [*home, 0.0], "uri": "sim://motors"} for i, home in enumerate(homes)]
-    config = SwarmConfig.of({"name": "two", "drones": rows, "fence": {"min": [-3, -3, 0], "max": [3, 3, 3]}})
+    config = SwarmConfig.of({"name": "some", "drones": rows, "fence": {"min": [-3, -3, 0], "max": [3, 3, 3]}})
     flights = fly(config, mission_of(does))
-    assert all(flight.result["success"] for flight in flights.values()), flights[0].result | flights[1].result
+    assert all(flight.result["success"] for flight in flights.values()), [f.result for f in flights.values()]
+    return flights
+
+
+def two(does, *homes):
+    """Two drones that do this, and keep clear of each other; their flights."""
+    flights = flown(does, *homes)
     n = min(len(flight.t) for flight in flights.values())
     apart = (flights[0].p[:n] - flights[1].p[:n]) * [1.0, 1.0, 0.4]
     up = np.minimum(flights[0].p[:n, 2], flights[1].p[:n, 2]) > 0.1
@@ -64,6 +70,23 @@ def test_two_change_places_on_one_line():
 
     flights = two(does, (0.0, 0.0), (2.0, 0.0))
     assert max(flight.result["arrived"] for flight in flights.values()) < 15.0
+
+
+def test_two_that_stand_side_by_side_are_flown_round():
+    """Its plan waited between them, and it circled round both until they left."""
+
+    async def does(self):
+        await self.take_off()
+        if self.id == 0:
+            await self.go_to([1.2, 0.0, 0.5])
+        else:
+            await self.sleep(16.0)
+        arrived = self.member.clock.now()
+        await self.land()
+        return {"arrived": arrived}
+
+    flights = flown(does, (-1.2, 0.0), (0.0, 0.18), (0.0, -0.18))
+    assert flights[0].result["arrived"] < 14.0
 
 
 def test_a_place_at_which_somebody_stands_is_waited_for():

@@ -1,0 +1,93 @@
+"""How one drone keeps clear of the others: the collision filter bends what it wants, or it flies agreed ways."""
+
+import math
+
+from crazychoir.math3d import Vec, yaw_of
+from crazychoir.planning.point_to_point import PointToPoint
+from crazychoir.safety.collision.filter import CollisionFilter
+from crazychoir.safety.collision.planned import Future, PlannedFlights
+from crazychoir.safety.flights import Flights
+from crazychoir.types import Acceleration, FullState, State
+
+BACK, BEHIND, AHEAD = 0.05, 0.15, 0.5
+"""m from its plan: one that was pushed aside is back; one that lands does so where it is; the plan waits for it: so far
+ahead it is beyond who stands in the way."""
+
+
+class Clearance:
+    """Either a collision filter, or agreed ways, or neither; and what becomes of the flights that are planned.
+
+    flights: of its pilot, which wait, or go on, for a drone that was pushed aside;  period: s, of a tick.
+    """
+
+    def __init__(self, collision: CollisionFilter | PlannedFlights | None, flights: Flights, period: float) -> None:
+        self.filter = collision if isinstance(collision, CollisionFilter) else None
+        self.planned = collision if isinstance(collision, PlannedFlights) else None
+        self.flights, self.period = flights, period
+        self.aside = False
+        """Whether it was pushed off its plan, and is not back."""
+        self.ticks = 0
+        """In which the collision filter has flown it."""
+        self.gave_way = -math.inf
+        """s, when it last gave way to another drone."""
+
+    def evasion(
+        self, state: State, reference: Acceleration | FullState, gains: Vec, now: float, lands: bool = False
+    ) -> Vec | None:
+        """The acceleration (3,) that keeps it clear of the others; None: it is clear, and may fly as it wants.
+
+        lands: whether it comes down, for which it does not wait until it hears everybody.
+        """
+        collision = self.filter
+        if collision is None:
+            return None
+        collision.traffic.look(now)
+        if isinstance(reference, FullState):
+            safe = collision.full_state(state, reference.flat, gains, now, lands=lands)
+        else:
+            safe = collision.acceleration(state, reference.a, gains, now)
+        if safe is not None:
+            self.gave_way = now
+            self.ticks += 1
+        return safe
+
+    def astray(self, state: State, planned: FullState) -> bool:
+        """Whether a drone that was pushed aside is far from its plan: one that lands does so where it is."""
+        far = math.dist(planned.p.tolist(), state.p.tolist())
+        self.aside = far > BACK
+        return far > BEHIND
+
+    def awaited(self, state: State, planned: FullState, now: float) -> FullState:
+        """The reference for a drone that was pushed aside: far off it goes on from where it is, or its plan waits."""
+        flights = self.flights
+        if math.dist(planned.p.tolist(), state.p.tolist()) <= AHEAD:
+            return planned
+        if flights.resume(FullState.at(state.p, yaw=yaw_of(state.q)), now):
+            return flights.sample(now) or planned
+        if flights.wait(self.period):
+            return FullState.at(planned.p, yaw=planned.yaw)  # a plan that waits stands still
+        return planned
+
+    def planned_flight(
+        self, planned: PlannedFlights, state: State, wanted: FullState, now: float, must_land: bool = False
+    ) -> FullState:
+        """The plan's reference, as far as the others have agreed to it; who must land asks nobody unheard."""
+        if must_land and not planned.hears(state, now):
+            return planned.lands(wanted, now)
+        flights = self.flights
+        plan = flights.plan
+        whole = flights.remaining(now) if isinstance(plan, PointToPoint) else 0.0
+        flown = self.agreed(state, wanted, lambda later: flights.sample(now + later) or wanted, whole, now)
+        if planned.delayed:
+            arrives = isinstance(plan, PointToPoint) and planned.comes_to(plan.goal)
+            flights.wait(planned.left(now) - whole if arrives else self.period)
+        return flown
+
+    def agreed(self, state: State, wanted: FullState, future: Future, whole: float, now: float) -> FullState:
+        """What a drone that tells its ways may fly instead of `wanted`; others may fly that."""
+        return wanted if self.planned is None else self.planned.fly(state, wanted, future, whole, now)
+
+    @property
+    def delayed_by(self) -> int | None:
+        """Whose way it waits for, or turns aside from, of those that have told theirs."""
+        return None if self.planned is None or not self.planned.delayed else self.planned.gives_way_to
