@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from crazychoir.errors import CrazyChoirError
-    from crazychoir.guidance.base import CFDistributedFeedback, CFGuidance
+    from crazychoir.guidance.base import CFGuidance
+    from crazychoir.guidance.feedback import CFDistributedFeedback
     from crazychoir.guidance.pickup_delivery import PDVRPGuidance
     from crazychoir.swarm.communicator import Communicator
     from crazychoir.swarm.config import SwarmConfig
@@ -38,7 +39,7 @@ __all__ = [
 ]
 _ROOM_OF = {
     "CrazyChoirError": "errors",
-    "CFDistributedFeedback": "guidance.base",
+    "CFDistributedFeedback": "guidance.feedback",
     "CFGuidance": "guidance.base",
     "PDVRPGuidance": "guidance.pickup_delivery",
     "Communicator": "swarm.communicator",

@@ -22,7 +22,8 @@ from rich.table import Table
 from crazychoir.agent import Agent
 from crazychoir.cli.show import STDOUT, fail
 from crazychoir.errors import CrazyChoirError
-from crazychoir.guidance.base import CFDistributedFeedback, CFGuidance
+from crazychoir.guidance.base import CFGuidance
+from crazychoir.guidance.feedback import CFDistributedFeedback
 from crazychoir.guidance.mission import Mission
 from crazychoir.routing.generate import random_instance
 from crazychoir.routing.instance import Instance

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from crazychoir.errors import CrazyChoirError
-from crazychoir.guidance.base import CFDistributedFeedback, Member
+from crazychoir.guidance.feedback import CFDistributedFeedback
+from crazychoir.guidance.member import Member
 from crazychoir.guidance.timed import Way
 from crazychoir.math3d import Mat, Vec
 from crazychoir.optimization.aggregative_tracking import AggregativeTracking

@@ -1,44 +1,30 @@
-"""What a mission is written in: CFGuidance (a coroutine with the paper's verbs) and CFDistributedFeedback (a law)."""
+"""What a mission is written in: CFGuidance, a coroutine with the paper's verbs."""
 
-import asyncio
-import logging
 from abc import abstractmethod
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable
 from types import MethodType
 from typing import Any, Concatenate, Generic, ParamSpec, TypeVar, overload
 
 import numpy as np
 
-from crazychoir.bus.topics import STATE
-from crazychoir.control.gains import FORMATION, Gains
 from crazychoir.control.position import HEADROOM
-from crazychoir.errors import ConfigError, CrazyChoirError, Refused
-from crazychoir.guidance.hearing import Hearing, Paired, VelocitySum
-from crazychoir.guidance.sensors import Readings, Sensors
+from crazychoir.errors import ConfigError, Refused
+from crazychoir.guidance.member import PATIENCE, SETTLE, Interrupted, Member, touch_down
+from crazychoir.guidance.sensors import Readings
 from crazychoir.guidance.turns import CLOSE, TURN, aside, blocked, first_at
 from crazychoir.optimization.checks import require_graph
 from crazychoir.planning.feasibility import Limits, check
 from crazychoir.planning.trajectory import Trajectory
-from crazychoir.runtime.clock import SECOND, Clock, wake
-from crazychoir.runtime.hanging import Guards
-from crazychoir.runtime.mailbox import Call
 from crazychoir.safety.modes import Mode
-from crazychoir.safety.pilot import Pilot
 from crazychoir.swarm.communicator import Communicator
-from crazychoir.swarm.config import SwarmConfig
 from crazychoir.swarm.graph import Graph
 from crazychoir.swarm.round import Round
 from crazychoir.swarm.running import Pace, run_algorithm
-from crazychoir.types import Acceleration, FullState, Goto, Heard, Point, Reference, State, Vec, Velocity
+from crazychoir.types import Point, Reference, State, Vec
 
-log = logging.getLogger(__name__)
 P = ParamSpec("P")
 R = TypeVar("R")
-SETTLE = 0.05
-LAW_MODES = (Mode.HOVER, Mode.FOLLOW)
-TAKEOFF = Mode.TAKEOFF
-FLYING = (TAKEOFF, *LAW_MODES)
+FLYING = (Mode.TAKEOFF, Mode.HOVER, Mode.FOLLOW)
 ARRIVED = 0.2
 """m from a goal that counts as there."""
 RISEN = 0.04
@@ -50,37 +36,11 @@ PATIENT = 5.0
 ATTEMPTS = 5
 BLOWN = 2.0
 """s after the planned time of a flight in which a drone may still arrive: in a wind that it has yet to learn."""
-PATIENCE = 300.0
-"""s that a flight waits for a pilot that is held, or that the safety table has stopped; and for a first pose."""
 TOUCHDOWN = 5.0
 """s beyond the planned time of a landing that a mission waits for its end."""
 UNCOMMANDED = 1800.0
 """s that a drone waits on the ground for an operator, in a run that has one."""
 GATES = {"take-off": "waits for its operator: take-off", "start": "waits for its operator: start"}
-LAW = "feedback law"
-"""The task that a status names while a CFDistributedFeedback runs."""
-
-
-@dataclass
-class Member:
-    """What a guidance gets from its drone: who it is, its team, its way to talk, its way to fly."""
-
-    id: int
-    config: SwarmConfig
-    clock: Clock
-    communicator: Communicator
-    pilot: Pilot
-    watchdog: Guards | None = None
-    report: Callable[[], dict[str, Any]] = dict
-    """Says how the mission goes: task, round, cost, for the status."""
-    announce: Callable[[], None] = lambda: None  # publishes the status now, not at its next tick
-    ended: str = ""
-    """Why the mission is over; from then on it flies no more, whatever it catches and goes on with."""
-    sensors: Sensors | None = None
-    gate: str = ""
-    """The command of its operator, of GATES, that the mission waits for."""
-    rise: float | None = None
-    """m, the height of the take-off that it waits for; None: that of the swarm file."""
 
 
 class Verb(Generic[P, R]):
@@ -349,228 +309,3 @@ class CFGuidance:
             await self.sleep(min(SETTLE, max(left, 1e-3)))
         if pilot.mode not in flying:
             raise Interrupted(f"drone {self.id}: {pilot.mode.value}: {pilot.note}")
-
-
-async def touch_down(pilot: Pilot, grace: float) -> None:
-    """Wait until a pilot's motors are off; at most `grace` s beyond the flight that it has planned, whenever it did.
-
-    At most PATIENCE s while it gives way to others.
-    """
-    clock = pilot.clock
-    ends, patient = clock.now() + grace, clock.now() + PATIENCE
-    while pilot.airborne and clock.now() < ends:
-        if pilot.held and pilot.mode is Mode.HOVER:  # on its way home
-            ends = clock.now() + grace
-            if clock.now() > patient:
-                pilot.land(f"held for {PATIENCE:g} s, with its mission over: landing")
-        if pilot.remaining() > 0.0 or (blocked(pilot) and clock.now() < patient):
-            ends = clock.now() + pilot.remaining() + grace
-        await clock.sleep(SETTLE, drone=pilot.drone)
-
-
-class Interrupted(CrazyChoirError):
-    """The pilot does something else than what guidance asked: it lands, or its motors are cut."""
-
-
-class CFDistributedFeedback(CFGuidance):
-    """A feedback law on own and neighbours' states. Write `step`; it runs at `rate` Hz and never waits.
-
-    `heard[j]` is the newest State of neighbour j, with its `age`; absent when beyond the topic's maximum age. If none
-    has come since the last step it is moved on, p + v age, attitude as it was. Velocities, its own too, make up for
-    those that were lost or flown for too long because a step was late, see VelocitySum: a law may sum them up.
-    A new state of its own triggers it: what it wants is flown in the same tick.
-    rate: Hz, at most that of the poses;  duration: s of the law, after everybody hovers;  gains: of the control that
-    flies its Accelerations;  rest: s that it hovers before: what its control learns of thrust and trim while it hovers
-    is all that it knows while it flies Accelerations.
-    """
-
-    rate = 100.0
-    duration = 20.0
-    gains: Gains = FORMATION
-    rest = 0.0
-    paired = False
-
-    @abstractmethod
-    def step(self, me: State, heard: Heard) -> Reference | None:
-        """The reference to fly until the next step; None lets the drone come to rest and hover."""
-
-    def bind(self, member: Member) -> None:
-        """Meet the drone, and listen to the neighbours' states."""
-        super().bind(member)
-        member.pilot.controls.lead_by(self.gains)
-        bus = member.communicator.port.bus
-        self._hearings: dict[int, Hearing | Paired] = {}
-        for j in self.graph.in_neighbors(self.id):
-            name = f"drone {self.id} state of {j}"
-            hearing: Hearing | Paired
-            if self.paired:
-                hearing = Paired(member.clock, name, 1.0 / member.config.mocap.rate)
-            else:
-                hearing = Hearing(member.clock, name, self._sum())
-            self._hearings[j] = hearing
-            bus.subscribe(STATE, j, self.id, hearing, self.rate if self.rate < STATE.rate else 0.0)
-        self._own, self._measured = self._sum(), 0.0
-        self._unheard = dict.fromkeys(self._hearings, 0)
-        self._steps = self._nothing = self._refused = 0
-        self._amiss = ""
-        self._law: asyncio.Future[None] | None = None
-        self._period_ns = self._due_ns = 0
-        self._me, self._stages = self.state, bus.stages
-        bus.subscribe(STATE, self.id, self.id, Call(member.clock, self._moved, f"drone {self.id} state"))
-
-    def _sum(self) -> VelocitySum:
-        member = self.member
-        return VelocitySum(member.pilot.filter.cutoff, 1.0 / member.config.mocap.rate, 1.0 / self.rate)
-
-    async def mission(self) -> dict[str, Any]:
-        """Take off, wait for the others, run the law, land.
-
-        Returns law_s: s that the law ran;  references: how often `step` returned one that could be flown;  place:
-        (3,) m, where it has ended;  unheard_s: {j: s of the law in which nothing fresh was heard of neighbour j}. It
-        has failed if `step` returned references of which none could be flown.
-        """
-        await self.take_off(self.height())
-        await self.sleep(self.rest)
-        await self.rendezvous()
-        self.member.report = lambda: {"task": LAW}
-        self.member.announce()
-        started = self.member.clock.now()
-        await self.run_law()
-        law_s, place = self.member.clock.now() - started, self.state.p.tolist()
-        self.member.pilot.hover()
-        self.member.report = lambda: {"task": "landing"}
-        self.member.announce()
-        await self.land()
-        unheard = {j: steps / self.rate for j, steps in self._unheard.items() if steps}
-        usable = self._steps - self._nothing - self._refused
-        result = {"law_s": law_s, "references": usable, "place": place, "unheard_s": unheard}
-        return result | ({"success": False, "reason": self._useless()} if self._refused and not usable else {})
-
-    def _useless(self) -> str:
-        """Why a law of which nothing could be flown has failed."""
-        where = f"drone {self.id}: the law gave no usable reference in {self._refused} of {self._steps} steps"
-        return f"{where}{' (None in the others)' if self._nothing else ''}: {self._amiss}"
-
-    def height(self) -> float | None:
-        """m, of the take-off; None for that of the swarm file."""
-        return None
-
-    async def run_law(self) -> None:
-        """Let `step` run for `duration` s; raises what `step` raises, and Interrupted when the pilot stops obeying."""
-        clock = self.member.clock
-        self._period_ns = round(SECOND / self.rate)
-        self._due_ns = clock.now_ns()
-        self._own.forget()
-        for hearing in self._hearings.values():
-            hearing.forget()
-        self._law = asyncio.get_running_loop().create_future()
-        end = clock.call_at(self._due_ns + round(self.duration * SECOND), wake, self._law, drone=self.id)
-        try:
-            await self._law
-        finally:
-            self._law = None
-            end.cancel()
-
-    def _moved(self, me: State, age: float) -> None:
-        """A new state: decide when all drones of this process have said theirs."""
-        if self._law is not None:
-            self._me = me
-            self._stages.decide.append(self._decide)
-
-    def _decide(self) -> None:
-        """Call `step` if it is due. Its errors end the law, not the tick, which is not its alone."""
-        law = self._law
-        if law is None or law.done():
-            return
-        pilot, late_ns = self.member.pilot, self.member.clock.now_ns() - self._due_ns
-        if late_ns < -pilot.period_ns // 2 or pilot.mode is TAKEOFF:
-            return
-        self._due_ns += max(1, late_ns // self._period_ns + 1) * self._period_ns
-        try:
-            if pilot.mode not in LAW_MODES:
-                raise Interrupted(f"drone {self.id}: {pilot.mode.value}: {pilot.note}{self._deaf()}")
-            reference = self._stepped(self._me)
-            self._steps += 1
-            if reference is None:
-                self._nothing += 1
-                pilot.hover()
-            elif not pilot.follow(reference):
-                self._not_taken(reference)
-        except KeyboardInterrupt:
-            raise
-        except BaseException as error:  # noqa: BLE001 - whoever awaits the law gets it
-            law.set_exception(raisable(error, f"drone {self.id}: step"))
-
-    def _stepped(self, me: State) -> Reference | None:
-        """What `step` wants, under the eyes of the watchdog."""
-        watchdog, measured = self.member.watchdog, self.member.pilot.filter.measured
-        poses = round((measured - self._measured) / self._own.h)  # a whole number: clocks jitter, cameras do not
-        self._measured = measured
-        heard = self.hear(poses)
-        if poses == 1 and self._own.even:
-            self._own.last = me
-        else:
-            me = self._own.told(me, me.age, poses, poses)
-        if len(heard) < len(self._hearings):
-            for j in self._hearings:
-                self._unheard[j] += j not in heard
-        if watchdog is None:
-            return self.step(me, heard)
-        with watchdog.guard(f"drone {self.id} guidance"):
-            return self.step(me, heard)
-
-    def _not_taken(self, reference: object) -> None:
-        """Count what can never be flown, and say once why."""
-        self._refused, self._amiss = self._refused + 1, self.member.pilot.unflown(reference) or amiss(reference)
-        if self._refused == 1:
-            log.warning("drone %d: %s: not flown", self.id, self._amiss)
-
-    def _deaf(self) -> str:
-        """Whom it does not hear: the usual reason of a law that says nothing."""
-        silent = ", ".join(str(j) for j, box in self._hearings.items() if box.fresh() is None)
-        return f"; hears nothing of drone(s) {silent}" if silent else ""
-
-    def hear(self, held: int) -> Heard:
-        """The neighbours' states for this step, those that are not stale; held: poses since the last step."""
-        heard: Heard = {}
-        now_ns = self.member.clock.now_ns()
-        for j, hearing in self._hearings.items():
-            state = hearing.state(now_ns, held)
-            if state is not None:
-                heard[j] = state
-        return heard
-
-
-def amiss(reference: object) -> str:
-    """Why what a law has returned can never be flown."""
-    numbers: list[Any]
-    match reference:
-        case Acceleration():
-            numbers, size = [reference.a, reference.yaw], 3
-        case FullState():
-            numbers, size = [reference.flat], 14
-        case Velocity():
-            numbers, size = [reference.v, reference.yaw], 3
-        case Goto():
-            numbers, size = [reference.p, reference.yaw, reference.duration], 3
-        case _:
-            of = f" {reference.shape}" if isinstance(reference, np.ndarray) else ""
-            found = f"{type(reference).__name__}{of}"
-            kinds = "Acceleration(...), Velocity(...), FullState(...), Goto(...) or None"
-            return f"step() must return {kinds}; found {found}"
-    kind, found = type(reference).__name__, " ".join(f"{numbers}"[1:-1].split())
-    return f"step() must return finite numbers, {kind} of ({size},); found {kind}({found:.80})"
-
-
-def idle(results: Mapping[int, Mapping[str, Any]]) -> bool:
-    """Whether all drones flew laws that returned None in every step: nobody moved."""
-    return bool(results) and all(r.get("success") and r.get("references") == 0 for r in results.values())
-
-
-def raisable(error: BaseException, where: str) -> BaseException:
-    """An error that a task may end with: what asyncio and generators take for signals of their own becomes ordinary."""
-    if isinstance(error, Exception | SystemExit) and not isinstance(error, StopIteration):
-        return error
-    ordinary = RuntimeError(f"{where} raised {error!r}")
-    ordinary.__cause__ = error
-    return ordinary.with_traceback(error.__traceback__)

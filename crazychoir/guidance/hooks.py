@@ -17,7 +17,8 @@ from typing import Any
 import numpy as np
 
 from crazychoir.errors import ConfigError, CrazyChoirError, Hung
-from crazychoir.guidance.base import CFDistributedFeedback, CFGuidance
+from crazychoir.guidance.base import CFGuidance
+from crazychoir.guidance.feedback import CFDistributedFeedback
 from crazychoir.runtime.hanging import HOOK, limited
 from crazychoir.swarm.config import SwarmConfig
 from crazychoir.swarm.graph import span

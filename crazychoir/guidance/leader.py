@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from crazychoir.errors import ConfigError
-from crazychoir.guidance.base import CFDistributedFeedback
+from crazychoir.guidance.feedback import CFDistributedFeedback
 from crazychoir.math3d import Vec
 from crazychoir.planning.drawing import Pen, drawing
 from crazychoir.planning.feasibility import Limits

@@ -9,8 +9,8 @@ from typing import Any
 from crazychoir.bus.codec import decode, encode
 from crazychoir.bus.topics import LOG, RESULT, STATUS
 from crazychoir.errors import AgentFailed, CodecError, CrazyChoirError, Hung, Refused
-from crazychoir.guidance.base import Member, raisable, touch_down
 from crazychoir.guidance.drone import Drone
+from crazychoir.guidance.member import Member, raisable, touch_down
 from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import SECOND
 from crazychoir.runtime.hanging import Guarded, Guards

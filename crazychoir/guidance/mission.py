@@ -108,13 +108,12 @@ def from_file(path: Path, kind: str) -> ModuleType:
     try:
         with limited(HOOK):
             spec.loader.exec_module(module)
-    except Hung as error:
-        lines = [at.lineno for at in traceback.extract_tb(error.__traceback__) if at.filename == str(path)]
-        raise ConfigError(f"{kind} {path}{f':{lines[-1]}' if lines else ''}", f"no end within {HOOK:g} s of its import",
-                          "a file that Python can import") from error  # fmt: skip
     except Exception as error:
-        found = f"{type(error).__name__}: {error}"
-        raise ConfigError(f"{kind} {path}", found, "a file that Python can import") from error
+        lines = [at.lineno for at in traceback.extract_tb(error.__traceback__) if at.filename == spec.origin]
+        where = f"{kind} {path}{f':{lines[-1]}' if lines else ''}"
+        hangs = isinstance(error, Hung)
+        found = f"no end within {HOOK:g} s of its import" if hangs else f"{type(error).__name__}: {error}"
+        raise ConfigError(where, found, "a file that Python can import", "Mend it.") from error
     return module
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from crazychoir.errors import CrazyChoirError
-from crazychoir.guidance.base import CFDistributedFeedback
+from crazychoir.guidance.feedback import CFDistributedFeedback
 from crazychoir.guidance.timed import Way
 from crazychoir.math3d import Vec
 from crazychoir.optimization.predictive_control import Prediction, PredictiveControl, SequentialMPC, integrators

@@ -22,8 +22,9 @@ from typing import Any
 import numpy as np
 
 from crazychoir.errors import CrazyChoirError, RosterChanged
-from crazychoir.guidance.base import ARRIVED, TOUCHDOWN, CFGuidance, Interrupted, Member, touch_down
+from crazychoir.guidance.base import ARRIVED, TOUCHDOWN, CFGuidance
 from crazychoir.guidance.commitments import Commitments
+from crazychoir.guidance.member import Interrupted, Member, touch_down
 from crazychoir.guidance.replanning import AUCTION, Goods, Mark, Replanning, Share, mark
 from crazychoir.guidance.site import Site
 from crazychoir.guidance.task_book import LARGEST, Place, Task

@@ -6,9 +6,10 @@ from typing import NoReturn
 from crazychoir.bus.local import Port
 from crazychoir.bus.topics import STATE, STATUS
 from crazychoir.errors import Refused
-from crazychoir.guidance.base import FLYING, PATIENCE, Member, touch_down
+from crazychoir.guidance.base import FLYING
 from crazychoir.guidance.drone import Drone
 from crazychoir.guidance.life import LANDING_DEADLINE
+from crazychoir.guidance.member import PATIENCE, Member, touch_down
 from crazychoir.runtime.mailbox import Latest
 from crazychoir.safety.guard import EDGE
 from crazychoir.safety.homecoming import level_above

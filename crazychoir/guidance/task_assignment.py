@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 
 from crazychoir.errors import CrazyChoirError, RosterChanged
-from crazychoir.guidance.base import TOUCHDOWN, CFGuidance, Interrupted, Member, touch_down
+from crazychoir.guidance.base import TOUCHDOWN, CFGuidance
 from crazychoir.guidance.generation import Draw, Generation, NextGeneration, open_tasks
+from crazychoir.guidance.member import Interrupted, Member, touch_down
 from crazychoir.guidance.room import Room
 from crazychoir.guidance.task_book import Deed, Place, Task
 from crazychoir.guidance.task_source import TaskSource

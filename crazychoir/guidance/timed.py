@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from crazychoir.guidance.base import CFDistributedFeedback, CFGuidance
+from crazychoir.guidance.base import CFGuidance
+from crazychoir.guidance.feedback import CFDistributedFeedback
 from crazychoir.planning.point_to_point import duration_for
 from crazychoir.planning.trajectory import Trajectory
 from crazychoir.swarm.tables import Flight

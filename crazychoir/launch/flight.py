@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from crazychoir.agent import Agent
-from crazychoir.guidance.base import idle
 from crazychoir.guidance.drone import WAITING
+from crazychoir.guidance.feedback import idle
 from crazychoir.guidance.mission import Mission, has
 from crazychoir.launch.network import attached, observer
 from crazychoir.launch.processes import run_children

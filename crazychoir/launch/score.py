@@ -13,7 +13,7 @@ from scipy.spatial.distance import pdist
 
 from crazychoir.bus.local import OBSERVER, Bus
 from crazychoir.bus.topics import LOG, STATUS, TRUTH, Topic
-from crazychoir.guidance.base import LAW
+from crazychoir.guidance.feedback import LAW
 from crazychoir.guidance.mission import Mission, has
 from crazychoir.math3d import Vec
 from crazychoir.runtime.actor import Actor

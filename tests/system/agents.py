@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from crazychoir.guidance.base import LAW
+from crazychoir.guidance.feedback import LAW
 from crazychoir.swarm.config import SwarmConfig
 
 AGENT = (sys.executable, "-m", "crazychoir.cli.agent")

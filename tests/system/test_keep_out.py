@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from system.flights import Flight, fly
 
-from crazychoir.guidance.base import CFDistributedFeedback
+from crazychoir.guidance.feedback import CFDistributedFeedback
 from crazychoir.safety.modes import Mode
 from crazychoir.swarm.config import SwarmConfig
 from crazychoir.types import Acceleration, FullState

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from system.flights import fly
 
-from crazychoir.guidance.base import CFDistributedFeedback, CFGuidance
+from crazychoir.guidance.base import CFGuidance
+from crazychoir.guidance.feedback import CFDistributedFeedback
 from crazychoir.swarm.config import SwarmConfig
 from crazychoir.types import FullState
 

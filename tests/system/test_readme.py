@@ -8,7 +8,8 @@ import shlex
 import numpy as np
 import pytest
 
-from crazychoir.guidance.base import CFDistributedFeedback, CFGuidance
+from crazychoir.guidance.base import CFGuidance
+from crazychoir.guidance.feedback import CFDistributedFeedback
 from crazychoir.guidance.hooks import HOOKS
 from crazychoir.guidance.mission import names as missions
 from crazychoir.optimization.problems import CostCoupled

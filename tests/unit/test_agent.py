@@ -11,7 +11,8 @@ from crazychoir.agent import Agent
 from crazychoir.bus.local import OBSERVER
 from crazychoir.bus.topics import LOG, RESULT
 from crazychoir.errors import Refused
-from crazychoir.guidance.base import CFDistributedFeedback, CFGuidance
+from crazychoir.guidance.base import CFGuidance
+from crazychoir.guidance.feedback import CFDistributedFeedback
 from crazychoir.guidance.life import STAYS
 from crazychoir.guidance.mission import load, mission_hash
 from crazychoir.runtime.clock import SECOND, run_virtual

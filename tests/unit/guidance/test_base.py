@@ -11,7 +11,8 @@ from virtual_time import virtual
 from crazychoir.bus.local import Bus
 from crazychoir.errors import AgentFailed, ConfigError
 from crazychoir.guidance import base
-from crazychoir.guidance.base import CFGuidance, Interrupted, Member
+from crazychoir.guidance.base import CFGuidance
+from crazychoir.guidance.member import Interrupted, Member
 from crazychoir.optimization.asynchronous_consensus import AsynchronousConsensus
 from crazychoir.optimization.checks import require_graph
 from crazychoir.optimization.consensus import Consensus

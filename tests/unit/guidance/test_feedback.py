@@ -10,7 +10,8 @@ from crazychoir.bus.local import Bus
 from crazychoir.bus.topics import STATE
 from crazychoir.errors import Hung
 from crazychoir.filters.velocity import VelocityFilter
-from crazychoir.guidance.base import CFDistributedFeedback, Interrupted, Member
+from crazychoir.guidance.feedback import CFDistributedFeedback
+from crazychoir.guidance.member import Interrupted, Member
 from crazychoir.runtime.clock import run_virtual
 from crazychoir.safety.guard import Fence
 from crazychoir.safety.modes import Mode

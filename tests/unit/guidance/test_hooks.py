@@ -185,3 +185,12 @@ def test_a_law_that_says_nothing_at_any_drone_is_a_success_with_a_warning(missio
     assert result["success"]
     assert result["log"][-1] == NOBODY_MOVED
     assert NOBODY_MOVED in caplog.text
+
+
+def test_a_file_that_raises_when_it_is_loaded_is_refused_with_its_line(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "mine.py").write_text("import math\n\nx = 1 / 0\n")
+    for path in ("mine.py", str(tmp_path / "mine.py")):
+        with pytest.raises(ConfigError) as caught:
+            load(path)
+        assert str(caught.value).startswith(f"mission {path}:3: found ZeroDivisionError: division by zero; allowed: ")

@@ -9,7 +9,7 @@ import pytest
 from virtual_time import virtual
 
 from crazychoir.bus.local import Bus
-from crazychoir.guidance.base import Member
+from crazychoir.guidance.member import Member
 from crazychoir.guidance.mission import load
 from crazychoir.guidance.online_delivery import HORIZON, OnlinePDVRPGuidance
 from crazychoir.guidance.replanning import Goods, Share

@@ -10,7 +10,8 @@ from crazychoir.agent import Agent
 from crazychoir.bus.commands import ACCEPTED, DONE, REFUSED, Commander
 from crazychoir.bus.local import OBSERVER
 from crazychoir.guidance import base
-from crazychoir.guidance.base import CFDistributedFeedback, CFGuidance
+from crazychoir.guidance.base import CFGuidance
+from crazychoir.guidance.feedback import CFDistributedFeedback
 from crazychoir.runtime.clock import run_virtual
 from crazychoir.safety.modes import Mode
 from crazychoir.swarm.config import SwarmConfig

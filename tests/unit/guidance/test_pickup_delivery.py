@@ -8,7 +8,7 @@ import pytest
 from crazychoir.agent import Agent
 from crazychoir.bus.local import OBSERVER
 from crazychoir.bus.topics import STATE, STATUS
-from crazychoir.guidance.base import Member
+from crazychoir.guidance.member import Member
 from crazychoir.guidance.mission import load
 from crazychoir.guidance.pickup_delivery import PDVRPGuidance
 from crazychoir.routing.instance import Instance

@@ -11,7 +11,8 @@ from crazychoir.agent import Agent
 from crazychoir.bus.local import BODIES, OBSERVER, Bus
 from crazychoir.bus.topics import TELEMETRY
 from crazychoir.errors import ConfigError
-from crazychoir.guidance.base import CFDistributedFeedback, CFGuidance
+from crazychoir.guidance.base import CFGuidance
+from crazychoir.guidance.feedback import CFDistributedFeedback
 from crazychoir.guidance.sensors import Sensors
 from crazychoir.runtime.clock import run_virtual
 from crazychoir.runtime.mailbox import DropOldest

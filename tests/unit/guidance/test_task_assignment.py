@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from crazychoir.errors import ConfigError
-from crazychoir.guidance.base import Interrupted
+from crazychoir.guidance.member import Interrupted
 from crazychoir.guidance.mission import load
 from crazychoir.guidance.room import Room
 from crazychoir.guidance.task_assignment import TaskAssignmentGuidance, Work, distance

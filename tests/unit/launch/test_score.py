@@ -8,7 +8,7 @@ import pytest
 
 from crazychoir.bus.local import Bus
 from crazychoir.bus.topics import LOG, STATUS, TRUTH
-from crazychoir.guidance.base import LAW
+from crazychoir.guidance.feedback import LAW
 from crazychoir.launch import score as scores
 from crazychoir.launch.score import SETTLED, Score
 from crazychoir.runtime.clock import run_virtual

@@ -8,7 +8,8 @@ import pytest
 
 from crazychoir.errors import ConfigError, Hung
 from crazychoir.guidance import hooks
-from crazychoir.guidance.base import CFDistributedFeedback, CFGuidance
+from crazychoir.guidance.base import CFGuidance
+from crazychoir.guidance.feedback import CFDistributedFeedback
 from crazychoir.guidance.mission import load
 from crazychoir.launch.flight import fly_fast
 from crazychoir.runtime import hanging
