@@ -31,9 +31,10 @@ from crazychoir.runtime.watchdog import Stall
 from crazychoir.safety.collision.filter import CollisionFilter
 from crazychoir.safety.collision.planned import LOWEST, PlannedFlights
 from crazychoir.safety.collision.traffic import Traffic
+from crazychoir.safety.estimate import filter_of
 from crazychoir.safety.flights import braking
 from crazychoir.safety.guard import Fence
-from crazychoir.safety.pilot import Pilot, filter_of
+from crazychoir.safety.pilot import Pilot
 from crazychoir.simulation.remote import OwnerWatch, RemoteLink
 from crazychoir.simulation.telemetry import names_of
 from crazychoir.simulation.trace import Trace

@@ -19,10 +19,7 @@ from crazychoir.control.controller import CrazyflieController
 from crazychoir.control.parameters import Parameters
 from crazychoir.control.position import HEADROOM, HEIGHT_SHARE
 from crazychoir.control.senders import FPQRSender
-from crazychoir.filters.kalman import KalmanFilter
-from crazychoir.filters.motion import Commanded
 from crazychoir.filters.state_filter import StateFilter
-from crazychoir.filters.velocity import VelocityFilter
 from crazychoir.math3d import yaw_of
 from crazychoir.planning.landing import Landing
 from crazychoir.planning.trajectory import Trajectory
@@ -32,6 +29,7 @@ from crazychoir.runtime.mailbox import Call
 from crazychoir.safety.clearance import Clearance
 from crazychoir.safety.collision.filter import CollisionFilter
 from crazychoir.safety.collision.planned import PlannedFlights
+from crazychoir.safety.estimate import SEEN, believed, filter_of
 from crazychoir.safety.flights import Flights, braking
 from crazychoir.safety.guard import BELOW_GROUND, EDGE, Action, Fence, Guard, Throttle, Verdict
 from crazychoir.safety.homecoming import Homecoming
@@ -50,6 +48,7 @@ from crazychoir.safety.modes import (
     after,
     refusal,
 )
+from crazychoir.safety.references import ahead, flyable
 from crazychoir.swarm.tables import Flight
 from crazychoir.types import (
     STILL,
@@ -80,10 +79,6 @@ GIVE_UP_TICKS = 0.5
 
 LIFTED = 0.03
 """m above where it stood at which a drone flies: below, its controllers learn nothing from an error of the height."""
-SEEN = 0.1
-"""s, the age of a state beyond which it is a prediction, of which the controllers learn nothing."""
-BLIND = 2.0
-"""s, how far it predicts its own motion without a pose: as long as the safety table lets it fly so."""
 
 
 NOMINAL = Action.NOMINAL  # members of an enumeration are slow to look up
@@ -101,40 +96,6 @@ class Link(Protocol):
     def cut(self) -> None:
         """Stop the motors for good."""
         ...
-
-
-def flyable(reference: object) -> bool:
-    """Whether it is of the right shape, and all its numbers are numbers: their sum is one; not for an Acceleration."""
-    match reference:
-        case Velocity():
-            return np.shape(reference.v) == (3,) and math.isfinite(float(np.sum(reference.v)) + reference.yaw)
-        case FullState():
-            flat = reference.flat
-            fits = flat.shape == (14,) and flat.dtype == np.float64 and flat.flags.c_contiguous
-            return fits and math.isfinite(sum(flat.tolist()))
-        case Goto():
-            return np.shape(reference.p) == (3,) and math.isfinite(
-                float(np.sum(reference.p)) + reference.yaw + reference.duration
-            )
-        case _:
-            return False
-
-
-def ahead(reference: FullState, later: float) -> FullState:
-    """Where a reference will be `later` s from now if it goes on as it does."""
-    p, v, a = reference.p, reference.v, reference.a
-    return FullState.at(p + later * v + 0.5 * later**2 * a, v + later * a, a, yaw=reference.yaw)
-
-
-def filter_of(name: str, chosen: Controls, ground: float, rate: float) -> StateFilter:
-    """The filter of [control], "kalman" or "derivative"; it knows what is commanded, if that is thrust and body rates.
-
-    ground: m, height of the floor;  rate: Hz, of the poses.
-    """
-    motion = Commanded(chosen.platform.flat, ground) if isinstance(chosen.sender, FPQRSender) else None
-    if name == "kalman":
-        return KalmanFilter(horizon=BLIND, period=1.0 / rate, motion=motion)
-    return VelocityFilter(horizon=BLIND, period=1.0 / rate, motion=motion)
 
 
 class Pilot(Actor):
@@ -260,7 +221,8 @@ class Pilot(Actor):
             state = self.filter.predict(now) if pose is None else self.filter.update(pose, now)
             if state is not None:
                 known = self._models or state.age <= SEEN
-                state = State(state.flat if known else self._believed(state, now), state.age, self._a)
+                flat = state.flat if known else believed(state, self.flights.sample(now) or self._flown)
+                state = State(flat, state.age, self._a)
             self.state = state
         except BaseException as error:  # noqa: BLE001 - see _fail
             self._fail(error)
@@ -270,17 +232,6 @@ class Pilot(Actor):
                 stages.say.append(self._say_state)
                 stages.act.append(self._act)
                 stages.due()
-
-    def _believed(self, state: State, now: float) -> Vec:
-        """Where a drone is that is not seen and whose filter does not know its commands: where it is to be.
-
-        The filter lets it go on at its last speed. A controller would brake that forever, and the drone fly backwards.
-        """
-        flown = self.flights.sample(now) or self._flown
-        if flown is None:
-            return state.flat
-        half = 0.5 * flown.yaw
-        return np.array([*flown.p, *flown.v, 0.0, 0.0, math.sin(half), math.cos(half), 0.0, 0.0, 0.0])
 
     def _say_state(self) -> None:
         """Guidance decides when all have said theirs."""
