@@ -34,8 +34,8 @@ Results = dict[int, dict[str, Any]]
 REST = 4.0
 """s of hovering before the paper's law, whose slow modes turn mm/s2 that the trim is off into centimetres."""
 BRISK: dict[str, Any] = {"brake": 2.0, "stiff": 5.0}
-"""[collision] of drones that accelerate with 4 m/s2: with its defaults drones that pass each other wait for so long that
-they push a formation off, whose weak modes turn 1 m/s2 of evading into metres."""
+"""[collision] of drones that accelerate with 4 m/s2: with its defaults drones that pass each other wait for so long
+that they push a formation off, whose weak modes turn 1 m/s2 of evading into metres."""
 TOLERANCE = 0.01
 """m from its place at the end of the law: a drone that is farther away has not formed up."""
 
@@ -48,8 +48,9 @@ class BearingFormation(CFDistributedFeedback):
 
     The modes of the paper's law are s^2 + kv l s + kp l, l an eigenvalue of B_ff; of the normalised law all are
     s^2 + kv s + kp, whatever the graph: it is the default. a_j was commanded in the tick before, so that p_j, v_j are
-    taken from that tick too: what is late together cancels out, what is not delays the modes of a large graph. Where
-    leaders move, all would be late by more with each neighbour on the way: then p_j, v_j are the newest.
+    taken from that tick too (`paired`), and all three held together when messages are lost: what is late together
+    cancels out, what is not delays the modes of a large graph. Where leaders move, all would be late by more with each
+    neighbour on the way: then p_j, v_j are the newest.
     shape: {id: (3,) m}, where the bearings g_ij come from;  neighbors: those that i hears;  kp: 1/s2;  kv: 1/s;
     D = diag(1, 1, in_height);  moving: whether leaders move.
     Source: Zhao & Zelazo 2017, IEEE TCNS 4(3); the normalised law as their eq. for leaders that accelerate.
