@@ -48,8 +48,9 @@ class BearingFormation(CFDistributedFeedback):
 
     The modes of the paper's law are s^2 + kv l s + kp l, l an eigenvalue of B_ff; of the normalised law all are
     s^2 + kv s + kp, whatever the graph: it is the default. a_j was commanded in the tick before, so that p_j, v_j are
-    taken from that tick too: what is late together cancels out, what is not delays the modes of a large graph. Where
-    leaders move, all would be late by more with each neighbour on the way: then p_j, v_j are the newest.
+    taken from that tick too (`paired`), and all three held together when messages are lost: what is late together
+    cancels out, what is not delays the modes of a large graph. Where leaders move, all would be late by more with each
+    neighbour on the way: then p_j, v_j are the newest.
     shape: {id: (3,) m}, where the bearings g_ij come from;  neighbors: those that i hears;  kp: 1/s2;  kv: 1/s;
     D = diag(1, 1, in_height);  moving: whether leaders move.
     Source: Zhao & Zelazo 2017, IEEE TCNS 4(3); the normalised law as their eq. for leaders that accelerate.

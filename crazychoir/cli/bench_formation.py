@@ -8,7 +8,6 @@ from dataclasses import asdict, dataclass
 from statistics import median
 from typing import Any
 
-import msgspec
 from rich import box
 from rich.table import Table
 
@@ -19,7 +18,6 @@ from crazychoir.swarm.config import SwarmConfig
 LOSSY = {"loss": 0.2, "delay": 0.02}
 GRID_GAINS = {"kp": 1.0, "kv": 2.0}
 """1/s2, 1/s: of the paper's law on the grid, whose drones have up to eight neighbours."""
-FILTER = "barrier"
 FLIGHT = {"takeoff_height": 1.2, "speed_limit": 3.0, "acceleration_limit": 4.0, "landing_speed": 1.0}
 
 
@@ -44,12 +42,10 @@ class Case:
             **config.mission_options, **given, "law": self.law, "duration": 6.0 if self.law == "normalised" else 20.0,
         }  # fmt: skip
         network = LOSSY if self.network == "lossy" else {}
-        collision = msgspec.to_builtins(config.collision) | {"method": FILTER}
         return mission.scatter(
             config.replace(
                 drones=drones, seed=seed, flight=FLIGHT, mission_options=options, network=network,
                 plant={"command_delay": 0.02}, fence={"min": [-3, -3, 0], "max": [6, 6, 4]},
-                collision=collision,
             )
         )  # fmt: skip
 

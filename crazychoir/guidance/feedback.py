@@ -33,7 +33,8 @@ class CFDistributedFeedback(CFGuidance):
     A new state of its own triggers it: what it wants is flown in the same tick.
     rate: Hz, at most that of the poses;  duration: s of the law, after everybody hovers;  gains: of the control that
     flies its Accelerations;  rest: s that it hovers before: what its control learns of thrust and trim while it hovers
-    is all that it knows while it flies Accelerations.
+    is all that it knows while it flies Accelerations;  paired: whether it hears neighbours as Paired does: place and
+    velocity of the tick in which their acceleration was commanded, held with it while nothing comes.
     """
 
     rate = 100.0
@@ -53,13 +54,7 @@ class CFDistributedFeedback(CFGuidance):
         bus = member.communicator.port.bus
         self._hearings: dict[int, Hearing | Paired] = {}
         for j in self.graph.in_neighbors(self.id):
-            name = f"drone {self.id} state of {j}"
-            hearing: Hearing | Paired
-            if self.paired:
-                hearing = Paired(member.clock, name, 1.0 / member.config.mocap.rate)
-            else:
-                hearing = Hearing(member.clock, name, self._sum())
-            self._hearings[j] = hearing
+            hearing = self._hearings[j] = self._hearing(f"drone {self.id} state of {j}")
             bus.subscribe(STATE, j, self.id, hearing, self.rate if self.rate < STATE.rate else 0.0)
         self._own, self._measured = self._sum(), 0.0
         self._unheard = dict.fromkeys(self._hearings, 0)
@@ -69,6 +64,11 @@ class CFDistributedFeedback(CFGuidance):
         self._period_ns = self._due_ns = 0
         self._me, self._stages = self.state, bus.stages
         bus.subscribe(STATE, self.id, self.id, Call(member.clock, self._moved, f"drone {self.id} state"))
+
+    def _hearing(self, name: str) -> Hearing | Paired:
+        if self.paired:
+            return Paired(self.member.clock, name, 1.0 / self.member.config.mocap.rate)
+        return Hearing(self.member.clock, name, self._sum())
 
     def _sum(self) -> VelocitySum:
         member = self.member

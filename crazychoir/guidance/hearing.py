@@ -131,13 +131,13 @@ class Hearing(Latest[State]):
 class Paired(Latest[State]):
     """The mailbox for the states of one neighbour, for a law that adds up what its neighbours command.
 
-    Place and velocity are those of the tick in which the acceleration was commanded, that is of the message before; of
-    what was between, where n - 1 messages were lost.
+    Place and velocity are those of the tick in which the acceleration was commanded, that is of message m - 1; where
+    n - 1 messages before m were lost, of the way from the last that came:
 
         x = x_m + (x_m-n - x_m) / n,   a = a_m
 
-    In a step without a new message it tells the same again, with its age: all three belong together, and where a drone
-    is on its way to changes less than where it is.
+    In a step without a new message it tells the same again, older: a + kv v + kp p says where a drone is on its way to,
+    which changes less than where it is. The first is told as it is.  h: s between two states.
     """
 
     def __init__(self, clock: Clock, name: str, h: float) -> None:

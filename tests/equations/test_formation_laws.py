@@ -58,17 +58,21 @@ def test_the_papers_law_is_its_sum_over_neighbours_with_less_in_height(x):
         np.testing.assert_allclose(u.a, wanted * [1.0, 1.0, 0.5], atol=1e-9)
 
 
-def test_places_are_of_the_tick_of_the_acceleration_unless_leaders_move():
-    draw = np.random.default_rng(3)
-    first, second = (states(draw.normal(size=(4, 9))) for _ in range(2))
-    for moving in (False, True):
-        law = BearingFormation(2, SQUARE, NEIGHBORS[2], moving=moving)
-        fresh = BearingFormation(2, SQUARE, NEIGHBORS[2])
-        law.step(first[2], {j: first[j] for j in NEIGHBORS[2]})
-        found = law.step(second[2], {j: second[j] for j in NEIGHBORS[2]})
-        of = second if moving else first
-        wanted = fresh.step(second[2], {j: State(of[j].flat, 0.0, second[j].a) for j in NEIGHBORS[2]})
-        np.testing.assert_allclose(found.a, wanted.a, atol=1e-12)
+def test_the_normalised_law_wants_places_of_the_tick_of_the_acceleration_unless_leaders_move():
+    assert BearingFormation(2, SQUARE, NEIGHBORS[2]).paired
+    assert not BearingFormation(2, SQUARE, NEIGHBORS[2], moving=True).paired
+    assert not BearingFormation(2, SQUARE, NEIGHBORS[2], "paper").paired
+
+
+def test_where_a_drone_is_on_its_way_to_changes_less_than_where_it_is():
+    """E = a + kv v + kp p does not change while a drone flies the law: what is held of it stays right."""
+    x, target = np.array([0.7, -0.2]), 0.1
+    held = -KP * (x[0] - target) - KV * x[1] + KV * x[1] + KP * x[0]
+    for _ in range(100):
+        a = -KP * (x[0] - target) - KV * x[1]
+        assert a + KV * x[1] + KP * x[0] == pytest.approx(held)
+        x += 0.01 * np.array([x[1], a])
+    assert abs(x[0] - 0.7) > 0.3, "it has moved"
 
 
 def test_all_modes_of_the_normalised_law_are_alike():

@@ -8,7 +8,7 @@ from virtual_time import virtual
 
 from crazychoir.bus.topics import STATE
 from crazychoir.filters.velocity import VelocityFilter
-from crazychoir.guidance.hearing import SPREAD, Hearing, VelocitySum
+from crazychoir.guidance.hearing import SPREAD, Hearing, Paired, VelocitySum
 from crazychoir.types import Pose, State
 
 H = 0.01
@@ -210,3 +210,55 @@ async def test_what_is_stale_is_not_told_and_not_made_up_for(clock):
     assert [one is None for one in told] == [k * H > STATE.max_age + 1e-9 for k in range(1, 41)]
     state, heard = await neighbor.step()
     assert heard.flat.tolist() == state.flat.tolist()
+
+
+# A neighbour's commands, together with where it was ------------------------------------------------------------------
+
+
+def commanded(k):
+    """One that accelerates, seen in tick k: a was commanded in the tick before."""
+    t = H * k
+    return State(State.at((0.5 * t * t, -t, 1.0), (t, -1.0, 0.0)).flat, 0.0, np.array([k - 1.0, 0.0, 0.0]))
+
+
+@pytest.mark.parametrize("delay", [0, 2])
+def test_place_and_velocity_are_told_with_the_acceleration_of_their_tick(delay):
+    @virtual
+    async def flown(clock):
+        paired, draw, pair, newest, lost = Paired(clock, "state", H), np.random.default_rng(5), None, 0, 0
+        await clock.sleep(1.0)
+        for k in range(2, 300):
+            await clock.sleep(H)
+            if k < 4 or draw.uniform() >= 0.4:
+                paired.put(commanded(k), delay * H)
+                newest = k
+            told = paired.state(clock.now_ns(), 1)
+            assert told.age == pytest.approx((k - newest + delay) * H), "of the message"
+            assert told.a.tolist() == commanded(newest).a.tolist()
+            if k == 2:
+                assert told.flat.tolist() == commanded(2).flat.tolist(), "nothing came before the first"
+            elif newest == k:
+                pair, before = told, commanded(k - 1)
+                np.testing.assert_allclose(told.v, before.v, atol=1e-12)
+                np.testing.assert_allclose(told.p, before.p, atol=0.002)
+            else:
+                lost += 1
+                np.testing.assert_array_equal(told.flat, pair.flat, "held together")
+        assert lost > 50
+
+    flown()
+
+
+@virtual
+async def test_pairs_that_are_stale_are_not_told_and_begin_anew(clock):
+    paired = Paired(clock, "state", H)
+    assert paired.state(clock.now_ns(), 1) is None
+    for k in range(1, 4):
+        await clock.sleep(H)
+        paired.put(commanded(k))
+        paired.state(clock.now_ns(), 1)
+    await clock.sleep(STATE.max_age + 2 * H)
+    assert paired.state(clock.now_ns(), 1) is None
+    assert paired.stale == 1
+    paired.put(commanded(90))
+    assert paired.state(clock.now_ns(), 1).flat.tolist() == commanded(90).flat.tolist()

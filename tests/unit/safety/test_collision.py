@@ -7,7 +7,7 @@ from crazychoir.bus.local import Bus
 from crazychoir.bus.topics import STATE
 from crazychoir.control.gains import STANDARD
 from crazychoir.safety.collision.filter import CollisionFilter
-from crazychoir.safety.collision.traffic import BORN, SOON, Traffic
+from crazychoir.safety.collision.traffic import BORN, BORNE, SOON, Traffic
 from crazychoir.safety.guard import Fence
 from crazychoir.swarm.tables import Collision
 from crazychoir.types import FullState, State
@@ -151,3 +151,18 @@ def test_traffic_keeps_the_newest_state_and_hears_who_is_near_more_often():
     readers = sky.ports[0]._readers[STATE.number].some
     assert {j: round(1e9 / rate.interval_ns) for j, rate in readers.items()} == {1: 50}
     assert other.rows[0, BORN] == -np.inf
+
+
+def test_who_would_brake_for_want_of_a_state_hears_it_more_often():
+    sky = Sky(others=4)
+    for j, x in ((1, 1.2), (2, 2.2), (3, 9.0)):
+        sky.hears(j, (x, 0.0, 1.0))
+    Traffic(sky.ports[1], range(5)), Traffic(sky.ports[2], range(5)), Traffic(sky.ports[3], range(5))
+    sky.wants(State.at((0.0, 0.0, 1.0)), (0.0, 0.0, 1.0))
+    assert np.all(np.diff(sky.traffic.rows[:3, BORNE]) > 0.0)
+    assert sky.traffic.rows[3, BORNE] == np.inf, "never heard"
+    sky.traffic.look(0.0)
+    readers = sky.ports[0]._readers[STATE.number].some
+    rates = {j: round(1e9 / rate.interval_ns) for j, rate in readers.items()}
+    assert rates[1] >= 5
+    assert rates[1] >= rates[2] > rates[3]
