@@ -13,6 +13,9 @@ BACK, BEHIND, AHEAD = 0.05, 0.15, 0.5
 """m from its plan: one that was pushed aside is back; one that lands does so where it is; the plan waits for it: so far
 ahead it is beyond who stands in the way."""
 
+RETURN = 2.0
+"""s since the filter acted last, in which it comes back gently."""
+
 
 class Clearance:
     """Either a collision filter, or agreed ways, or neither; and what becomes of the flights that are planned.
@@ -51,10 +54,13 @@ class Clearance:
             self.ticks += 1
         return safe
 
-    def astray(self, state: State, planned: FullState) -> bool:
-        """Whether a drone that was pushed aside is far from its plan: one that lands does so where it is."""
+    def astray(self, state: State, planned: FullState, now: float) -> bool:
+        """Whether a drone that was pushed aside is far from its plan: one that lands does so where it is.
+
+        After RETURN s it is wind that keeps it from coming back, which is fought with all that the control has.
+        """
         far = math.dist(planned.p.tolist(), state.p.tolist())
-        self.aside = far > BACK
+        self.aside = far > BACK and now < self.gave_way + RETURN
         return far > BEHIND
 
     def awaited(self, state: State, planned: FullState, now: float) -> FullState:

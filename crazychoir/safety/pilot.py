@@ -577,9 +577,9 @@ class Pilot(Actor):
             flown = clearance.planned_flight(clearance.planned, state, planned, now, self._obeyed is Action.LAND)
             self._say_delayed()
             return flown
-        if not clearance.aside:
+        if not clearance.aside or self._obeyed is Action.BRAKE:  # at the fence, say: it may not drift
             return planned
-        if clearance.astray(state, planned):
+        if clearance.astray(state, planned, now):
             planned = self._come_back(state, planned, now)
         return self.reference_limits.full_state(planned, state)
 
