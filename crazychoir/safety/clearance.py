@@ -16,6 +16,9 @@ ahead it is beyond who stands in the way."""
 RETURN = 2.0
 """s since the filter acted last, in which it comes back gently."""
 
+DEAF = 4.0
+"""s of being cut off, after which a drone lands: in GONE s at most it is down, and out of the way of all."""
+
 
 class Clearance:
     """Either a collision filter, or agreed ways, or neither; and what becomes of the flights that are planned.
@@ -33,6 +36,7 @@ class Clearance:
         """In which the collision filter has flown it."""
         self.gave_way = -math.inf
         """s, when it last gave way to another drone."""
+        self._cut_off = math.inf  # since when
 
     def evasion(
         self, state: State, reference: Acceleration | FullState, gains: Vec, now: float, lands: bool = False
@@ -49,10 +53,15 @@ class Clearance:
             safe = collision.full_state(state, reference.flat, gains, now, lands=lands)
         else:
             safe = collision.acceleration(state, reference.a, gains, now)
+        self._cut_off = min(self._cut_off, now) if collision.cut_off else math.inf
         if safe is not None:
             self.gave_way = now
             self.ticks += 1
         return safe
+
+    def deaf(self, now: float) -> bool:
+        """Whether it has been cut off from half of those that fly, or more, for too long."""
+        return now >= self._cut_off + DEAF
 
     def astray(self, state: State, planned: FullState, now: float) -> bool:
         """Whether a drone that was pushed aside is far from its plan: one that lands does so where it is.

@@ -77,6 +77,7 @@ GIVE_UP_HOVER = 2.0
 GIVE_UP_TICKS = 0.5
 """s of failed ticks, within 10 s, after which the pilot is given up: as long as it flies on without a pose."""
 
+DEAF = "hears no more than half of the drones that fly: landing"
 LIFTED = 0.03
 """m above where it stood at which a drone flies: below, its controllers learn nothing from an error of the height."""
 
@@ -603,6 +604,8 @@ class Pilot(Actor):
 
     def _kept_clear(self, state: State, reference: Acceleration | FullState, now: float) -> Vec | None:
         safe = self.clearance.evasion(state, reference, self.reference_limits.gains, now, lands=self.mode is LAND)
+        if self.clearance.deaf(now) and self.land(DEAF) > 0.0:
+            self.brought_down = self.brought_down or DEAF
         if safe is None and self.note == self._evades:
             self.note = ""
         return safe

@@ -19,16 +19,22 @@ MOST = 16
 """Others that count at most, the nearest."""
 STANDING = 0.08
 """m above the ground, below which a drone stands on the floor, or as good as."""
-BODY = 0.15
-"""m, between the centres of two drones one of which stands on the floor: 0.137 m would touch."""
+BODY, BESIDE = 0.15, 0.2
+"""m, between the centres of two drones one of which stands on the floor: 0.137 m would touch. Who lands keeps BESIDE."""
 USABLE = 0.6
 """s: a state that is older is no use."""
 NEAR = 0.5
 """m, between the ellipsoids of this drone and of one that it does not hear, below which it brakes."""
 LASTS = 0.15
 """s, for which a drone is taken to go on commanding what it did: two that foresee more of each other flee for ever."""
-GONE = 3.0
-"""s: the motors of a drone that is not heard for so long are off: its pilot or its firmware cuts them after 2 s."""
+SILENT = 1.5
+"""s, after which a drone that flew counts as not heard by who asks whether it is cut off."""
+GONE = 10.0
+"""s: a drone that is not heard for so long has come down, see clearance.DEAF: it is cut off itself, or has failed."""
+HIDES = 2.0
+"""s, for which one that is not heard flies on at most, before it brakes for want of the others' states."""
+HOLDS = 0.2
+"""m/s, below which one that brakes stays where it is."""
 FLOOR_GAP = 0.2
 """m above the floor, at least, for who gives way, unless it wants to be lower."""
 NEAR_WALL = 1.0
@@ -48,6 +54,22 @@ def _wanted(x: Vec, ref: Vec, gains: Vec, follow: float) -> Triple:
         ref[6] + follow * (gains[0] * (ref[0] - x[0]) + gains[3] * (ref[3] - x[3])),
         ref[7] + follow * (gains[1] * (ref[1] - x[1]) + gains[4] * (ref[4] - x[4])),
         ref[8] + follow * (gains[2] * (ref[2] - x[2]) + gains[5] * (ref[5] - x[5])),
+    )
+
+
+@kernel()
+def _braking(x: Vec, v: Triple, limit: float, out: Vec) -> Triple:
+    """What brings it to rest, and lets it stay there, whatever the wind does, m/s2: -2 v - (p - p_0)."""
+    if out[6] == 0.0 and length((x[3], x[4], x[5])) < HOLDS:
+        out[6], out[7], out[8], out[9] = 1.0, x[0], x[1], x[2]
+    stays = out[6]
+    return shrunk(
+        (
+            -2.0 * v[0] - stays * (x[0] - out[7]),
+            -2.0 * v[1] - stays * (x[1] - out[8]),
+            -2.0 * v[2] - stays * (x[2] - out[9]),
+        ),
+        limit,
     )
 
 
@@ -111,31 +133,37 @@ def _filtered(
     x: Vec, a: Vec, ref: Vec, gains: Vec, follow: float, others: Vec, now: float, box: Vec, f: Vec, planes: Vec,
     near: Vec, out: Vec,
 ) -> int:  # fmt: skip
-    """The law of CollisionFilter; out: (5,) = the acceleration, the row of the nearest that is in the way, relaxed."""
+    """The law of CollisionFilter.
+
+    out: (10,) = the acceleration, the row of the nearest that is in the way, how many were relaxed, whether it is cut
+    off, and whether it stays while it brakes, and where.
+    """
     p, v = late(x, a, f[LAG], f[DELAY], LASTS)
-    low, count, blind = x[2] < f[GROUND] + STANDING, 0, False
+    low, count, blind, heard, silent = x[2] < f[GROUND] + STANDING, 0, False, 0, 0
     for j in range(others.shape[0]):
         other = others[j]
-        age = now - other[BORN]
-        if not age < GONE:
+        age, stands = now - other[BORN], other[2] < f[GROUND] + STANDING
+        if not age < GONE and not (stands and age < math.inf):
             other[SOON] = other[BORNE] = math.inf
             continue
+        if not stands:
+            heard += age < SILENT
+            silent += age >= SILENT
         apart = length((f[SX] * (x[0] - other[0]), f[SY] * (x[1] - other[1]), f[SZ] * (x[2] - other[2])))
         speeds = length((x[3], x[4], x[5])) + length((other[3], other[4], other[5]))
         other[SOON] = (apart - 2.0 * f[WIDTH]) / (speeds + SLOW)
         other[BORNE] = USABLE + max(apart - f[WIDTH] - NEAR, 0.0) / f[V_MAX]
-        if apart > f[RANGE] + 2.0 * f[V_MAX] * age:
+        if apart > f[RANGE] + 2.0 * f[V_MAX] * min(age, HIDES):
             continue
-        stands = other[2] < f[GROUND] + STANDING
-        if stands and low:
+        if stands and low and f[WAITS] > 0.0:
             continue
         scale = (1.0, 1.0, 1.0) if stands else (f[SX], f[SY], f[SZ])
-        width = BODY if stands else f[WIDTH]
+        width = f[WIDTH] if not stands else BODY if f[WAITS] > 0.0 else BESIDE
         q, w = late(other, other[13:16], f[LAG], min(age, USABLE) + f[DELAY], LASTS)
         r, w = scaled(p, q, scale), scaled(v, w, scale)
         d = max(length(r), 1e-3)
         if age > USABLE and not stands:
-            blind = blind or (f[WAITS] > 0.0 and d < width + f[V_MAX] * (age - USABLE) + NEAR)
+            blind = blind or (f[WAITS] > 0.0 and d < width + f[V_MAX] * (min(age, HIDES) - USABLE) + NEAR)
             continue
         n = (r[0] / d, r[1] / d, r[2] / d)
         side = (scale[0] * n[0], scale[1] * n[1], scale[2] * n[2])
@@ -152,10 +180,11 @@ def _filtered(
                 away = (scale[0] * v[0] * n[0] + scale[1] * v[1] * n[1] + scale[2] * v[2] * n[2])
                 b *= part(away, dot(n, w) - away) if b > 0.0 else 0.5
         normal = (side[0] / reach, side[1] / reach, side[2] / reach)
-        count = _insert(planes, near, count, d, normal, b / reach, j)
-    u = _wanted(x, ref, gains, follow)
-    if blind:
-        u = shrunk((-2.0 * v[0], -2.0 * v[1], -2.0 * v[2]), f[A_Z])
+        count = _insert(planes, near, count, d - width, normal, b / reach, j)
+    cut_off = silent > heard
+    blind = blind or (cut_off and f[WAITS] > 0.0)
+    u = _braking(x, v, f[A_Z], out) if blind else _wanted(x, ref, gains, follow)
+    out[5], out[6] = 1.0 if cut_off else 0.0, out[6] if blind else 0.0
     acts = blind
     out[3] = -1.0
     for k in range(6 + count - 1, 5, -1):
@@ -179,9 +208,9 @@ class CollisionFilter:
 
     semi-axes s of the ellipsoid around each drone;  b_ij: of `barrier` or of `cell`;  u_n: what is wanted, turned to
     the side where somebody is in the way. Places and velocities are those of `late`, so that the lag of the drones
-    counts. What cannot be had all is relaxed by least violation, the nearest drone last; the floor never. Drones that
-    stand on the floor are balls of BODY m; who is low himself does not see them. If one that may be near has not been
-    heard for USABLE s, it brakes, unless it lands.
+    counts. What cannot be had all is relaxed by least violation: the fence first, the nearest drone last, the floor
+    never. Drones that stand on the floor are balls of BODY m; who takes off does not see them. If one that may be near
+    has not been heard for USABLE s, or half of those that flew for SILENT s, it brakes, unless it lands.
     settings: [collision];  fence: from the floor upwards;  a_max: m/s2, with which it brakes;  v_max: m/s, at which
     others fly at most;  ground: m.
     acted, braked, relaxed: ticks in which it did so.
@@ -198,7 +227,7 @@ class CollisionFilter:
             float(settings.method == "cells"), settings.stiff, 1.0,
         ])  # fmt: skip
         self._box = np.array([*fence.low, *fence.high]) + np.repeat([1.0, -1.0], 3) * settings.margin
-        self._planes, self._near, self._out = np.zeros((6 + MOST + 6, 4)), np.zeros((MOST, 2)), np.zeros(5)
+        self._planes, self._near, self._out = np.zeros((6 + MOST + 6, 4)), np.zeros((MOST, 2)), np.zeros(10)
         self._accelerates = np.zeros(14)
         self.acted = self.braked = self.relaxed = 0
 
@@ -224,6 +253,11 @@ class CollisionFilter:
         self.braked += does == BRAKES
         self.relaxed += self._out[4] > 0.0
         return self._out[0:3].copy()
+
+    @property
+    def cut_off(self) -> bool:
+        """Whether it hears, of all that fly, itself too, no more than half."""
+        return bool(self._out[5])
 
     @property
     def gives_way_to(self) -> int | None:

@@ -10,7 +10,7 @@ EXACT = 1e-10
 """m/s2, by which a half space may be left: rounding."""
 SLACK = 1e-6
 """m/s2, by which a half space is relaxed beyond its least violation: the others may leave but a point there."""
-FAR = 1e4
+FAR = 1e3
 """m/s2: the point of a bounded polytope that is nearest to one so far away in a direction is its farthest in it."""
 
 
@@ -101,14 +101,17 @@ def nearest(u: Triple, planes: Vec, m: int) -> tuple[int, Triple]:
     planes: (>= m, 4), rows n_k (3,) of length 1, b_k; b_k of relaxed ones is changed.
     Source: Seidel 1991, Small-dimensional linear programming and convex hulls made easy, for the order of the steps.
     """
-    relaxed, last, (k, q) = 0, -1, _nearest(u, planes, m)
+    relaxed, last, slack, (k, q) = 0, -1, SLACK, _nearest(u, planes, m)
     while k < m:
-        if k == last:  # rounding has left no point
-            planes[k, 3] -= SLACK
+        if k == last:  # rounding has left no point, as of planes that are almost parallel: twice as much each time
+            slack *= 2.0
+            planes[k, 3] -= slack
         else:
-            _, far = _nearest(_plus((0.0, 0.0, 0.0), FAR, _row(planes, k)), planes, k)
-            planes[k, 3] = min(planes[k, 3], dot(_row(planes, k), far)) - SLACK
-            relaxed, last = relaxed + 1, k
+            found, far = _nearest(_plus((0.0, 0.0, 0.0), FAR, _row(planes, k)), planes, k)
+            if found == k:
+                planes[k, 3] = min(planes[k, 3], dot(_row(planes, k), far))
+            planes[k, 3] -= SLACK
+            relaxed, last, slack = relaxed + 1, k, SLACK
         k, q = _nearest(u, planes, m)
     return relaxed, q
 

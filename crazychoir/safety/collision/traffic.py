@@ -1,5 +1,6 @@
 """What a drone hears of all others of its swarm: the newest state of each, and how often each hears its own."""
 
+import math
 from collections.abc import Iterable, Sequence
 
 import numpy as np
@@ -16,8 +17,8 @@ s, after which both could be near each other; s, the age of its state beyond whi
 """
 SLOW = 0.3
 """m/s, by which two drones may be faster at once than they are."""
-SELDOM = 2.0
-"""Hz, at which a drone is heard that is far away."""
+SELDOM, OFTEN, TOTAL = 2.0, 20.0, 100.0
+"""Hz, at which a drone is heard that is far away: as often as makes TOTAL for all of them, within these two."""
 RATES = ((0.7, 50.0), (3.0, 20.0))
 """s, within which both could be near each other, and Hz, at which they then hear each other."""
 PATIENCE = ((1.0, 10.0), (2.0, 5.0))
@@ -29,7 +30,7 @@ LOOK = 0.1
 class Traffic:
     """The table of the others, by their place in `ids`: state, acceleration, when, share, how soon.
 
-    Each drone hears all others at SELDOM Hz; it says its own state more often to those that could be near soon, or
+    Each drone hears all others, now and then; it says its own state more often to those that could be near soon, or
     that would brake soon if they did not hear it, as both know.
     alone: the drones that do not give way, as they fly by a planner on board.
     """
@@ -45,17 +46,18 @@ class Traffic:
         self._pace = np.zeros(len(self.ids))
         self._looks = 0.0
         if self.ids:
-            port.bus.subscribe(STATE, ANY, port.address, Call(self.clock, self.hear, "traffic"), SELDOM)
+            rate = min(max(TOTAL / len(self.ids), SELDOM), OFTEN)
+            port.bus.subscribe(STATE, ANY, port.address, Call(self.clock, self.hear, "traffic"), rate)
 
     def hear(self, message: tuple[int, State], age: float) -> None:
-        """Keep a state of a drone, `age` s old, unless a newer one is there."""
+        """Keep a state of a drone, `age` s old, unless a newer one is there or it is not finite."""
         j, state = message
         found = self._parts.get(j)
         if found is None:
             return
         row, flat, a = found
         born = self.clock.now_ns() / SECOND - age
-        if born >= row[BORN]:
+        if born >= row[BORN] and math.isfinite(sum(state.flat.tolist())):
             flat[:], a[:], row[BORN] = state.flat, state.a, born
 
     def look(self, now: float) -> None:
