@@ -515,6 +515,8 @@ class Pilot(Actor):
             self._obey(verdict)
             if not self.airborne:
                 return self._idle
+        if self.clearance.deaf(now) and self.land(DEAF) > 0.0:
+            self.brought_down = self.brought_down or DEAF
         if self.mode is RETURN and self._obeyed is NOMINAL and self.flights.done(now):
             self._go_on_home(state, now)
         if self.mode is LAND and self._is_down(state, now):
@@ -604,8 +606,6 @@ class Pilot(Actor):
 
     def _kept_clear(self, state: State, reference: Acceleration | FullState, now: float) -> Vec | None:
         safe = self.clearance.evasion(state, reference, self.reference_limits.gains, now, lands=self.mode is LAND)
-        if self.clearance.deaf(now) and self.land(DEAF) > 0.0:
-            self.brought_down = self.brought_down or DEAF
         if safe is None and self.note == self._evades:
             self.note = ""
         return safe

@@ -284,16 +284,23 @@ def test_a_mission_that_raises_alone_leaves_its_tasks_to_the_others(part, name):
     ("who", "recover"),
     [(0, True), (3, False), *(pytest.param(*both, marks=pytest.mark.slow) for both in ((0, False), (3, True)))],
 )
-def test_a_drone_that_is_cut_off_and_comes_back_serves_nothing_that_others_serve(who, recover):
+@pytest.mark.parametrize("until", [10.0, 18.0])
+def test_a_drone_that_is_cut_off_and_comes_back_serves_nothing_that_others_serve(who, recover, until):
+    """It waits where it is, and lands after 5.5 s."""
     config = drawn(8, 0.2, drones=4, tasks=6, later=0, recover=recover, until=40.0)
-    config = config.replace(network={"loss": 0.2, "partitions": [{"at": 6.0, "until": 18.0, "groups": [[who]]}]})
+    config = config.replace(network={"loss": 0.2, "partitions": [{"at": 6.0, "until": until, "groups": [[who]]}]})
     outcome = fly_online(config, {})
+    why = outcome.results[who].get("reason", "")
+    assert ("hears no more than half" in why or "cut off" in why) is (until > 12.0)
     others = [i for i in config.ids if i != who]
     assert all(outcome.results[i]["success"] for i in others), outcome.results
     fates = outcome.results[others[0]]["tasks"]
     assert all(outcome.results[i]["tasks"] == fates for i in others)
-    assert {fate for fate, _ in fates.values()} == {"delivered"}
-    assert all(len(by) == 1 for by in outcome.delivered.values()), outcome.delivered
+    lost = [fate for fate, _ in fates.values() if fate != "delivered"]
+    assert lost == ([] if recover or until < 12.0 else len(lost) * ["lost"]), fates
+    assert len(lost) <= 1, "it had one aboard at most"
+    assert all(len(by) <= 1 for by in outcome.delivered.values()), outcome.delivered
+    assert outcome.touching == {}
 
 
 def test_a_drone_that_is_sent_elsewhere_at_full_speed_stays_in_its_room():
