@@ -21,8 +21,8 @@ Results = dict[int, dict[str, Any]]
 DEFAULTS: dict[str, Any] = {
     "pattern": "antipodal", "radius": 3.0, "speed": 0.8, "low": 0.3, "high": 2.2, "jitter": 0.1, "duration": 20.0,
 }  # fmt: skip
-APART = 0.34
-"""m, by the metric of [collision]: starts, and goals, are drawn as far apart as this."""
+APART, SCALE = 0.34, (1.0, 1.0, 0.4)
+"""m, and the scale of the standard [collision]: starts, and goals, are drawn as far apart as this by it."""
 ARRIVED = 0.05
 """m from its goal: it is there, once it stays so near."""
 
@@ -83,7 +83,7 @@ def _circle(draw: np.random.Generator, n: int, options: dict[str, Any], turn: fl
     for _ in range(1000):
         heights = draw.uniform(options["low"], options["high"], n)
         found = np.column_stack([flat + draw.uniform(-off, off, (n, 2)), heights])
-        apart = np.linalg.norm((found[:, None] - found[None]) * [1.0, 1.0, 0.4], axis=2) + 9.0 * np.eye(n)
+        apart = np.linalg.norm((found[:, None] - found[None]) * SCALE, axis=2) + 9.0 * np.eye(n)
         if apart.min() >= APART:
             return found
     raise ConfigError("mission_options.radius", options["radius"], f"room for {n} drones", "Take a larger one.")
@@ -129,6 +129,8 @@ def check(config: SwarmConfig, force: bool = False) -> list[str]:
             raise ConfigError(f"{where}.pattern", value, '"antipodal" or "permutation"')
         if key != "pattern" and not (isinstance(value, int | float) and value >= 0.0):
             raise ConfigError(f"{where}.{key}", value, "a number, not negative")
+        if key in ("radius", "speed", "duration") and value <= 0.0:
+            raise ConfigError(f"{where}.{key}", value, "a positive number")
     for which, found in zip(("start", "goal"), places(config), strict=True):
         for i, p in found.items():
             if np.any(p < config.fence.min) or np.any(p > config.fence.max):

@@ -65,7 +65,7 @@ def flight(i: int, config: SwarmConfig) -> Piecewise:
     try:
         return timed_goals(start, np.array(rows), room)
     except ConfigError as error:
-        where = f"swarm {config.name}: drone {i}: {error.where}"
+        where = f"swarm {config.name}: mission_options.goals: drone {i}: {error.where}"
         raise ConfigError(where, error.found, error.allowed, error.do) from error
 
 
@@ -101,6 +101,9 @@ def check(config: SwarmConfig, force: bool = False) -> list[str]:
     options = given(config)
     if options.goals is None and len(config.ids) != len(CORNERS):
         raise ConfigError(f"swarm {config.name}: drones", len(config.ids), f"{len(CORNERS)}, or mission_options.goals")
+    for i, rows in (options.goals or {}).items():
+        if not rows:
+            raise ConfigError(f"swarm {config.name}: mission_options.goals.{i}", "[]", "one row t, x, y, z or more")
     if sorted(goals(config)) != sorted(config.ids):
         where, found = f"swarm {config.name}: mission_options.goals", f"goals of drones {sorted(goals(config))}"
         raise ConfigError(where, found, f"goals of each drone, {span(config.ids)}")

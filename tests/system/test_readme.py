@@ -5,6 +5,7 @@ import inspect
 import re
 import shlex
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -13,6 +14,7 @@ from crazychoir.guidance.feedback import CFDistributedFeedback
 from crazychoir.guidance.hooks import HOOKS
 from crazychoir.guidance.mission import names as missions
 from crazychoir.optimization.problems import CostCoupled
+from crazychoir.swarm.tables import Collision
 
 pytestmark = pytest.mark.system
 MARK = r"<!-- my_law\.py -->\n```python\n(.*?)```"
@@ -242,3 +244,12 @@ def test_the_page_of_missions_shows_each_with_a_picture_that_there_is(repository
     assert pictures == {path.name for path in (repository / "agents" / "pictures").iterdir()}
     swarms = re.findall(r"deploy/\w+\.toml", page)
     assert [path for path in swarms if not (repository / path).is_file()] == []
+
+
+def test_the_page_of_swarm_files_names_all_keys_of_the_collision_filter_and_its_defaults(repository):
+    row = re.search(r"\| `\[collision\]` .*", (repository / "deploy" / "README.md").read_text()).group()
+    defaults = msgspec.to_builtins(Collision())
+    assert f'`method` `"{defaults.pop("method")}"`' in row
+    assert f"`semi_axes` {list(defaults.pop('semi_axes'))} m" in row
+    for key, value in defaults.items():
+        assert f"`{key}` {value:g}" in row
