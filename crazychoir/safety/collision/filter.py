@@ -20,7 +20,7 @@ MOST = 16
 STANDING = 0.08
 """m above the ground, below which a drone stands on the floor, or as good as."""
 BODY, BESIDE = 0.15, 0.2
-"""m, between the centres of two drones one of which stands on the floor: 0.137 m would touch. Who lands keeps BESIDE."""
+"""m, between the centres of two drones one of which stands on the floor: 0.137 m would touch; and for who lands."""
 USABLE = 0.6
 """s: a state that is older is no use."""
 NEAR = 0.5
