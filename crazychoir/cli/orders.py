@@ -76,7 +76,7 @@ def _row(said: "tuple[str, str] | list[str] | str") -> dict[str, str]:
 
 
 def _conclude(rows: Rows, as_json: bool) -> None:
-    """What each drone answers; ends with exit code 1 unless all have done it."""
+    """What each drone answers; ends with exit code 1 unless all, and there are some, have done it."""
     if as_json:
         write_json(rows)
     else:
@@ -84,7 +84,7 @@ def _conclude(rows: Rows, as_json: bool) -> None:
         for i, row in rows.items():
             table.add_row(str(i), row["answer"], row["says"])
         STDOUT.print(table)
-    raise typer.Exit(0 if all(row["answer"] == DONE for row in rows.values()) else 1)
+    raise typer.Exit(0 if rows and all(row["answer"] == DONE for row in rows.values()) else 1)
 
 
 def numbers(text: str | None) -> list[int] | None:
@@ -96,5 +96,7 @@ def numbers(text: str | None) -> list[int] | None:
         first, dash, last = (part.strip() for part in word.partition("-"))
         if not (first.isdecimal() and (last.isdecimal() if dash else not last)):
             fail(ConfigError("--drones", text, "drones with commas between, as 3,5-7"), as_json=False)
+        if last and int(last) < int(first):
+            fail(ConfigError("--drones", word.strip(), f"the lower one first: {last}-{first}"), as_json=False)
         found |= dict.fromkeys(range(int(first), int(last or first) + 1))
     return list(found)

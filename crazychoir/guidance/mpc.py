@@ -63,7 +63,8 @@ class MPCGuidance(CFDistributedFeedback):
     The plan of a step is agreed on during the step before, see SequentialMPC, beside the law, which never waits: it
     flies what was decided when the step begins, else its own last plan. A plan begins where the last one leads (the
     nominal state of a tube controller; what flies it holds the drone in the tube); a drone that is pushed further than
-    TUBE off stays there, and plans from there.
+    TUBE off stays there, and plans from there. The constraints hold for the plans: they are not tightened by the tube,
+    but by what is left for tracking in flight, and a drone that is pushed may leave `reach` until its next plan.
     goal: (2,) m;  reach: m.  Result: how many steps were solved, loosened, kept, infeasible, see Tally;  way, of `Way`.
     Source: Richards & How 2007, see SequentialMPC; Mayne, Seron & Rakovic 2005, Automatica 41(2), for the tube.
     """
