@@ -81,7 +81,8 @@ class Meeting:
 
     def somewhere(self, j: int, way: Mat, began: float, heard: float) -> None:
         """Drone j is silent since `heard`, s: it may have stopped anywhere on what was left of its way then."""
-        for t in np.arange(max(0.0, heard - began), seconds(way) + APART, APART).tolist():
+        lasts = seconds(way)
+        for t in np.arange(min(max(0.0, heard - began), lasts), lasts + APART, APART).tolist():
             self.way(j, hold(moving(way, t)[0:3], 0.0), -math.inf)
 
     def stands(self, j: int, p: Vec) -> None:
