@@ -33,6 +33,7 @@ class Clearance:
         self.filter = collision if isinstance(collision, CollisionFilter) else None
         self.planned = collision if isinstance(collision, PlannedFlights) else None
         self.flights, self.period = flights, period
+        self.traffic = None if collision is None else collision.traffic
         self.aside = False
         """Whether it was pushed off its plan, and is not back."""
         self.ticks = 0
