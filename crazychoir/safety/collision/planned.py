@@ -49,6 +49,8 @@ LOWEST = 0.25
 """m above the ground, of waypoints."""
 RESTS = 0.3
 """m/s, below which a low drone stands."""
+LONG = 60.0
+"""s, after which every landing has ended."""
 FREE = 0.25
 """m between one that comes down beside others and what it keeps clear of anyway."""
 UNANSWERED = 5.0
@@ -102,7 +104,10 @@ class PlannedFlights:
         if now >= self._next and len(mine.offer) == 0:
             self._measure(state)
             self._next = now + PERIOD
-            self._decide(future, whole, now, lands and self.unanswered)
+            if lands and (j := self._who_stands_at(future(LONG).p)) is not None:
+                self.gives_way_to = j
+            else:
+                self._decide(future, whole, now, lands and self.unanswered)
         self._answer(now)
         mine.tell(now)
         self._flew = now
@@ -174,6 +179,13 @@ class PlannedFlights:
         rows = self.traffic.rows
         apart = np.linalg.norm(rows[:, 0:3] - state.p, axis=1)
         rows[:, SOON] = apart / (np.linalg.norm(rows[:, 3:6], axis=1) + np.linalg.norm(state.v) + SLOW)
+
+    def _who_stands_at(self, p: Vec) -> int | None:
+        """One that stands where another would come down, p (3,) m: that does not begin to, as it may sink further."""
+        for j, x in self._rows.items():
+            if math.hypot(x[0] - p[0], x[1] - p[1]) < BODY and self._stands(j):
+                return j
+        return None
 
     def _stands(self, j: int) -> bool:
         """Whether it stood on the floor when it was heard last."""
