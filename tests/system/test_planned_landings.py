@@ -59,7 +59,7 @@ def test_two_that_are_parted_for_long_wait_for_each_other():
     flights = fly(pair(network=parted, lost_after=30.0), mission_of(does))
     assert nearest(flights, (1.0, 1.0, 0.4)) > 0.3
     assert not any(flight.harm for flight in flights.values())
-    assert flights[1].result["reason"] == "drone 1: drone 0 does not answer: landing"
+    assert "drone 0 does not answer" in flights[1].result["reason"]
 
 
 @pytest.mark.parametrize("edge", [(0, 1), (1, 0)])

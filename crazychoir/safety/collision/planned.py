@@ -121,7 +121,6 @@ class PlannedFlights:
 
     def rest(self, now: float) -> None:
         """It is on the ground."""
-        self._look(now)
         self.agreement.rest(now)
         self._kept = True
 

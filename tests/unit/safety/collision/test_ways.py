@@ -162,3 +162,13 @@ def test_a_silent_one_that_has_come_to_rest_is_still_there():
         meeting = Meeting(FIGURES, 2.0)
         meeting.somewhere(4, way, 0.0, heard)
         assert not meeting.clear(straight((-1, 0, 1), (1, 0, 1)), 63.0, 63.0)
+
+
+def test_one_that_may_have_come_down_is_anywhere_below():
+    meeting, over, under = Meeting(FIGURES, 2.0), straight((-1, 0, 2), (1, 0, 2)), straight((-1, 0, 0.3), (1, 0, 0.3))
+    meeting.way(4, hold(np.array([0.0, 0.0, 1.2]), 0.0), -math.inf)
+    assert meeting.clear(under, 0.0, 0.0)
+    meeting = Meeting(FIGURES, 2.0)
+    meeting.below(4, np.array([0.0, 0.0, 1.1]))
+    assert not meeting.clear(under, 0.0, 0.0)
+    assert meeting.clear(over, 0.0, 0.0)
