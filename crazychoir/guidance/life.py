@@ -11,6 +11,7 @@ from crazychoir.bus.topics import LOG, RESULT, STATUS
 from crazychoir.errors import AgentFailed, CodecError, CrazyChoirError, Hung, Refused
 from crazychoir.guidance.drone import Drone
 from crazychoir.guidance.member import Member, raisable, touch_down
+from crazychoir.guidance.turns import blocked
 from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import SECOND
 from crazychoir.runtime.hanging import Guarded, Guards
@@ -151,9 +152,15 @@ class GuidanceActor(Actor):
             log.error("drone %d: its mission does not end when it is cancelled; left behind", i)
 
     async def _down(self) -> None:
-        """Wait until it is on the ground; whoever ended the mission has a pilot that lands already."""
+        """Wait until it is on the ground; whoever ended the mission has a pilot that lands already.
+
+        One that others keep up hovers on, and looks for a place beside them: without motors it would fall on them.
+        """
         pilot = self.drone.pilot
         await touch_down(pilot, LANDING_DEADLINE)
+        while pilot.airborne and blocked(pilot):
+            log.warning("drone %d: others keep it up: %s", self.drone.id, pilot.note)
+            await touch_down(pilot, LANDING_DEADLINE)
         if pilot.airborne:
             pilot.cut("does not come down")
 

@@ -40,10 +40,10 @@ def aside(at: Vec, p: Vec, fence: Fence) -> Vec:
 
 def _flying_near(pilot: Pilot, p: Vec, far: float) -> dict[int, Vec]:
     """Where those are that fly less than `far` m from p (3,), in the plane, as far as this drone hears."""
-    collision = pilot.clearance.filter
-    if collision is None:
+    traffic = pilot.clearance.traffic
+    if traffic is None:
         return {}
-    traffic, now = collision.traffic, pilot.clock.now()
+    now = pilot.clock.now()
     rows, floor = traffic.rows, pilot.limits.ground + STANDING
     near = np.hypot(rows[:, 0] - p[0], rows[:, 1] - p[1]) < far
     fly = near & (rows[:, 2] > floor) & (now - rows[:, BORN] < USABLE)

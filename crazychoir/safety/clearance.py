@@ -13,6 +13,12 @@ BACK, BEHIND, AHEAD = 0.05, 0.15, 0.5
 """m from its plan: one that was pushed aside is back; one that lands does so where it is; the plan waits for it: so far
 ahead it is beyond who stands in the way."""
 
+ALONE = 0.5
+"""s after which who gives way does so for the first time."""
+STAYS, LEAVES = 3.0, 15.0
+"""s for which one that lands is kept up by one on the floor, or by one that flies, before it comes down beside."""
+SOON, UNHEARD = 1.0, 5.0
+"""s without an answer before it is said, and before one that needs it lands."""
 RETURN = 2.0
 """s since the filter acted last, in which it comes back gently."""
 
@@ -30,6 +36,7 @@ class Clearance:
         self.filter = collision if isinstance(collision, CollisionFilter) else None
         self.planned = collision if isinstance(collision, PlannedFlights) else None
         self.flights, self.period = flights, period
+        self.traffic = None if collision is None else collision.traffic
         self.aside = False
         """Whether it was pushed off its plan, and is not back."""
         self.ticks = 0
@@ -37,6 +44,7 @@ class Clearance:
         self.gave_way = -math.inf
         """s, when it last gave way to another drone."""
         self._cut_off = math.inf  # since when
+        self._kept_up = -math.inf  # s, since when it has done so, or has chosen another place to land for it
 
     def evasion(
         self, state: State, reference: Acceleration | FullState, gains: Vec, now: float, lands: bool = False
@@ -84,23 +92,65 @@ class Clearance:
         return planned
 
     def planned_flight(
-        self, planned: PlannedFlights, state: State, wanted: FullState, now: float, must_land: bool = False
-    ) -> FullState:
+        self, planned: PlannedFlights, state: State, wanted: FullState, now: float, lands: bool = False,
+        must_land: bool = False,
+    ) -> FullState:  # fmt: skip
         """The plan's reference, as far as the others have agreed to it; who must land asks nobody unheard."""
         if must_land and not planned.hears(state, now):
             return planned.lands(wanted, now)
         flights = self.flights
         plan = flights.plan
         whole = flights.remaining(now) if isinstance(plan, PointToPoint) else 0.0
-        flown = self.agreed(state, wanted, lambda later: flights.sample(now + later) or wanted, whole, now)
+        flown = self.agreed(state, wanted, lambda later: flights.sample(now + later) or wanted, whole, now, lands)
         if planned.delayed:
             arrives = isinstance(plan, PointToPoint) and planned.comes_to(plan.goal)
             flights.wait(planned.left(now) - whole if arrives else self.period)
         return flown
 
-    def agreed(self, state: State, wanted: FullState, future: Future, whole: float, now: float) -> FullState:
+    def agreed(
+        self, state: State, wanted: FullState, future: Future, whole: float, now: float, lands: bool = False
+    ) -> FullState:  # fmt: skip
         """What a drone that tells its ways may fly instead of `wanted`; others may fly that."""
-        return wanted if self.planned is None else self.planned.fly(state, wanted, future, whole, now)
+        planned = self.planned
+        if planned is None:
+            return wanted
+        flown = planned.fly(state, wanted, future, whole, now, lands)
+        if self.delayed_by is not None:
+            if not lands or now > self.gave_way + ALONE:
+                self._kept_up = now
+            self.gave_way = now
+        return flown
+
+    def rest(self, now: float) -> None:
+        """It is on the ground."""
+        if self.planned is not None:
+            self.planned.rest(now)
+
+    def begins_landing_anew(self, planned: PlannedFlights, wanted: FullState, now: float) -> bool:
+        """Whether one that lands, and is not answered, rests elsewhere than where it was to come down."""
+        rests = planned.unanswered and planned.delayed and planned.left(now) == 0.0
+        return rests and not planned.comes_to(wanted.p)
+
+    def lands_beside(self, p: Vec, now: float) -> Vec | None:
+        """(3,) m, where one that is kept up above p by others comes down instead; None: it waits, or there is none."""
+        planned = self.planned
+        if planned is None or self.delayed_by is None or planned.left(now) > 0.0:
+            return None
+        if now - self._kept_up < (LEAVES if planned.flies(self.delayed_by) else STAYS):
+            return None
+        self._kept_up = now
+        return planned.beside(p, self.flights.fence)
+
+    @property
+    def silent(self) -> str:
+        """What keeps it from flying where it is wanted: somebody who does not answer; empty if nobody does."""
+        mine = None if self.planned is None else self.planned.agreement
+        return "" if mine is None or mine.in_vain < SOON else f"drone {mine.lacking} does not answer"
+
+    @property
+    def gives_up(self) -> bool:
+        """Whether it has waited so long for an answer that it had better land."""
+        return self.planned is not None and self.planned.agreement.in_vain > UNHEARD
 
     @property
     def delayed_by(self) -> int | None:

@@ -74,10 +74,17 @@ class Flights:
         """Come to rest, the shortest way, and inside the fence."""
         return self.fly(Legs(*self._stop(start, self.fence)), now)
 
-    def descend(self, start: FullState, now: float, touchdown: float) -> float:
-        """Come to rest, then straight down; returns s until it is at the height `touchdown` m."""
+    def descend(self, start: FullState, now: float, touchdown: float, beside: Vec | None = None) -> float:
+        """Come to rest, then straight down; returns s until it is at the height `touchdown` m.
+
+        beside: (3,) m, where it first flies, to come down there.
+        """
         limits = self.limits
         stop = self._stop(start, self.fence.with_floor(limits.ground - INSET))
+        if beside is not None:
+            here = FullState.at(stop[-1].goal, yaw=start.yaw)
+            duration = duration_for(here, beside, start.yaw, limits.speed_limit, limits.acceleration_limit)
+            stop = [*stop, PointToPoint(here, beside, start.yaw, duration)]
         above, floor = FullState.at(stop[-1].goal, yaw=start.yaw), stop[-1].goal.copy()
         floor[2] = limits.ground - 0.05
         fastest = duration_for(above, floor, start.yaw, limits.speed_limit, limits.acceleration_limit)

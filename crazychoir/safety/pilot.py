@@ -506,6 +506,7 @@ class Pilot(Actor):
             self.land("found in the air, where another agent has flown it: landing")
         mode = self.mode
         if mode in DOWN:
+            self.clearance.rest(now)
             return self._idle
         if self._reference is not None:
             verdict = self.guard.check(now, state, state.age, (self._ticked_ns - self._reference_ns) / SECOND)
@@ -515,14 +516,21 @@ class Pilot(Actor):
             self._obey(verdict)
             if not self.airborne:
                 return self._idle
-        if self.clearance.deaf(now) and self.land(DEAF) > 0.0:
-            self.brought_down = self.brought_down or DEAF
+        if self.mode is not LAND and self.clearance.deaf(now):
+            self._give_up(DEAF)
+        if self.mode is not LAND and self.clearance.gives_up:
+            self._give_up(f"{self.clearance.silent}: landing")
         if self.mode is RETURN and self._obeyed is NOMINAL and self.flights.done(now):
             self._go_on_home(state, now)
         if self.mode is LAND and self._is_down(state, now):
             self._landed()
             return self._idle
         return self._follow(state, now)
+
+    def _give_up(self, reason: str) -> None:
+        """Land, whatever its mission wants."""
+        if self.land(reason) > 0.0:
+            self.brought_down = self.brought_down or reason
 
     def _is_down(self, state: State, now: float) -> bool:
         """Low enough; or the descent is over and it moves no more, whatever height cameras and floor say.
@@ -577,7 +585,12 @@ class Pilot(Actor):
         """What of its plan it flies, among others; one that was pushed aside comes back as the limits allow."""
         clearance = self.clearance
         if clearance.planned is not None:
-            flown = clearance.planned_flight(clearance.planned, state, planned, now, self._obeyed is Action.LAND)
+            lands = self.mode is LAND
+            if lands:
+                planned = self._down_elsewhere(clearance.planned, planned, now)
+            flown = clearance.planned_flight(
+                clearance.planned, state, planned, now, lands, self._obeyed is Action.LAND
+            )  # fmt: skip
             self._say_delayed()
             return flown
         if not clearance.aside or self._obeyed is Action.BRAKE:  # at the fence, say: it may not drift
@@ -585,6 +598,16 @@ class Pilot(Actor):
         if clearance.astray(state, planned, now):
             planned = self._come_back(state, planned, now)
         return self.reference_limits.full_state(planned, state)
+
+    def _down_elsewhere(self, planner: PlannedFlights, planned: FullState, now: float) -> FullState:
+        """The reference of one that lands: beside others that keep it up; or where it is, if nobody answers."""
+        beside = self.clearance.lands_beside(planned.p, now)
+        if beside is not None:
+            self._say("beside", f"cannot come down for drone {self.clearance.delayed_by}: lands beside")
+        elif not self.clearance.begins_landing_anew(planner, planned, now):
+            return planned
+        self._descend(beside)
+        return self.flights.sample(now) or planned
 
     def _come_back(self, state: State, planned: FullState, now: float) -> FullState:
         """The reference for one that was pushed far off its plan; one that lands does so where it is."""
@@ -601,7 +624,9 @@ class Pilot(Actor):
 
     def _say_delayed(self) -> None:
         other = self.clearance.delayed_by
-        if other is not None:
+        if silent := self.clearance.silent:
+            self._say("silent", silent)
+        elif other is not None:
             self._say("collision", f"keeps clear of drone {other}")
 
     def _kept_clear(self, state: State, reference: Acceleration | FullState, now: float) -> Vec | None:
@@ -647,8 +672,7 @@ class Pilot(Actor):
         if verdict.action is Action.CUT:
             self.cut(verdict.reason)
         elif verdict.action is Action.LAND:
-            if self.land(verdict.reason) > 0.0:
-                self.brought_down = self.brought_down or verdict.reason
+            self._give_up(verdict.reason)
         elif verdict.action is Action.BRAKE and self.mode is not LAND:
             self._brake()
 
@@ -656,8 +680,11 @@ class Pilot(Actor):
         self._flown = start = self._departure()
         self.flights.brake(start, self.clock.now())
 
-    def _descend(self) -> float:
-        """Land from where it is; s until its motors stop. What it learns meanwhile may be of a floor that it pushes."""
+    def _descend(self, beside: Vec | None = None) -> float:
+        """Land from where it is, or over `beside`, (3,) m; s until its motors stop.
+
+        What it learns meanwhile may be of a floor that it pushes.
+        """
         if self.mode is not LAND:
             self.controls.trim.keep()
         self._flown = start = self._departure()
@@ -665,7 +692,7 @@ class Pilot(Actor):
         self._change(Event.ARRIVED if self.mode is RETURN else Event.LAND)
         if not self._takes_off:
             return self.flights.brake(start, self.clock.now())
-        return self.flights.descend(start, self.clock.now(), self.limits.ground + ON_THE_FLOOR)
+        return self.flights.descend(start, self.clock.now(), self.limits.ground + ON_THE_FLOOR, beside)
 
     def _departure(self) -> FullState:
         """Where a new plan begins."""

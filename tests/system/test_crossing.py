@@ -1,4 +1,4 @@
-"""Drones that fly straight to their goals, whoever is in their way, by the true places at every step in which both fly."""
+"""Drones that fly straight to their goals, whoever is in their way, by the true places whenever both fly."""
 
 import numpy as np
 import pytest

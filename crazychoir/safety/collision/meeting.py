@@ -17,6 +17,8 @@ GROWS = 0.15
 """m/s, by which such a guess becomes worse."""
 APART = 0.1
 """s between the places on a way at which a silent drone may be."""
+COLUMN = 0.3
+"""m between the heights at which one that may have come down may be."""
 GOES_ON = 0.3
 """s that one who tells no way is taken to go on as he does, before he comes to rest."""
 
@@ -81,8 +83,14 @@ class Meeting:
 
     def somewhere(self, j: int, way: Mat, began: float, heard: float) -> None:
         """Drone j is silent since `heard`, s: it may have stopped anywhere on what was left of its way then."""
-        for t in np.arange(max(0.0, heard - began), seconds(way) + APART, APART).tolist():
+        lasts = seconds(way)
+        for t in np.arange(min(max(0.0, heard - began), lasts), lasts + APART, APART).tolist():
             self.way(j, hold(moving(way, t)[0:3], 0.0), -math.inf)
+
+    def below(self, j: int, p: Vec) -> None:
+        """Drone j may have come down from p (3,) m, to the ground."""
+        for z in np.arange(p[2], -APART, -COLUMN).tolist():
+            self.way(j, hold(np.array([p[0], p[1], z]), 0.0), -math.inf)
 
     def stands(self, j: int, p: Vec) -> None:
         """Drone j stands on the floor."""

@@ -14,7 +14,8 @@ from crazychoir.bus.local import Port
 from crazychoir.math3d import Vec
 from crazychoir.safety.collision.agreement import Agreement, Other
 from crazychoir.safety.collision.detours import NEAR, Detours, missing
-from crazychoir.safety.collision.filter import BODY, GONE, STANDING, USABLE
+from crazychoir.safety.collision.filter import BODY, STANDING, USABLE
+from crazychoir.safety.collision.landing_place import nearest_free
 from crazychoir.safety.collision.meeting import Meeting
 from crazychoir.safety.collision.traffic import BORN, SLOW, SOON, Traffic
 from crazychoir.safety.collision.ways import braking, end, hardest, keeping_up, moving, seconds
@@ -48,6 +49,12 @@ LOWEST = 0.25
 """m above the ground, of waypoints."""
 RESTS = 0.3
 """m/s, below which a low drone stands."""
+LONG = 60.0
+"""s, after which every landing has ended."""
+FREE = 0.25
+"""m between one that comes down beside others and what it keeps clear of anyway."""
+UNANSWERED = 5.0
+"""s, for which one that lands waits for agreement: then it comes down as far as that is clear of what it knows."""
 Future = Callable[[float], FullState]
 """What is wanted so many s from now."""
 
@@ -82,10 +89,13 @@ class PlannedFlights:
         self.kinds = dict.fromkeys(("straight", "delayed", "split", "partly", "braked"), 0)
         """How often it has chosen what."""
 
-    def fly(self, state: State, wanted: FullState, future: Future, whole: float, now: float) -> FullState:
+    def fly(
+        self, state: State, wanted: FullState, future: Future, whole: float, now: float, lands: bool = False
+    ) -> FullState:  # fmt: skip
         """What to fly now instead of `wanted`; that itself as long as nobody is in the way.
 
-        future: what is wanted later;  whole: s until that ends at rest, if it does so after one go_to; else 0.
+        future: what is wanted later;  whole: s until that ends at rest, if it does so after one go_to; else 0;
+        lands: whether it is on its way down, for which it waits UNANSWERED s for agreement at most.
         """
         mine = self.agreement
         self._begin(state, wanted, now)
@@ -94,7 +104,10 @@ class PlannedFlights:
         if now >= self._next and len(mine.offer) == 0:
             self._measure(state)
             self._next = now + PERIOD
-            self._decide(future, whole, now)
+            if lands and (j := self._who_stands_at(future(LONG).p)) is not None:
+                self.gives_way_to = j
+            else:
+                self._decide(future, whole, now, lands and self.unanswered)
         self._answer(now)
         mine.tell(now)
         self._flew = now
@@ -103,8 +116,18 @@ class PlannedFlights:
         return wanted if self._kept else _reference(flown, wanted.yaw)
 
     def hears(self, state: State, now: float) -> bool:
-        """Whether it sees itself, and hears all that fly: else it cannot agree with them."""
-        return state.age <= USABLE and self.agreement.ready(now)
+        """Whether it sees itself, and can ask all that it has to: else it cannot agree with them."""
+        return state.age <= USABLE and self.agreement.mute(now) is None
+
+    def rest(self, now: float) -> None:
+        """It is on the ground."""
+        self.agreement.rest(now)
+        self._kept = True
+
+    @property
+    def unanswered(self) -> bool:
+        """Whether it has waited for agreement as long as one that lands does."""
+        return self.agreement.in_vain >= UNANSWERED
 
     def lands(self, wanted: FullState, now: float) -> FullState:
         """What is wanted, whoever is in the way: for a drone that must come down, and cannot agree."""
@@ -118,7 +141,7 @@ class PlannedFlights:
 
     def departure(self, yaw: float, now: float) -> FullState | None:
         """Where it is to be now, if it is not where it is wanted."""
-        if self._kept or now - self._flew > AWAY:
+        if self._kept or len(self.agreement.way) == 0 or now - self._flew > AWAY:
             return None
         return _reference(moving(self.agreement.way, now - self.agreement.began), yaw)
 
@@ -138,7 +161,7 @@ class PlannedFlights:
     def _begin(self, state: State, wanted: FullState, now: float) -> None:
         """A first way, to rest; again, from where it is, when it has been blown away from the one it had."""
         mine = self.agreement
-        if now - self._flew > AWAY:
+        if len(mine.way) == 0 or now - self._flew > AWAY:
             near = math.dist(state.p, wanted.p) < LOST
             mine.begin(braking(wanted.flat[0:12] if near else _motion(state), self.a_max), now)
         elif math.dist(state.p, moving(mine.way, now - mine.began)[0:3]) > LOST:
@@ -148,7 +171,7 @@ class PlannedFlights:
     def _look(self, now: float) -> None:
         self.traffic.look(now)
         for j, other in self.agreement.others.items():
-            other.stands = self._stands(j, now)
+            other.stands = self._stands(j) and self._rows[j][BORN] > other.heard + USABLE
 
     def _measure(self, state: State) -> None:
         """How soon it could be near each of the others."""
@@ -156,30 +179,51 @@ class PlannedFlights:
         apart = np.linalg.norm(rows[:, 0:3] - state.p, axis=1)
         rows[:, SOON] = apart / (np.linalg.norm(rows[:, 3:6], axis=1) + np.linalg.norm(state.v) + SLOW)
 
-    def _stands(self, j: int, now: float) -> bool:
+    def _who_stands_at(self, p: Vec) -> int | None:
+        """One that stands where another would come down, p (3,) m: that does not begin to, as it may sink further."""
+        for j, x in self._rows.items():
+            if math.hypot(x[0] - p[0], x[1] - p[1]) < BODY and self._stands(j):
+                return j
+        return None
+
+    def _stands(self, j: int) -> bool:
+        """Whether it stood on the floor when it was heard last."""
         x = self._rows[j]
-        low = x[2] < self._ground + STANDING and float(np.linalg.norm(x[3:6])) < RESTS
-        return bool(low and now - x[BORN] < USABLE)
+        return bool(x[BORN] > -math.inf and x[2] < self._ground + STANDING and np.linalg.norm(x[3:6]) < RESTS)
+
+    def flies(self, j: int) -> bool:
+        """Whether drone j does not stand on the floor."""
+        return not self._stands(j)
+
+    def beside(self, p: Vec, fence: Fence) -> Vec | None:
+        """The place nearest to p (3,) m, as high, to come down beside all others; None: there is none near."""
+        spots = []
+        for j, x in self._rows.items():
+            if x[BORN] > -math.inf:
+                other = self.agreement.others.get(j)
+                at = end(other.way) if other is not None and other.flies else x[0:3]
+                spots.append((at[0], at[1], self._figures[3 if self._stands(j) else 2] + FREE))
+        return nearest_free(p, np.array(spots), fence)
 
     # What the others do -----------------------------------------------------------------------------------------
 
     def _others(self, now: float) -> Meeting:
         """All that its own way must keep clear of."""
-        meeting = self._strangers(now)
+        meeting = self._strangers()
         for other in self.agreement.others.values():
             self._add(meeting, other, now)
         return meeting
 
-    def _strangers(self, now: float) -> Meeting:
+    def _strangers(self) -> Meeting:
         """Those that say no way, and keep clear by themselves."""
         meeting = Meeting(self._figures, self.a_max)
         for j in self._guessed:
-            self._guess(meeting, j, now)
+            self._guess(meeting, j)
         return meeting
 
     def _add(self, meeting: Meeting, other: Other, now: float) -> None:
-        if not other.flies(now) and (other.stands or len(other.way) == 0):
-            self._guess(meeting, other.id, now)
+        if not other.flies:
+            self._guess(meeting, other.id)
             return
         ways = [(other.way, other.began)]
         if self.agreement.may_be_flown(other):
@@ -189,12 +233,14 @@ class PlannedFlights:
                 meeting.somewhere(other.id, way, began, other.heard)
             else:
                 meeting.way(other.id, way, began)
+        if now - other.heard > UNANSWERED:
+            meeting.below(other.id, end(other.way))
 
-    def _guess(self, meeting: Meeting, j: int, now: float) -> None:
+    def _guess(self, meeting: Meeting, j: int) -> None:
         x = self._rows[j]
-        if self._stands(j, now):
+        if self._stands(j):
             meeting.stands(j, x[0:3])
-        elif now - x[BORN] < GONE:
+        elif x[BORN] > -math.inf:
             meeting.guessed(j, x[0:3], x[3:6], x[BORN])
 
     def _answer(self, now: float) -> None:
@@ -213,16 +259,47 @@ class PlannedFlights:
 
     # What it does itself ----------------------------------------------------------------------------------------
 
-    def _decide(self, future: Future, whole: float, now: float) -> None:
-        """Look for a better way than the one that is flown, and ask for it."""
+    def _decide(self, future: Future, whole: float, now: float, alone: bool) -> None:
+        """Look for a better way than the one that is flown, and ask for it; alone: who wants to land, asks nobody."""
         mine = self.agreement
-        threat = self._strangers(now).first(mine.way, mine.began, now)[0] - now
-        if not mine.ready(now):
+        if self._arrives(future, whole, now):
+            mine.in_vain = 0.0
             return
-        begins = now + ASKING if mine.asks(now) else now
+        threat = self._strangers().first(mine.way, mine.began, now)[0] - now
+        mute = mine.mute(now)
+        if alone:
+            self._keeps_up(future, whole, now, now, self._others(now), alone)
+        elif mute is None:
+            self._choose(future, whole, now, threat)
+        else:
+            mine.waited(mute, PERIOD)
+            self._brake_before(threat, now)
+
+    def _arrives(self, future: Future, whole: float, now: float) -> bool:
+        """Whether its way is what is wanted, to its end."""
+        mine = self.agreement
+        near = math.dist(moving(mine.way, now - mine.began)[0:3], future(0.0).p) <= OFF
+        return near and self._ends(future(whole if whole > 0.0 else AHEAD))
+
+    def _ends(self, wanted: FullState) -> bool:
+        """Whether what is wanted is to be at rest where its way ends."""
+        then = wanted.flat
+        return math.dist(then[0:3], end(self.agreement.way)) < SAME and float(np.linalg.norm(then[3:6])) < SAME
+
+    def _brake_before(self, threat: float, now: float) -> None:
+        """Brake, unasked, if it meets a stranger in `threat` s."""
+        if threat < IMMINENT:
+            mine = self.agreement
+            self.kinds["braked"] += 1
+            mine.begin(braking(moving(mine.way, now - mine.began), self.a_max), now)
+
+    def _choose(self, future: Future, whole: float, now: float, threat: float) -> None:
+        """The best way that is clear."""
+        mine = self.agreement
+        begins = now + ASKING if mine.asks() else now
         start = moving(mine.way, begins - mine.began)
         others = self._others(now)
-        if self._keeps_up(start, future, whole, begins, now, others):
+        if self._keeps_up(future, whole, begins, now, others):
             return
         goal = self._goal(future, whole, begins - now)
         present = self.left(now) + missing(end(mine.way), goal, self.v_max, self.a_max)
@@ -235,28 +312,30 @@ class PlannedFlights:
                 mine.propose(option.way, begins)
                 mine.settle(now)
                 return
-        if threat < IMMINENT:
-            self.kinds["braked"] += 1
-            mine.begin(braking(moving(mine.way, now - mine.began), self.a_max), now)
+        self._brake_before(threat, now)
 
     def _keeps_up(
-        self, start: Vec, future: Future, whole: float, begins: float, now: float, others: Meeting
+        self, future: Future, whole: float, begins: float, now: float, others: Meeting, alone: bool = False
     ) -> bool:  # fmt: skip
         """Go on as wanted, if it is there and nobody is in the way."""
         mine, wait = self.agreement, begins - now
+        start = moving(mine.way, begins - mine.began)
         if math.dist(start[0:3], future(wait).p) > OFF:
             return False
         ahead = max(whole - wait, PERIOD) if whole > 0.0 else AHEAD
-        then = future(wait + ahead).flat[0:12]
-        if math.dist(then[0:3], end(mine.way)) < SAME and float(np.linalg.norm(then[3:6])) < SAME:
+        then = future(wait + ahead)
+        if self._ends(then):
             return True
-        way = keeping_up(start, then, ahead, self.a_max)
+        way = keeping_up(start, then.flat[0:12], ahead, self.a_max)
         room = ROOM if hardest(way) > ROUGH else 0.0
         _, self.gives_way_to = others.first(way, begins, now, room)
         if self.gives_way_to is not None:
             return False
-        mine.propose(way, begins)
-        mine.settle(now)
+        if alone:
+            mine.begin(way, now)
+        else:
+            mine.propose(way, begins)
+            mine.settle(now)
         return True
 
     def _goal(self, future: Future, whole: float, wait: float) -> Vec:

@@ -1,11 +1,54 @@
 """What a mission returns is checked once, and is the same for every reader."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
+from virtual_time import virtual
 
 from crazychoir.bus.codec import MAX_PAYLOAD
-from crazychoir.guidance.life import checked
+from crazychoir.guidance.life import LANDING_DEADLINE, GuidanceActor, checked
+from crazychoir.guidance.member import PATIENCE
+from crazychoir.safety.modes import Mode
 from crazychoir.types import State
+
+
+class Lands:
+    """A pilot that is in the air until `down`, s; others keep it up until then, or nobody does."""
+
+    drone, held, mode, note = 4, False, Mode.LAND, "keeps clear of drone 2"
+
+    def __init__(self, clock, down, kept_up):
+        self.clock, self._down, self._kept_up, self.cut_at = clock, down, kept_up, None
+
+    @property
+    def airborne(self):
+        return self.cut_at is None and self.clock.now() < self._down
+
+    @property
+    def clearance(self):
+        return SimpleNamespace(gave_way=self.clock.now() if self._kept_up else -1.0)
+
+    def remaining(self):
+        return 0.0
+
+    def cut(self, reason):
+        self.cut_at = self.clock.now()
+
+
+@virtual
+async def test_one_that_others_keep_up_is_never_cut(clock):
+    pilot = Lands(clock, 3.0 * PATIENCE, kept_up=True)
+    await GuidanceActor(SimpleNamespace(id=4, pilot=pilot), None, None)._down()
+    assert pilot.cut_at is None
+    assert clock.now() == pytest.approx(3.0 * PATIENCE, abs=0.1)
+
+
+@virtual
+async def test_one_that_does_not_come_down_though_nobody_keeps_it_up_is_cut(clock):
+    pilot = Lands(clock, 3.0 * PATIENCE, kept_up=False)
+    await GuidanceActor(SimpleNamespace(id=4, pilot=pilot), None, None)._down()
+    assert pilot.cut_at == pytest.approx(LANDING_DEADLINE, abs=0.1)
 
 
 def test_a_result_arrives_as_it_would_over_the_network():

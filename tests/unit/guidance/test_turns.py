@@ -22,9 +22,7 @@ def pilot(others, now=10.0, at=P, gave_way=-math.inf):
         row[0:3], row[BORN] = (P[0] + away, P[1], z), now - age
     return SimpleNamespace(
         drone=ME, clock=SimpleNamespace(now=lambda: now), limits=SimpleNamespace(ground=0.0), fence=HALL,
-        clearance=SimpleNamespace(
-            filter=SimpleNamespace(traffic=SimpleNamespace(rows=rows, ids=list(others))), gave_way=gave_way
-        ),
+        clearance=SimpleNamespace(traffic=SimpleNamespace(rows=rows, ids=list(others)), gave_way=gave_way),
         state=SimpleNamespace(p=np.array(at)), gap=lambda p: float(np.linalg.norm(np.subtract(p, at))),
     )  # fmt: skip
 
@@ -45,7 +43,7 @@ def test_the_lowest_of_those_that_fly_near_a_place_is_first(others, first):
 
 
 def test_who_gives_way_to_nobody_is_first():
-    assert first_at(SimpleNamespace(drone=ME, clearance=SimpleNamespace(filter=None)), P) == ME
+    assert first_at(SimpleNamespace(drone=ME, clearance=SimpleNamespace(traffic=None)), P) == ME
 
 
 def test_the_others_wait_on_their_own_side_as_high_as_the_place():

@@ -12,8 +12,7 @@ from crazychoir.bus.rules import Rule
 from crazychoir.bus.topics import PLAN, STATE
 from crazychoir.runtime.clock import SECOND
 from crazychoir.safety.collision.agreement import NO_WAY
-from crazychoir.safety.collision.filter import GONE
-from crazychoir.safety.collision.planned import ASKING, PERIOD, PlannedFlights
+from crazychoir.safety.collision.planned import ASKING, PERIOD, UNANSWERED, PlannedFlights
 from crazychoir.safety.collision.traffic import Traffic
 from crazychoir.safety.collision.ways import end, flight, hold, moving, seconds
 from crazychoir.safety.guard import Fence
@@ -35,13 +34,14 @@ class Flier:
         traffic = Traffic(port, ids, planners)
         self.filter = PlannedFlights(port, Collision(), traffic, planners, FENCE, 2.0, 1.0, 0.0)
         self.at, self.goal = np.array(at, dtype=float), np.array(at if goal is None else goal, dtype=float)
-        self.track, self.flies, self.v = [], True, np.zeros(3)
+        self.track, self.flies, self.v, self.lands = [], True, np.zeros(3), False
 
     def tick(self, now):
         self.port.publish(STATE, State.at(self.at, self.v))
         if self.flies:
             wanted = FullState.at(self.goal)
-            flown = self.filter.fly(State.at(self.at, self.v), self.wanted(), lambda later: wanted, 0.0, now)
+            state = State.at(self.at, self.v)
+            flown = self.filter.fly(state, self.wanted(), lambda later: wanted, 0.0, now, self.lands)
             self.at, self.v = flown.p.copy(), flown.v.copy()
         self.track.append(self.at.copy())
 
@@ -197,11 +197,11 @@ async def test_it_brakes_before_a_stranger_who_comes_in_its_way(clock):
 async def test_who_must_come_down_waits_for_nobody_who_is_not_heard(clock):
     _, drones = crowd(clock, (A,), (A + np.array([0.8, 0.0, 0.0]),))
     await fly(clock, drones, 0.5)
-    lands, now = drones[0], clock.now()
-    lands.goal = A - [0.0, 0.0, 0.5]
+    lands, now = drones[1], clock.now()
+    lands.goal = lands.at - [0.0, 0.0, 0.5]
     assert lands.filter.hears(State.at(A), now)
     assert not lands.filter.hears(State(State.at(A).flat, 1.0), now), "who is not seen does not know where it is"
-    await fly(clock, drones[:1], 1.5)
+    await fly(clock, drones[1:], 1.5)
     now = clock.now()
     assert not lands.filter.hears(State.at(A), now)
     assert lands.filter.delayed
@@ -213,15 +213,14 @@ async def test_who_must_come_down_waits_for_nobody_who_is_not_heard(clock):
 
 @virtual
 async def test_one_that_has_gone_silent_is_avoided_wherever_on_its_way_it_may_be(clock):
-    _, drones = crowd(clock, ((0.0, -1.0, 1.0), (0.0, 1.0, 1.0)), (A,))
+    _, drones = crowd(clock, (A,), ((0.0, -1.0, 1.0), (0.0, 1.0, 1.0)))
     await fly(clock, drones, 1.0)
-    drones[1].goal = B
-    await fly(clock, drones[1:], GONE - 0.5)
-    assert drones[1].at == pytest.approx(A, abs=0.01), "it cannot ask: it stays"
-    await fly(clock, drones[1:], 12.0)
-    assert drones[1].at == pytest.approx(B, abs=1e-3)
-    way = drones[0].filter.agreement.way
-    for p in drones[1].track[-1200:]:
+    await fly(clock, drones[:1], 0.7)
+    drones[0].goal = B
+    await fly(clock, drones[:1], 13.8)
+    assert drones[0].at == pytest.approx(B, abs=1e-3)
+    way = drones[1].filter.agreement.way
+    for p in drones[0].track[-1400:]:
         for t in np.arange(1.0, seconds(way), 0.05):
             assert np.linalg.norm((p - moving(way, t)[0:3]) * [1.0, 1.0, 0.4]) > 0.3
 
@@ -232,7 +231,111 @@ async def test_plans_that_are_none_are_not_believed(clock):
     await fly(clock, drones, 0.3)
     heard = drones[0].filter.agreement.others[1].heard
     bad = np.full((1, 25), math.nan)
-    for way in (bad, np.zeros((0, 25)), np.zeros((1, 24)), np.zeros(25), -np.ones((1, 25))):
+    for way in (bad, np.zeros((1, 24)), np.zeros(25), -np.ones((1, 25))):
         await clock.sleep(TICK)
         bus.ports[1].publish(PLAN, Plan(way, 0.0, NO_WAY, 0.0, 1, {}))
     assert drones[0].filter.agreement.others[1].heard == heard
+
+
+def parted(bus, clock, *edges):
+    """From now on nothing that is said over these edges arrives."""
+    deaf = Impairment(1, [Rule({"loss": 1.0}, edge=edge, directed=True) for edge in edges])
+    bus.impairment = deaf
+    deaf.begin(clock.now())
+
+
+@virtual
+async def test_however_long_two_are_parted_they_never_fly_through_each_other(clock):
+    bus, drones = crowd(clock, (A,), (B,))
+    await fly(clock, drones, 0.5)
+    parted(bus, clock, (0, 1), (1, 0))
+    drones[0].goal, drones[1].goal = B.copy(), A.copy()
+    await fly(clock, drones, 12.0)
+    assert drones[1].at == pytest.approx(B, abs=0.01), "it cannot ask: it stays"
+    assert drones[1].filter.agreement.in_vain > 10.0
+    assert drones[1].filter.agreement.lacking == 0
+    parted(bus, clock)
+    await fly(clock, drones, 12.0)
+    assert [drone.at.round(3).tolist() for drone in drones] == [B.tolist(), A.tolist()]
+    assert nearest(*drones) >= 0.33
+    assert drones[1].filter.agreement.in_vain == 0.0
+
+
+@virtual
+async def test_who_says_that_it_is_on_the_ground_is_asked_no_more(clock):
+    _, drones = crowd(clock, ((-1.0, 2.0, 1.0),), (A, B))
+    await fly(clock, drones, 0.5)
+    drones[0].flies = False
+    await fly(clock, drones[1:], 1.0)
+    assert drones[1].filter.agreement.mute(clock.now()) == 0
+    drones[0].filter.rest(clock.now())
+    await fly(clock, drones[1:], 6.0)
+    assert not drones[1].filter.agreement.others[0].flies
+    assert drones[1].at == pytest.approx(B, abs=1e-3)
+
+
+@virtual
+async def test_one_that_lands_and_hears_nothing_waits_for_an_answer_some_seconds_only(clock):
+    await lands_unanswered(clock, (0, 1))
+
+
+@virtual
+async def test_one_that_lands_and_is_not_heard_waits_for_an_answer_some_seconds_only(clock):
+    await lands_unanswered(clock, (1, 0))
+
+
+async def lands_unanswered(clock, edge):
+    bus, drones = crowd(clock, ((-1.0, 2.0, 1.0),), (A,))
+    await fly(clock, drones, 0.5)
+    parted(bus, clock, edge)
+    await fly(clock, drones, 1.0)
+    low = A - [0.0, 0.0, 0.03]
+    drones[1].lands = True
+    for k in range(round(UNANSWERED + 4.0)):
+        drones[1].goal = low - [0.0, 0.0, 0.025 * (drones[1].at[2] < low[2] + 0.02) * k]
+        await fly(clock, drones, 1.0)
+        if k < UNANSWERED - 1:
+            assert drones[1].at == pytest.approx(A, abs=0.01)
+    assert drones[1].at[2] < low[2] + 0.01
+
+
+@virtual
+async def test_one_that_lands_unanswered_still_keeps_clear_of_what_it_knows(clock):
+    bus, drones = crowd(clock, (A - [0.0, 0.0, 0.86],), (A,))
+    await fly(clock, drones, 0.5)
+    parted(bus, clock, (0, 1))
+    drones[1].lands, drones[1].goal = True, A - [0.0, 0.0, 0.04]
+    await fly(clock, drones, UNANSWERED + 3.0)
+    assert drones[1].at == pytest.approx(A, abs=0.01)
+    assert drones[1].filter.gives_way_to == 0
+
+
+@virtual
+async def test_what_an_earlier_agent_was_allowed_counts_no_more_when_it_is_started_again(clock):
+    bus, drones = crowd(clock, (A,), (B,))
+    await fly(clock, drones, 0.5)
+    drones[1].goal = np.array([1.0, 1.0, 1.0])
+    await fly(clock, drones, 3.0)
+    allowed = drones[0].filter.agreement.others[1].allowed
+    bus.port(1, incarnation=2**63 + 5)
+    again = Flier(bus, 1, [0, 1], drones[1].at)
+    await fly(clock, [drones[0], again], 0.5)
+    mine = again.filter.agreement
+    for _ in range(20):
+        mine.propose(flight(moving(mine.way, 9.0), A, 1.0, 2.0), clock.now() + ASKING)
+        assert mine.number != allowed
+        mine.tell(clock.now())
+        drones[0].tick(clock.now())
+        assert not drones[0].filter.agreement.may_be_flown(drones[0].filter.agreement.others[1])
+    assert mine.others[0].agreed[1] != mine.number
+
+
+@virtual
+async def test_beside_is_clear_of_who_stands_and_of_who_flies(clock):
+    _, drones = crowd(clock, ((0.0, 0.0, 1.0),), ((0.0, 0.0, 0.0),), ((0.5, 0.0, 1.0),))
+    drones[1].flies = False
+    await fly(clock, drones, 1.0)
+    place = drones[0].filter.beside(np.array([0.0, 0.0, 0.3]), FENCE)
+    assert place[2] == 0.3
+    assert np.linalg.norm(place[0:2]) == pytest.approx(0.4)
+    assert np.linalg.norm(place[0:2] - [0.5, 0.0]) >= 0.58

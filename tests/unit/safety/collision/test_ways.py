@@ -154,3 +154,21 @@ def test_one_that_is_silent_may_be_anywhere_on_its_way():
     assert not meeting.clear(through, 9.0, 9.0), "though it should be long past"
     assert met(through, [(way, 0.0)], began=9.0, now=9.0)[1] is None
     assert meeting.clear(straight((-1, -1, 1), (0, -1.6, 1)), 9.0, 9.0), "that it had left before"
+
+
+def test_a_silent_one_that_has_come_to_rest_is_still_there():
+    way = straight((0, -1, 1), (0, 0, 1))
+    for heard in (0.5, seconds(way) + 0.05, 60.0):
+        meeting = Meeting(FIGURES, 2.0)
+        meeting.somewhere(4, way, 0.0, heard)
+        assert not meeting.clear(straight((-1, 0, 1), (1, 0, 1)), 63.0, 63.0)
+
+
+def test_one_that_may_have_come_down_is_anywhere_below():
+    meeting, over, under = Meeting(FIGURES, 2.0), straight((-1, 0, 2), (1, 0, 2)), straight((-1, 0, 0.3), (1, 0, 0.3))
+    meeting.way(4, hold(np.array([0.0, 0.0, 1.2]), 0.0), -math.inf)
+    assert meeting.clear(under, 0.0, 0.0)
+    meeting = Meeting(FIGURES, 2.0)
+    meeting.below(4, np.array([0.0, 0.0, 1.1]))
+    assert not meeting.clear(under, 0.0, 0.0)
+    assert meeting.clear(over, 0.0, 0.0)
