@@ -4,6 +4,7 @@ import importlib
 import inspect
 import re
 import shlex
+from pathlib import Path
 
 import msgspec
 import numpy as np
@@ -244,6 +245,21 @@ def test_the_page_of_missions_shows_each_with_a_picture_that_there_is(repository
     assert pictures == {path.name for path in (repository / "agents" / "pictures").iterdir()}
     swarms = re.findall(r"deploy/\w+\.toml", page)
     assert [path for path in swarms if not (repository / path).is_file()] == []
+
+
+PAGE = Path(__file__).parents[2] / "agents" / "README.md"
+FLIGHTS = sorted({
+    f"{'crazychoir run ' if what.startswith('deploy') else ''}{what}".split(" --record")[0]
+    for what in re.findall(r"`((?:crazychoir run|deploy/)[^`]*)`", PAGE.read_text())
+})  # fmt: skip
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+@pytest.mark.parametrize("command", FLIGHTS)
+def test_each_mission_of_the_page_reaches_its_goal_by_its_command(repository, said, command):
+    fast = "" if "--fast" in command else " --fast"
+    assert said(repository, command + fast)["success"]
 
 
 def test_the_page_of_swarm_files_names_all_keys_of_the_collision_filter_and_its_defaults(repository):
