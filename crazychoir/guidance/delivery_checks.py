@@ -47,7 +47,8 @@ def require_flown(
         "objective": problem.objective != (TOTAL,),
     }
     if found := [name for name, is_there in there.items() if is_there and name not in flown]:
-        do = "Leave it out of the instance; service_time of [mission_options] holds for all stops."
+        times = "" if "service_time" in flown else "; service_time of [mission_options] holds for all stops"
+        do = f"Leave it out of the instance{times}."
         raise ConfigError(key, problem.name, allowed, do, f"it has {', '.join(found)}")
 
 
