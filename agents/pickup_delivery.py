@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 
 from crazychoir import PDVRPGuidance, SwarmConfig
-from crazychoir.errors import ConfigError
+from crazychoir.guidance.pickup_checks import require_ready
+from crazychoir.guidance.pickup_options import PickupOptions
 from crazychoir.routing.checker import check as violations
 from crazychoir.routing.instance import Instance
-from crazychoir.routing.pickup_delivery import METHODS
 from crazychoir.routing.picture import draw_routes
 from crazychoir.routing.plan import Plan, Route
+from crazychoir.swarm.reading import read
 
 Results = dict[int, dict[str, Any]]
 DEMO = Path(__file__).parent / "data" / "lab6.json"
@@ -23,15 +24,18 @@ FLIGHT = {"takeoff_height": 0.5, "speed_limit": 0.8, "acceleration_limit": 2.0, 
 
 def guidance(i: int, config: SwarmConfig) -> PDVRPGuidance:
     """Robot i, with its own part of the instance."""
-    options = config.mission_options
-    return PDVRPGuidance(
-        instance(config).local(i), options.get("method", METHODS[0]), options.get("service_time", 1.0)
-    )
+    options = given(config)
+    return PDVRPGuidance(instance(config).local(i), options.method, options.service_time)
+
+
+def given(config: SwarmConfig) -> PickupOptions:
+    """[mission_options]; raises ConfigError that names the key."""
+    return read(config.mission_options, PickupOptions, f"swarm {config.name}", "mission_options")
 
 
 def instance(config: SwarmConfig) -> Instance:
     """The instance that the swarm's options name."""
-    return Instance.load(config.mission_options.get("instance", DEMO))
+    return Instance.load(given(config).instance or DEMO)
 
 
 def swarm(drones: int | None = None, path: str | Path = DEMO) -> SwarmConfig:
@@ -51,28 +55,26 @@ def swarm(drones: int | None = None, path: str | Path = DEMO) -> SwarmConfig:
 
 
 def check(config: SwarmConfig, force: bool = False) -> list[str]:
-    """The drones stand where the instance says."""
-    homes = instance(config).home
-    if config.ids != tuple(range(len(homes))):
-        raise ConfigError(f"swarm {config.name}: drones", list(config.ids), f"0 to {len(homes) - 1}, as the instance")
-    for i, home in enumerate(homes):
-        if np.linalg.norm(np.subtract(config.drone(i).home[:2], home[:2])) > 0.05:
-            found = config.drone(i).home
-            raise ConfigError(f"swarm {config.name}: drones[{i}].home", found, f"{home.tolist()}, as the instance")
+    """The drones stand where the instance says, and can fly all that it asks for."""
+    options = given(config)
+    require_ready(config, instance(config), options.method, f"swarm {config.name}: mission_options.instance")
     return []
 
 
 def report(config: SwarmConfig, results: Results) -> dict[str, Any]:
-    """Cost, plan, and whether every good was served once."""
+    """Cost, plan, and whether each drone has flown its part of it, stop by stop."""
     problem = instance(config)
-    plan = _plan(results)
+    plan = _plan(problem, results)
     stops = [stop for r in results.values() for stop in r.get("served", [])]
-    served = sorted(stop["task"] for stop in stops if stop["kind"] == "delivery")
-    total = len(problem.tasks)
+    served = {stop["task"] for stop in stops if stop["kind"] == "delivery"}
     found = violations(problem, plan) if plan else ["no plan"]
+    reasons = _unflown(results)
+    if found and not reasons:
+        reasons = dict.fromkeys(results, f"the plan of the team is wrong: {'; '.join(found)}")
     return {
-        "success": not found and served == list(range(total)),
-        "tasks": {"total": total, "served": len(set(served))},
+        "success": not found and not reasons,
+        "reasons": reasons,
+        "tasks": {"total": len(problem.tasks), "served": len(served)},
         "cost": plan.cost if plan else None,
         "plan_digest": plan.digest if plan else None,
         "planned_m": {r.robot: r.length for r in plan.routes} if plan else {},
@@ -80,15 +82,32 @@ def report(config: SwarmConfig, results: Results) -> dict[str, Any]:
     }
 
 
+def _unflown(results: Results) -> dict[int, str]:
+    """Why, by drone, the stops of its route are not those that it served, in their order."""
+    reasons = {}
+    for i, result in sorted(results.items()):
+        if "route" not in result:
+            reasons[i] = "has ended without a route"
+        elif (stops := result["route"]["stops"]) != (done := result.get("served", [])):
+            reasons[i] = f"served {_shown(done)}; its route: {_shown(stops)}"
+    return reasons
+
+
+def _shown(stops: list[dict[str, Any]]) -> str:
+    names = [stop["kind"] if stop["kind"] == "recharge" else f"{stop['kind']} {stop['task']}" for stop in stops]
+    return ", ".join(names) or "nothing"
+
+
 def picture(config: SwarmConfig, results: Results, path: str) -> None:
     """The planned routes."""
-    plan = _plan(results)
+    problem = instance(config)
+    plan = _plan(problem, results)
     if plan:
-        draw_routes(instance(config), plan, path)
+        draw_routes(problem, plan, path)
 
 
-def _plan(results: Results) -> Plan | None:
+def _plan(problem: Instance, results: Results) -> Plan | None:
     routes = [Route.from_json(r["route"]) for r in results.values() if r.get("route")]
     digests = {r.get("plan_digest") for r in results.values()}
-    plan = Plan(tuple(route for route in routes if route.stops))
+    plan = problem.plan(route for route in routes if route.stops)
     return plan if digests == {plan.digest} else None

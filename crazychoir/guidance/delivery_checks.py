@@ -1,6 +1,6 @@
 """What must hold between the options, the instance and the swarm of the online mission, before anybody flies."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,7 @@ from crazychoir.swarm.graph import span
 
 IDLE = (("tasks", "instance"), ("later", "instance"), ("later", "appear"))
 """Keys that say nothing beside others."""
+STRAIGHT_HOME = "in flight robots fly straight, as soon as they can, end at home, and refuse nothing"
 
 
 def require_used(written: Mapping[str, Any], where: str) -> None:
@@ -26,8 +27,13 @@ def require_used(written: Mapping[str, Any], where: str) -> None:
             raise ConfigError(f"{where}.{key}", written[key], allowed, do, f"beside {other}")
 
 
-def require_flown(problem: Instance, key: str) -> None:
-    """Raise ConfigError for what no robot minds in flight, and silence would hide."""
+def require_flown(
+    problem: Instance, key: str, flown: Collection[str] = (), allowed: str = STRAIGHT_HOME
+) -> None:
+    """Raise ConfigError for what no robot minds in flight, and silence would hide.
+
+    flown: what the robots of a mission do mind;  allowed: what they do, in words.
+    """
     tasks = problem.tasks
     there = {
         "end": problem.end is not None,
@@ -40,9 +46,9 @@ def require_flown(problem: Instance, key: str) -> None:
         "recharge": problem.recharge != 1,
         "objective": problem.objective != (TOTAL,),
     }
-    if found := [name for name, is_there in there.items() if is_there]:
-        allowed = "in flight robots fly straight, as soon as they can, end at home, and refuse nothing"
-        do = "Leave it out of the instance; service_time of [mission_options] holds for all stops."
+    if found := [name for name, is_there in there.items() if is_there and name not in flown]:
+        times = "" if "service_time" in flown else "; service_time of [mission_options] holds for all stops"
+        do = f"Leave it out of the instance{times}."
         raise ConfigError(key, problem.name, allowed, do, f"it has {', '.join(found)}")
 
 

@@ -4,11 +4,12 @@ from typing import Any
 
 import numpy as np
 
+from crazychoir.errors import ConfigError
 from crazychoir.guidance.base import CFGuidance
 from crazychoir.math3d import Vec
 from crazychoir.routing.instance import LocalProblem
 from crazychoir.routing.pickup_delivery import METHODS, PickupDelivery
-from crazychoir.routing.plan import Route, Solution
+from crazychoir.routing.plan import Route, Solution, Stop
 
 DEADLINE = 120.0
 """s for one round: the slowest neighbour prices its routes in it."""
@@ -17,7 +18,9 @@ DEADLINE = 120.0
 class PDVRPGuidance(CFGuidance):
     """Robot i: its own home, capacity and capability, and the public task list; nothing of the other robots.
 
-    service_time: s at each pickup and delivery;  method: how the integer plan is recovered, see PickupDelivery.
+    service_time: s at each stop, at least: where the instance says more for a pickup or a delivery, it holds;
+    method: how the integer plan is recovered, see PickupDelivery.
+    It recharges, and ends, where the instance says: above its end, without one above its home; there it lands at last.
     """
 
     def __init__(self, problem: LocalProblem, method: str = METHODS[0], service_time: float = 1.0) -> None:
@@ -52,29 +55,55 @@ class PDVRPGuidance(CFGuidance):
         return solver.solution
 
     async def fly_route(self, route: Route, solution: Solution) -> None:
-        """Take off, serve stop by stop, come home, land."""
+        """Take off, serve stop by stop, go to where it ends, land."""
         self.member.report = lambda: {
             "task": f"flying: {len(self.served)}/{len(route.stops)} stops", "cost": solution.cost,
         }  # fmt: skip
         await self.take_off()
         for stop in route.stops:
-            await self.go_to(self.place(stop.task, stop.kind))
-            await self.sleep(self.service_time)
+            await self.go_to(self.place(stop))
+            await self.sleep(self.seconds(stop))
             self.served.append({"task": stop.task, "kind": stop.kind})
-        await self.go_to(self.above_home())
+        await self.go_to(self.above_end())
         self.member.report = lambda: {"task": f"landing: {len(self.served)} stops", "cost": solution.cost}
         await self.land()
 
-    def place(self, task: int, kind: str) -> Vec:
-        """(3,) m of a pickup or delivery; a point of the plane is visited at take-off height."""
-        tasks = self.problem.tasks
-        p = (tasks.pickup if kind == "pickup" else tasks.delivery)[task]
-        return np.array([*p[:2], p[2] if len(p) == 3 else self.above_home()[2]])
+    def place(self, stop: Stop) -> Vec:
+        """(3,) m where it stands at a stop; a point of the plane is visited at take-off height.
 
-    def above_home(self) -> Vec:
-        """(3,) m where the flight begins and ends."""
-        flight, home = self.member.config.flight, self.member.config.drone(self.id).home
-        return np.array([home[0], home[1], flight.ground + flight.takeoff_height])
+        Raises ConfigError for a kind of stop that it cannot fly.
+        """
+        tasks = self.problem.tasks
+        match stop.kind:
+            case "pickup":
+                p = tasks.pickup[stop.task]
+            case "delivery":
+                p = tasks.delivery[stop.task]
+            case "recharge":
+                return self.above_end()
+            case unknown:
+                raise ConfigError(f"drone {self.id}: kind of a stop", unknown, "pickup, delivery, recharge")
+        return np.array([*p[:2], p[2] if len(p) == 3 else self._height])
+
+    def seconds(self, stop: Stop) -> float:
+        """How long it stays at a stop."""
+        if stop.kind == "recharge":
+            return self.service_time
+        service = self.problem.tasks.service
+        return max(self.service_time, float(service[stop.task + (stop.kind == "delivery") * (len(service) // 2)]))
+
+    def above_end(self) -> Vec:
+        """(3,) m where the flight ends: over the end that the instance gives, else over where it stood."""
+        home, end = self.problem.home, self.problem.end
+        elsewhere = end is not None and not np.array_equal(end, home)
+        x, y = end[:2] if end is not None and elsewhere else self.member.config.drone(self.id).home[:2]
+        return np.array([x, y, self._height])
+
+    @property
+    def _height(self) -> float:
+        """m, world frame, of the take-off."""
+        flight = self.member.config.flight
+        return flight.ground + flight.takeoff_height
 
     def outcome(self, solution: Solution, route: Route) -> dict[str, Any]:
         """This drone's part of the report."""

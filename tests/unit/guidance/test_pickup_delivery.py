@@ -12,6 +12,7 @@ from crazychoir.guidance.member import Member
 from crazychoir.guidance.mission import load
 from crazychoir.guidance.pickup_delivery import PDVRPGuidance
 from crazychoir.routing.instance import Instance
+from crazychoir.routing.plan import Stop
 from crazychoir.runtime.clock import run_virtual
 from crazychoir.runtime.mailbox import Call
 
@@ -94,8 +95,8 @@ def test_a_place_of_the_plane_is_visited_at_take_off_height_one_of_space_at_its_
     for instance, heights in ((Instance.parse(THREE), (0.5, 0.5)), (Instance.parse(raw), (0.9, 1.1))):
         guidance = PDVRPGuidance(instance.local(0))
         guidance.member = Member(0, config, None, None, None)
-        assert guidance.place(0, "pickup") == pytest.approx([0.5, 0.0, heights[0]])
-        assert guidance.place(0, "delivery") == pytest.approx([1.0, 0.0, heights[1]])
+        assert guidance.place(Stop(0, "pickup")) == pytest.approx([0.5, 0.0, heights[0]])
+        assert guidance.place(Stop(0, "delivery")) == pytest.approx([1.0, 0.0, heights[1]])
 
 
 def test_two_take_off_at_once_and_serve_the_same_stop_one_after_the_other(flown):
