@@ -1,7 +1,7 @@
 """[mission_options] and the `options` of drones, as tables: one way to read them, and the types that missions share."""
 
 from collections.abc import Collection
-from typing import Annotated, TypeVar
+from typing import Annotated, Literal, TypeVar
 
 from msgspec import Meta
 
@@ -33,12 +33,18 @@ Spreads = Annotated[
     tuple[Spread, Spread, Spread],
     Meta(description="three lengths in m, 0 to 10, at most so far along x, y and z", examples=[[0.3, 0.3, 0.2]]),
 ]
+Offset = Annotated[float, Meta(ge=0, le=10, description="a length in m, 0 to 10", examples=[0.1])]
 Length = Annotated[float, Meta(gt=0, le=100, description="a length in m, above 0, at most 100", examples=[0.4])]
 Gain = Annotated[float, Meta(gt=0, le=1000, description="a gain, above 0, at most 1000", examples=[1.6])]
 Duration = Annotated[float, Meta(gt=0, le=1e6, description="a time in s, above 0, at most 1e6", examples=[20.0])]
 Period = Annotated[float, Meta(gt=0, le=600, description="a time in s, above 0, at most 600", examples=[10.0])]
 Ramp = Annotated[float, Meta(ge=0, le=600, description="a time in s, 0 to 600", examples=[5.0])]
 Laps = Annotated[float, Meta(gt=0, le=20, description="a number of laps, above 0, at most 20", examples=[2.0])]
+
+Yaw = Annotated[
+    Annotated[float, Meta(ge=-7, le=7)] | Literal["along"],
+    Meta(description='an angle in rad, -7 to 7, or "along"', examples=["along"]),
+]
 
 
 class NoOptions(Table, frozen=True, kw_only=True):
