@@ -6,18 +6,17 @@ crazychoir run deploy/aggregative_replayed.toml --fast    the same intruders fro
 
 Each knows its own intruder alone; what the team has in common, its mean, it tracks by aggregative tracking. The drones
 with role = "intruder" are the intruders, of the other drones in their order; without such drones they stand still.
-[mission_options]: target: [x, y] m;  intruders: [[x, y], ...] m, those that stand still;  weights: [intruder, target,
-team];  step_size;  round_rate: Hz;  duration: s;  leg: s of an intruder from its home to the next one's;  legs.
 """
 
-from typing import Any
+from typing import Annotated, Any
 
-import msgspec
 import numpy as np
+from msgspec import Meta
 
 from crazychoir import CFGuidance, SwarmConfig
 from crazychoir.errors import ConfigError
 from crazychoir.guidance.aggregative import Defence, Defender
+from crazychoir.guidance.mission_options import Duration, Period, Spot, Spots, given, require_none
 from crazychoir.guidance.timed import SETTLE, TimedFlight
 from crazychoir.math3d import Mat, Vec
 from crazychoir.planning.feasibility import Limits
@@ -25,6 +24,7 @@ from crazychoir.planning.goal import timed_goals
 from crazychoir.planning.piecewise import Piecewise
 from crazychoir.recording.tracks import draw_ways
 from crazychoir.swarm.graph import Graph, metropolis
+from crazychoir.swarm.tables import Hertz, Share, Table
 from crazychoir.types import FullState
 
 Results = dict[int, dict[str, Any]]
@@ -39,17 +39,29 @@ TRANSIENT = 4.0
 """s of the law in which the team comes together: not counted as lag."""
 
 
-class Options(msgspec.Struct, frozen=True, kw_only=True):
-    """[mission_options]."""
+Weight = Annotated[float, Meta(ge=0, le=1000)]
+Weights = Annotated[
+    tuple[Weight, Weight, Weight],
+    Meta(description="weights [intruder, target, team], each 0 to 1000", examples=[[1.0, 1.0, 1.0]]),
+]
+Legs = Annotated[int, Meta(ge=1, le=100, description="a number of legs, 1 to 100", examples=[3])]
 
-    target: tuple[float, float] = (0.0, 0.0)
-    intruders: tuple[tuple[float, float], ...] = STILL
-    weights: tuple[float, float, float] = (1.0, 1.0, 1.0)
-    step_size: float = 0.05
-    round_rate: float = 20.0
-    duration: float = 12.0
-    leg: float = 15.0
-    legs: int = 3
+
+class Options(Table, frozen=True, kw_only=True):
+    """[mission_options].
+
+    target: m;  intruders: m, those that stand still;  weights: of intruder, target, team;  step_size: of the tracking;
+    round_rate: Hz;  duration: s;  leg: s of an intruder from its home to the next one's;  legs: how many it flies.
+    """
+
+    target: Spot = (0.0, 0.0)
+    intruders: Spots = STILL
+    weights: Weights = (1.0, 1.0, 1.0)
+    step_size: Share = 0.05
+    round_rate: Hertz = 20.0
+    duration: Duration = 12.0
+    leg: Period = 15.0
+    legs: Legs = 3
 
 
 class Observed(CFGuidance):
@@ -65,17 +77,9 @@ class Observed(CFGuidance):
         return {}
 
 
-def given(config: SwarmConfig) -> Options:
-    """[mission_options]; raises ConfigError that names the key."""
-    try:
-        return msgspec.convert(config.mission_options, Options, strict=False)
-    except msgspec.ValidationError as error:
-        raise ConfigError(f"swarm {config.name}: mission_options", str(error), "see agents/aggregative.py") from error
-
-
 def guidance(i: int, config: SwarmConfig) -> CFGuidance:
     """A defender, or an intruder that flies or is observed."""
-    options, drone = given(config), config.drone(i)
+    options, drone = given(config, Options), config.drone(i)
     if drone.role != INTRUDER:
         law = defender(i, config, options)
         law.duration = duration(config)
@@ -112,13 +116,13 @@ def mates(config: SwarmConfig) -> Graph:
 
 def duration(config: SwarmConfig) -> float:
     """s of the law: until the intruders have stood for a while."""
-    options = given(config)
+    options = given(config, Options)
     return options.legs * options.leg + 4.0 + SETTLE if intruders(config) else options.duration
 
 
 def round_of(i: int, config: SwarmConfig) -> Piecewise:
     """An intruder's legs, from its home to the next one's, and on."""
-    options, flight, team = given(config), config.flight, intruders(config)
+    options, flight, team = given(config, Options), config.flight, intruders(config)
     z, k = flight.ground + flight.takeoff_height, team.index(i)
     places = [[*config.drone(team[(k + n) % len(team)]).home[:2], z] for n in range(options.legs + 1)]
     goals = [[options.leg * n, *places[n], 0.0] for n in range(1, options.legs + 1)]
@@ -142,7 +146,8 @@ def swarm(drones: int | None = None) -> SwarmConfig:
 
 def check(config: SwarmConfig, force: bool = False) -> list[str]:
     """Each defender has an intruder, which it hears if it flies; the defenders are connected without the intruders."""
-    options, team, flying = given(config), defenders(config), intruders(config)
+    options, team, flying = given(config, Options), defenders(config), intruders(config)
+    require_none(config)
     where, graph = f"swarm {config.name}", config.graph()
     many = len(flying) if flying else len(options.intruders)
     if many != len(team):
@@ -155,11 +160,10 @@ def check(config: SwarmConfig, force: bool = False) -> list[str]:
         if j not in graph.in_neighbors(i):
             do = f"Add the edge [{i}, {j}]."
             raise ConfigError(f"{where}: graph", f"no edge {i}-{j}", "defenders hear their intruders", do)
-    for name in ("step_size", "round_rate", "duration", "leg"):
-        if not getattr(options, name) > 0.0:
-            raise ConfigError(f"{where}: mission_options.{name}", getattr(options, name), "a positive number")
-    if min(options.weights) < 0.0 or options.weights[0] + options.weights[2] <= 0.0:
-        raise ConfigError(f"{where}: mission_options.weights", list(options.weights), "0 or more, not all of them 0")
+    intruder, target, together = options.weights
+    if min(intruder + target, intruder + together) <= 0.0:
+        allowed = "intruder + target above 0 and intruder + team above 0: else there is no one optimum"
+        raise ConfigError(f"{where}: mission_options.weights", list(options.weights), allowed)
     for j in flying:
         round_of(j, config)
     if not flying:
@@ -178,7 +182,7 @@ def _require_inside(config: SwarmConfig, places: dict[int, Vec]) -> None:
 
 def goal(config: SwarmConfig) -> dict[int, Vec]:
     """Where the defenders are at the optimum, if the intruders stand still; else nothing."""
-    options, team = given(config), defenders(config)
+    options, team = given(config, Options), defenders(config)
     if intruders(config) or len(options.intruders) != len(team):
         return {}
     best = Defence(np.array(options.target), *options.weights).optimum(np.array(options.intruders))
@@ -215,7 +219,7 @@ def report(config: SwarmConfig, results: Results) -> dict[str, Any]:
 
 def ways(config: SwarmConfig, results: Results) -> tuple[Vec, Mat, Mat]:
     """Times (T,) s of the law; where the defenders were and where they were to be then, (T, N, 2) m each."""
-    options, team = given(config), defenders(config)
+    options, team = given(config, Options), defenders(config)
     rows = min(min(len(results[i]["way"]), len(results[i]["intruder_way"])) for i in team)
     flown = np.array([np.array(results[i]["way"])[:rows, 1:3] for i in team])
     seen = np.array([np.array(results[i]["intruder_way"])[:rows, 1:3] for i in team])
@@ -248,5 +252,5 @@ def picture(config: SwarmConfig, results: Results, path: str) -> None:
         "distance from the optimum [m]",
         dict(zip(team, wanted[-1], strict=True)),
         {i: results[i]["intruder_way"] for i in team},
-        given(config).target,
+        given(config, Options).target,
     )

@@ -5,21 +5,21 @@ crazychoir run bearing_formation --fast --drones 30     # a grid
 crazychoir run bearing_formation --fast --drones 11     # a letter S
 crazychoir run deploy/formation_circle.toml --fast      # leaders on a circle
 crazychoir run deploy/formation_drawn.toml --fast       # on one that a hand has drawn
-
-[mission_options]: law = "normalised" | "paper";  kp, kv: of it;  in_height: share of them, of the paper's law;
-shape: {id: (3,) m};  letter, size: "S" or "C", m high, instead;  duration: s;  and those of guidance/leader.py.
 """
 
 from collections.abc import Iterable
-from typing import Any
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
+from msgspec import Meta
 
 from crazychoir import CFDistributedFeedback, SwarmConfig
 from crazychoir.control.gains import AGILE, FORMATION, FORMATION_ON_MOTORS, Gains
 from crazychoir.errors import ConfigError
 from crazychoir.guidance import bearing, leader, shapes
 from crazychoir.guidance.bearing import Law, check_formation
+from crazychoir.guidance.leader import LeaderOptions
+from crazychoir.guidance.mission_options import Gain, Length, Places, Spreads, given, require_each
 from crazychoir.guidance.modes import Chain
 from crazychoir.guidance.scattering import Scatter, scattered
 from crazychoir.guidance.shapes import Shape
@@ -27,7 +27,7 @@ from crazychoir.math3d import projector
 from crazychoir.platforms import platform
 from crazychoir.recording.tracks import draw_tracks
 from crazychoir.swarm.checks import LIGHTWEIGHT
-from crazychoir.swarm.graph import span
+from crazychoir.swarm.tables import Share
 from crazychoir.types import Acceleration, Heard, State, Vec
 
 Results = dict[int, dict[str, Any]]
@@ -38,6 +38,34 @@ BRISK: dict[str, Any] = {"brake": 2.0, "stiff": 5.0}
 that they push a formation off, whose weak modes turn 1 m/s2 of evading into metres."""
 TOLERANCE = 0.01
 """m from its place at the end of the law: a drone that is farther away has not formed up."""
+LawName = Annotated[Law, Meta(description='"normalised" or "paper"', examples=["paper"])]
+Letter = Annotated[Literal["S", "C"], Meta(description='"S" or "C"', examples=["S"])]
+
+
+class Options(LeaderOptions, frozen=True, kw_only=True):
+    """[mission_options].
+
+    law;  kp 1/s2, kv 1/s: of it, without them those that suit law and drones;  in_height: share of them, of the paper's
+    law;  shape: m, places of the drones that have the bearings;  letter, size: instead, m high;  scatter: m.
+    """
+
+    law: LawName = "normalised"
+    kp: Gain | None = None
+    kv: Gain | None = None
+    in_height: Share | None = None
+    shape: Places | None = None
+    letter: Letter | None = None
+    size: Length = 3.0
+    scatter: Spreads = (1.0, 1.0, 0.5)
+
+
+class Chosen(NamedTuple):
+    """A law and its gains: 1/s2, 1/s, and the share of them in height."""
+
+    law: Law
+    kp: float
+    kv: float
+    in_height: float
 
 
 class BearingFormation(CFDistributedFeedback):
@@ -76,8 +104,7 @@ class BearingFormation(CFDistributedFeedback):
 
     def height(self) -> float | None:
         """Of its options, so that it may start elsewhere than in the plane."""
-        height: float | None = self.member.config.drone(self.id).options.get("height")
-        return height
+        return leader.height_of(self.member.config, self.id)
 
     def step(self, me: State, heard: Heard) -> Acceleration | None:
         """The law; who does not hear all its neighbours hovers."""
@@ -91,33 +118,31 @@ class BearingFormation(CFDistributedFeedback):
 
 def guidance(i: int, config: SwarmConfig) -> CFDistributedFeedback:
     """The law of drone i: a leader's or a follower's."""
+    options, law = given(config, Options), chosen(config)
     if config.drone(i).leader:
-        return leader.leader_of(i, config, duration(config))
-    law = BearingFormation(
-        i, shape(config), config.graph().neighbors(i), moving=moving(config), gains=gains(config), **options(config)
+        return leader.leader_of(i, config, options)
+    follower = BearingFormation(
+        i, shape(config), neighbors(config)[i], moving=moving(config), gains=gains(config), **law._asdict()
     )
-    law.duration, law.rest = duration(config), REST if options(config)["law"] == "paper" else 0.0
-    return law
+    follower.duration = leader.duration_of(config, options)
+    follower.rest = REST if law.law == "paper" else 0.0
+    return follower
 
 
-def options(config: SwarmConfig) -> dict[str, Any]:
-    """law, kp, kv, in_height: what is not given depends on the law and on what flies."""
-    given = config.mission_options
-    law = given.get("law", "normalised")
-    if law not in ("paper", "normalised"):
-        raise ConfigError(f"swarm {config.name}: mission_options.law", law, '"paper" or "normalised"')
+def chosen(config: SwarmConfig) -> Chosen:
+    """What is not given depends on the law and on what flies."""
+    options = given(config, Options)
     kp, kv, in_height = bearing.KP_NORMALISED, bearing.KV_NORMALISED, 1.0
-    if law == "paper" and on_motors(config):
+    if options.law == "paper" and on_motors(config):
         kp, kv, in_height = bearing.KP_ON_MOTORS, bearing.KV_ON_MOTORS, bearing.IN_HEIGHT
-    elif law == "paper":
+    elif options.law == "paper":
         kp, kv = bearing.KP, bearing.KV
-    usual = {"law": law, "kp": kp, "kv": kv, "in_height": in_height}
-    return usual | {name: given[name] for name in ("kp", "kv", "in_height") if name in given}
+    return Chosen(options.law, options.kp or kp, options.kv or kv, options.in_height or in_height)
 
 
 def gains(config: SwarmConfig) -> Gains:
     """Of the control behind the law."""
-    if options(config)["law"] == "normalised":
+    if given(config, Options).law == "normalised":
         return AGILE
     return FORMATION_ON_MOTORS if on_motors(config) else FORMATION
 
@@ -129,26 +154,20 @@ def on_motors(config: SwarmConfig) -> bool:
 
 def moving(config: SwarmConfig) -> bool:
     """Whether the leaders fly a path."""
-    return leader.path_of(config) is not None
-
-
-def duration(config: SwarmConfig) -> float:
-    """s of the law."""
-    return leader.duration_of(config, 20.0)
+    return given(config, Options).leaders != "still"
 
 
 def shape(config: SwarmConfig) -> Shape:
     """{id: (3,) m}: from the mission options; else the square for four drones, for others their homes."""
-    given = config.mission_options.get("shape")
-    if "letter" in config.mission_options:
-        return shapes.letter(config.mission_options["letter"], config.mission_options.get("size", 3.0))
-    if given is None:
-        homes = {drone.id: drone.home for drone in config.drones}
-        return shapes.SQUARE if config.ids == tuple(shapes.SQUARE) else homes
-    found = {int(i): (float(p[0]), float(p[1]), float(p[2])) for i, p in given.items()}
-    if tuple(sorted(found)) != config.ids:
-        raise ConfigError("mission_options.shape", sorted(found), f"a corner of each drone, {span(config.ids)}")
-    return found
+    options = given(config, Options)
+    if options.letter is not None:
+        places = shapes.letter(options.letter, options.size)
+        require_each(config, places, "letter")
+        return places
+    if options.shape is not None:
+        require_each(config, options.shape, "shape")
+        return options.shape
+    return shapes.SQUARE if config.ids == tuple(shapes.SQUARE) else {drone.id: drone.home for drone in config.drones}
 
 
 def swarm(drones: int | None = None) -> SwarmConfig:
@@ -187,12 +206,12 @@ def _swarm(
 
 def scatter(config: SwarmConfig) -> SwarmConfig:
     """The same swarm, its followers' starts moved at random, clear of each other, by up to `scatter` (3,) m an axis."""
-    return scattered(config, Scatter(*config.mission_options.get("scatter", (1.0, 1.0, 0.5))))
+    return scattered(config, Scatter(*given(config, Options).scatter))
 
 
 def goal(config: SwarmConfig) -> dict[int, Vec]:
     """Where the law is at rest with the leaders where they are at last."""
-    at_last = leader.leaders_at_last(config, duration(config))
+    at_last = leader.leaders_at_last(config, given(config, Options))
     return bearing.equilibrium(shape(config), neighbors(config), {i: tuple(p) for i, p in at_last.items()})
 
 
@@ -203,14 +222,14 @@ def neighbors(config: SwarmConfig) -> dict[int, tuple[int, ...]]:
 
 
 def check(config: SwarmConfig, force: bool = False) -> list[str]:
-    """Refuses a graph on which the shape is not held by its bearings, or which needs minutes."""
-    chosen = options(config)
+    """Refuses a graph on which the shape is not held by its bearings, or which needs minutes; leaders' paths too."""
     slowest = max((platform(drone.platform) for drone in config.drones), key=lambda found: found.rotor.lag)
     chain = Chain.of_motors(gains(config), slowest) if on_motors(config) else Chain(gains(config))
     report = check_formation(
-        shape(config), neighbors(config), list(leader.leaders_of(config)), **chosen, moving=moving(config),
-        chain=chain, force=force,
+        shape(config), neighbors(config), list(leader.leaders_of(config)), **chosen(config)._asdict(),
+        moving=moving(config), chain=chain, force=force,
     )  # fmt: skip
+    leader.require_flyable(config, given(config, Options))
     return list(report.warnings)
 
 

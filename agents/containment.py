@@ -2,27 +2,44 @@
 
 crazychoir run containment --fast
 crazychoir run deploy/containment_random.toml --fast    # edges that come and go
-
-[mission_options]: edges = "static" | "random";  share: of its neighbours that a drone chooses in each tick, of random
-edges;  kp: 1/s2, kv: 1/s;  duration: s;  and those of guidance/leader.py, as leaders = "circle".
 """
 
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
+from msgspec import Meta
 
 from crazychoir import CFDistributedFeedback, SwarmConfig
+from crazychoir.bus import draws
 from crazychoir.errors import ConfigError, Refused
 from crazychoir.guidance import leader
+from crazychoir.guidance.leader import LeaderOptions
+from crazychoir.guidance.mission_options import Gain, given
 from crazychoir.guidance.modes import Chain, mode_margin
 from crazychoir.guidance.rigidity import distance_to_hull, grounded_laplacian, require_led
 from crazychoir.recording.tracks import draw_tracks
+from crazychoir.runtime.clock import SECOND
+from crazychoir.swarm.tables import Share
 from crazychoir.types import Acceleration, Heard, State, Vec
 
 Results = dict[int, dict[str, Any]]
-DEFAULTS: dict[str, Any] = {"edges": "static", "share": 0.5, "kp": 0.8, "kv": 1.6}
 TOLERANCE = 0.02
 """m: a follower that is farther outside of the hull has not come in."""
+
+
+Edges = Annotated[Literal["static", "random"], Meta(description='"static" or "random"', examples=["random"])]
+
+
+class Options(LeaderOptions, frozen=True, kw_only=True):
+    """[mission_options].
+
+    edges;  share: of its neighbours that a drone chooses in each tick, of random edges;  kp: 1/s2;  kv: 1/s.
+    """
+
+    edges: Edges = "static"
+    share: Share = 0.5
+    kp: Gain = 0.8
+    kv: Gain = 1.6
 
 
 class Containment(CFDistributedFeedback):
@@ -30,56 +47,48 @@ class Containment(CFDistributedFeedback):
 
     d_i: how many drones i has as neighbours;  static edges: c_ij = 1, s = 1.  Random edges: in tick k each drone
     chooses each of its neighbours with probability s, and c_ij(k) = 1 where i chose j and j chose i, else 0; so on
-    average nothing changes. The draws are a function of (seed, i, j, k): both ends know them without a word.
+    average nothing changes. k counts the periods of the team's time, and the draws are a function of (seed, i, j, k):
+    both ends know them without a word, whatever either of them has missed.
     Where the law is at rest each follower is at the mean of its neighbours, so in the hull of the leaders.
     kp: 1/s2;  kv: 1/s;  share: s, 1 for static edges.
     Source: Ji, Ferrari-Trecate, Egerstedt & Buffa 2008, IEEE TAC 53(8), for single integrators.
     """
 
     def __init__(self, i: int, neighbors: tuple[int, ...], kp: float, kv: float, share: float, seed: int) -> None:
-        self.neighbors, self.kp, self.kv, self.share, self.k = neighbors, kp, kv, share, 0
-        self.draws = {
-            j: [np.random.default_rng([seed, a, b]) for a, b in ((i, j), (j, i))] for j in neighbors
-        }  # fmt: skip
+        self.neighbors, self.kp, self.kv, self.share = neighbors, kp, kv, share
+        self.keys = {j: (draws.key(seed, i, j), draws.key(seed, j, i)) for j in neighbors}
 
     def step(self, me: State, heard: Heard) -> Acceleration:
         """The law, over those edges that count in this tick."""
+        clock = self.member.clock
+        return self.pulled(me, heard, (clock.epoch_ns + clock.now_ns()) // round(SECOND / self.rate))
+
+    def pulled(self, me: State, heard: Heard, k: int) -> Acceleration:
+        """The law in tick k."""
         u, weight = np.zeros(3), 1.0 / (len(self.neighbors) * self.share**2)
-        counted = [j for j in self.neighbors if self.counts(j)]
-        for j in counted:
-            if j in heard:
+        for j in self.neighbors:
+            if j in heard and self.counts(j, k):
                 u -= weight * (self.kp * (me.p - heard[j].p) + self.kv * (me.v - heard[j].v))
         return Acceleration(u)
 
-    def counts(self, j: int) -> bool:
-        """Whether both ends of this edge have chosen it, in a tick of its own: asked once a tick."""
-        if self.share >= 1.0:
-            return True
-        mine, its = (draw.random() < self.share for draw in self.draws[j])
-        return mine and its
-
-
-def options(config: SwarmConfig) -> dict[str, Any]:
-    """All of them, checked."""
-    found = DEFAULTS | {key: config.mission_options[key] for key in DEFAULTS if key in config.mission_options}
-    where = f"swarm {config.name}: mission_options"
-    if found["edges"] not in ("static", "random"):
-        raise ConfigError(f"{where}.edges", found["edges"], '"static" or "random"')
-    if not 0.0 < found["share"] <= 1.0:
-        raise ConfigError(f"{where}.share", found["share"], "above 0, at most 1")
-    return found
+    def counts(self, j: int, k: int) -> bool:
+        """Whether both ends of this edge have chosen it in tick k."""
+        return all(draws.draw(key, k, 0) < self.share * draws.ONE for key in self.keys[j])
 
 
 def guidance(i: int, config: SwarmConfig) -> CFDistributedFeedback:
     """The law of drone i: a leader's or a follower's."""
-    duration = leader.duration_of(config, 20.0)
+    options = given(config, Options)
     if config.drone(i).leader:
-        return leader.leader_of(i, config, duration)
-    chosen = options(config)
-    share = chosen["share"] if chosen["edges"] == "random" else 1.0
-    law = Containment(i, config.graph().in_neighbors(i), chosen["kp"], chosen["kv"], share, config.seed)
-    law.duration = duration
+        return leader.leader_of(i, config, options)
+    law = Containment(i, config.graph().in_neighbors(i), options.kp, options.kv, share(options), config.seed)
+    law.duration = leader.duration_of(config, options)
     return law
+
+
+def share(options: Options) -> float:
+    """Of the neighbours that a drone chooses in a tick."""
+    return options.share if options.edges == "random" else 1.0
 
 
 def swarm(drones: int | None = None) -> SwarmConfig:
@@ -102,21 +111,33 @@ def swarm(drones: int | None = None) -> SwarmConfig:
 
 def goal(config: SwarmConfig) -> dict[int, Vec]:
     """Each follower at the mean of its neighbours, with the leaders where they are at last: L_ff p_f = - L_fl p_l."""
-    leaders = leader.leaders_at_last(config, leader.duration_of(config, 20.0))
+    leaders = leader.leaders_at_last(config, given(config, Options))
     l_ff, l_fl = grounded_laplacian(_neighbors(config), leaders)
     p = -np.linalg.solve(l_ff, l_fl @ np.array([leaders[i] for i in sorted(leaders)]))
     return leaders | dict(zip((i for i in config.ids if i not in leaders), p, strict=True))
 
 
 def check(config: SwarmConfig, force: bool = False) -> list[str]:
-    """Refuses followers that no leader reaches, and gains that are not stable."""
-    chosen, leaders = options(config), leader.leaders_of(config)
+    """Refuses followers that no leader reaches, gains that are not stable, and what leaders cannot fly."""
+    options, leaders = given(config, Options), leader.leaders_of(config)
+    if len(leaders) == len(config.ids):
+        raise Refused("containment", "every drone is a leader. Name only those that are not to be led.")
     require_led(_neighbors(config), leaders)
+    _require_stable(config, options, leaders)
+    leader.require_flyable(config, options)
+    return []
+
+
+def _require_stable(config: SwarmConfig, options: Options, leaders: dict[int, Vec]) -> None:
+    """Refuse gains that would not be stable if all edges counted in each tick: so it is for a while, now and then."""
+    chosen = share(options)
+    kp, kv = options.kp / chosen**2, options.kv / chosen**2
     eigenvalues = np.abs(np.linalg.eigvals(grounded_laplacian(_neighbors(config), leaders)[0])).tolist()
     both = 2 * eigenvalues, [n < len(eigenvalues) for n in range(2 * len(eigenvalues))]
-    if mode_margin(*both, chosen["kp"], chosen["kv"], Chain()) <= 0.0:
-        raise Refused("containment", f"kp = {chosen['kp']:g}, kv = {chosen['kv']:g} are unstable. Lower them.")
-    return []
+    if mode_margin(*both, kp, kv, Chain()) <= 0.0:
+        of, do = (f" over share^2 = {chosen**2:.3g}", ", or raise share") if chosen < 1.0 else ("", "")
+        text = f"kp = {options.kp:g}, kv = {options.kv:g}{of} are unstable behind the attitude loop. Lower them{do}."
+        raise Refused("containment", text)
 
 
 def report(config: SwarmConfig, results: Results) -> dict[str, Any]:

@@ -1,30 +1,49 @@
 """Each drone flies straight to its goal, whoever is in its way: the collision filter alone keeps them apart.
 
 crazychoir run crossing --fast --drones 6 --picture out/crossing.png
-
-[mission_options]: pattern = "antipodal" (to the other side of the circle) | "permutation" (to another's start);
-radius: m;  speed: m/s;  low, high: m, between which starts and goals lie;  jitter: m, by which they lie off the
-circle;  duration: s of the law. All is drawn from the swarm's seed.
 """
 
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import msgspec
 import numpy as np
+from msgspec import Meta
 
 from crazychoir import CFDistributedFeedback, SwarmConfig
 from crazychoir.errors import ConfigError
+from crazychoir.guidance.mission_options import Duration, Length, Offset, given, require_none
 from crazychoir.recording.tracks import draw_tracks
+from crazychoir.swarm.tables import Height, Speed, Table
 from crazychoir.types import FullState, Heard, State, Vec
 
 Results = dict[int, dict[str, Any]]
-DEFAULTS: dict[str, Any] = {
-    "pattern": "antipodal", "radius": 3.0, "speed": 0.8, "low": 0.3, "high": 2.2, "jitter": 0.1, "duration": 20.0,
-}  # fmt: skip
 APART, SCALE = 0.34, (1.0, 1.0, 0.4)
 """m, and the scale of the standard [collision]: starts, and goals, are drawn as far apart as this by it."""
 ARRIVED = 0.05
 """m from its goal: it is there, once it stays so near."""
+Pattern = Annotated[
+    Literal["antipodal", "permutation"],
+    Meta(
+        description='"antipodal" (to the other side of the circle) or "permutation" (to another\'s start)',
+        examples=["permutation"],
+    ),
+]
+
+
+class Options(Table, frozen=True, kw_only=True):
+    """[mission_options]. All is drawn from the swarm's seed.
+
+    radius: m, of the circle;  speed: m/s;  low, high: m, between which starts and goals lie;  jitter: m, by which they
+    lie off the circle;  duration: s of the law.
+    """
+
+    pattern: Pattern = "antipodal"
+    radius: Length = 3.0
+    speed: Speed = 0.8
+    low: Height = 0.3
+    high: Height = 2.2
+    jitter: Offset = 0.1
+    duration: Duration = 20.0
 
 
 class Straight(CFDistributedFeedback):
@@ -60,33 +79,33 @@ class Straight(CFDistributedFeedback):
 
 def guidance(i: int, config: SwarmConfig) -> Straight:
     """The way of drone i."""
-    options, (starts, goals) = DEFAULTS | config.mission_options, places(config)
-    return Straight(starts[i], goals[i], options["speed"], options["duration"])
+    options, (starts, goals) = given(config, Options), places(config)
+    return Straight(starts[i], goals[i], options.speed, options.duration)
 
 
 def places(config: SwarmConfig) -> tuple[dict[int, Vec], dict[int, Vec]]:
     """Starts and goals, (3,) m each, by drone."""
-    options, n = DEFAULTS | config.mission_options, len(config.ids)
+    options, n = given(config, Options), len(config.ids)
     draw = np.random.default_rng(config.seed)
     starts = _circle(draw, n, options, 0.0)
     goals = _circle(draw, n, options, np.pi)
-    if options["pattern"] == "permutation":
+    if options.pattern == "permutation":
         goals = starts[_deranged(draw, n)]
     return dict(zip(config.ids, starts, strict=True)), dict(zip(config.ids, goals, strict=True))
 
 
-def _circle(draw: np.random.Generator, n: int, options: dict[str, Any], turn: float) -> Vec:
+def _circle(draw: np.random.Generator, n: int, options: Options, turn: float) -> Vec:
     """n places around a circle, off it by chance, and clear of each other."""
     angles = turn + 2.0 * np.pi * np.arange(n) / n
-    flat = options["radius"] * np.column_stack([np.cos(angles), np.sin(angles)])
-    off = options["jitter"]
+    flat = options.radius * np.column_stack([np.cos(angles), np.sin(angles)])
+    off = options.jitter
     for _ in range(1000):
-        heights = draw.uniform(options["low"], options["high"], n)
+        heights = draw.uniform(options.low, options.high, n)
         found = np.column_stack([flat + draw.uniform(-off, off, (n, 2)), heights])
         apart = np.linalg.norm((found[:, None] - found[None]) * SCALE, axis=2) + 9.0 * np.eye(n)
         if apart.min() >= APART:
             return found
-    raise ConfigError("mission_options.radius", options["radius"], f"room for {n} drones", "Take a larger one.")
+    raise ConfigError("mission_options.radius", options.radius, f"room for {n} drones", "Take a larger one.")
 
 
 def _deranged(draw: np.random.Generator, n: int) -> list[int]:
@@ -122,15 +141,10 @@ def scatter(config: SwarmConfig) -> SwarmConfig:
 def check(config: SwarmConfig, force: bool = False) -> list[str]:
     """The options are those that there are, and all stay inside the fence."""
     where = f"swarm {config.name}: mission_options"
-    for key, value in config.mission_options.items():
-        if key not in DEFAULTS:
-            raise ConfigError(f"{where}.{key}", value, f"one of {', '.join(DEFAULTS)}")
-        if key == "pattern" and value not in ("antipodal", "permutation"):
-            raise ConfigError(f"{where}.pattern", value, '"antipodal" or "permutation"')
-        if key != "pattern" and not (isinstance(value, int | float) and value >= 0.0):
-            raise ConfigError(f"{where}.{key}", value, "a number, not negative")
-        if key in ("radius", "speed", "duration") and value <= 0.0:
-            raise ConfigError(f"{where}.{key}", value, "a positive number")
+    options = given(config, Options)
+    require_none(config)
+    if options.low > options.high:
+        raise ConfigError(f"{where}.low", options.low, f"at most high = {options.high:g}")
     for which, found in zip(("start", "goal"), places(config), strict=True):
         for i, p in found.items():
             if np.any(p < config.fence.min) or np.any(p > config.fence.max):

@@ -1,9 +1,6 @@
 """Distance-based formation: followers know how far they are to be from their neighbours, not in which direction.
 
 crazychoir run distance_formation --fast
-
-[mission_options]: shape: {id: (3,) m}, whose distances are wanted;  k: 1/(m2 s2), kv: 1/s;  duration: s;  scatter: (3,)
-m;  and those of guidance/leader.py, as leaders = "circle".
 """
 
 from collections.abc import Mapping
@@ -15,19 +12,31 @@ from crazychoir import CFDistributedFeedback, SwarmConfig
 from crazychoir.control.gains import AGILE
 from crazychoir.errors import ConfigError, Refused
 from crazychoir.guidance import leader
+from crazychoir.guidance.leader import LeaderOptions
+from crazychoir.guidance.mission_options import Gain, Places, Spreads, given, require_each
 from crazychoir.guidance.modes import Chain, mode_margin
 from crazychoir.guidance.rigidity import require_rigid
 from crazychoir.guidance.scattering import Scatter, scattered
 from crazychoir.recording.tracks import draw_tracks
-from crazychoir.swarm.graph import span
 from crazychoir.types import Acceleration, Heard, State, Vec
 
 Results = dict[int, dict[str, Any]]
-DEFAULTS: dict[str, Any] = {"k": 0.6, "kv": 1.2}
 HEIGHT = 2.0, 2.5
 """1/s2, 1/s: with which a flat formation holds its height, of which distances say nothing."""
 TOLERANCE = 0.02
 """m that a distance may be off at the end of the law."""
+
+
+class Options(LeaderOptions, frozen=True, kw_only=True):
+    """[mission_options].
+
+    k: 1/(m2 s2);  kv: 1/s;  shape: m, places whose distances are wanted, without it the homes;  scatter: m.
+    """
+
+    k: Gain = 0.6
+    kv: Gain = 1.2
+    shape: Places | None = None
+    scatter: Spreads = (0.3, 0.3, 0.2)
 
 
 class DistanceFormation(CFDistributedFeedback):
@@ -47,8 +56,7 @@ class DistanceFormation(CFDistributedFeedback):
 
     def height(self) -> float | None:
         """Of its options, so that it may start elsewhere."""
-        height: float | None = self.member.config.drone(self.id).options.get("height")
-        return height
+        return leader.height_of(self.member.config, self.id)
 
     def step(self, me: State, heard: Heard) -> Acceleration | None:
         """The law; who does not hear all its neighbours hovers."""
@@ -65,31 +73,23 @@ class DistanceFormation(CFDistributedFeedback):
 
 def guidance(i: int, config: SwarmConfig) -> CFDistributedFeedback:
     """The law of drone i: a leader's or a follower's."""
-    duration = leader.duration_of(config, 20.0)
+    options, places = given(config, Options), shape(config)
     if config.drone(i).leader:
-        return leader.leader_of(i, config, duration)
-    places, chosen = shape(config), options(config)
+        return leader.leader_of(i, config, options)
     d = {j: float(np.linalg.norm(places[i] - places[j])) for j in config.graph().neighbors(i)}
     level = config.flight.ground + config.flight.takeoff_height if flat(config) else None
-    law = DistanceFormation(d, chosen["k"], chosen["kv"], level)
-    law.duration = duration
+    law = DistanceFormation(d, options.k, options.kv, level)
+    law.duration = leader.duration_of(config, options)
     return law
-
-
-def options(config: SwarmConfig) -> dict[str, Any]:
-    """k and kv."""
-    return DEFAULTS | {key: config.mission_options[key] for key in DEFAULTS if key in config.mission_options}
 
 
 def shape(config: SwarmConfig) -> dict[int, Vec]:
     """{id: (3,) m}: of the mission options, else the homes."""
-    given = config.mission_options.get("shape")
-    if given is None:
+    places = given(config, Options).shape
+    if places is None:
         return {drone.id: np.array(drone.home) for drone in config.drones}
-    found = {int(i): np.array(p, dtype=float) for i, p in given.items()}
-    if tuple(sorted(found)) != config.ids or any(p.shape != (3,) for p in found.values()):
-        raise ConfigError("mission_options.shape", sorted(found), f"a corner (3,) of each drone, {span(config.ids)}")
-    return found
+    require_each(config, places, "shape")
+    return {i: np.array(p) for i, p in places.items()}
 
 
 def flat(config: SwarmConfig) -> bool:
@@ -118,20 +118,26 @@ def swarm(drones: int | None = None) -> SwarmConfig:
 
 def scatter(config: SwarmConfig) -> SwarmConfig:
     """The same swarm, its followers' starts moved at random, clear of each other, by up to `scatter` (3,) m an axis."""
-    return scattered(config, Scatter(*config.mission_options.get("scatter", (0.3, 0.3, 0.2))))
+    return scattered(config, Scatter(*given(config, Options).scatter))
 
 
 def check(config: SwarmConfig, force: bool = False) -> list[str]:
-    """Refuses a graph that is not infinitesimally rigid with these leaders, and gains that are not stable."""
-    chosen, leaders = options(config), leader.leaders_of(config)
+    """Refuses a graph that is not infinitesimally rigid with these leaders, and gains that are not stable.
+
+    A directed graph too: only where both ends of an edge pull does the law go down a gradient.
+    """
+    options, leaders = given(config, Options), leader.leaders_of(config)
+    if not config.graph().is_undirected:
+        raise ConfigError(f"swarm {config.name}: graph", "a directed graph", "an undirected one")
     axes = 2 if flat(config) else 3
     r = require_rigid({i: p[:axes] for i, p in shape(config).items()}, config.graph().edges(), leaders)
-    stiffest = 2.0 * chosen["k"] * float(np.linalg.norm(r, 2) ** 2)
+    stiffest = 2.0 * options.k * float(np.linalg.norm(r, 2) ** 2)
     heard = [len(config.graph().neighbors(i)) for i in config.ids if i not in leaders]
-    for damping in (chosen["kv"] * min(heard) * 0.5, chosen["kv"] * max(heard)):
+    for damping in (options.kv * min(heard) * 0.5, options.kv * max(heard)):
         if mode_margin([1.0], [True], stiffest, damping, Chain(AGILE)) <= 0.0:
-            text = f"k = {chosen['k']:g}, kv = {chosen['kv']:g}: its stiffest mode, {stiffest:.1f} 1/s2, is unstable"
+            text = f"k = {options.k:g}, kv = {options.kv:g}: its stiffest mode, {stiffest:.1f} 1/s2, is unstable"
             raise Refused("distance formation", f"{text} behind the attitude loop. Lower k, or raise kv.")
+    leader.require_flyable(config, options)
     return []
 
 

@@ -1,32 +1,46 @@
 """One drone, or several side by side, fly what a hand has drawn: by default the word "Casy".
 
 crazychoir run drawn_path --fast --picture out/casy.png
-
-[mission_options]: drawing: a CSV file of rows stroke, t, x, y;  scale: of the drawing;  yaw: rad, or "along" the path;
-timing: "even" or "drawn", as fast as the hand was where the limits allow;  lift: m between strokes.
 """
 
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import matplotlib.pyplot as plt
 import numpy as np
+from msgspec import Meta
 from scipy.interpolate import CubicSpline
 from scipy.spatial import cKDTree
 
 from crazychoir import CFGuidance, SwarmConfig
 from crazychoir.control.gains import STANDARD
 from crazychoir.errors import ConfigError
+from crazychoir.guidance.mission_options import Offset, Yaw, given, require_none
 from crazychoir.guidance.timed import Way, noted
 from crazychoir.planning.drawing import Drawing, Pen, drawing
 from crazychoir.planning.feasibility import Limits
 from crazychoir.planning.stroke import read_strokes
+from crazychoir.swarm.tables import Scale, Table, Text
 
 Results = dict[int, dict[str, Any]]
 WORD = Path(__file__).parent / "data" / "casy.csv"
 TOLERANCE = 0.03
 """m between what is flown and the path that was drawn, at most."""
-DEFAULTS: dict[str, Any] = {"drawing": str(WORD), "scale": 1.0, "yaw": 0.0, "timing": "even", "lift": 0.1}
+Timing = Annotated[Literal["even", "drawn"], Meta(description='"even" or "drawn"', examples=["drawn"])]
+
+
+class Options(Table, frozen=True, kw_only=True):
+    """[mission_options].
+
+    drawing: a CSV file of rows stroke, t, x, y;  scale: of the drawing;  yaw: rad, or "along" the path;
+    timing: "drawn", as fast as the hand was where the limits allow;  lift: m between strokes.
+    """
+
+    drawing: Text = str(WORD)
+    scale: Scale = 1.0
+    yaw: Yaw = 0.0
+    timing: Timing = "even"
+    lift: Offset = 0.1
 
 
 class Writer(CFGuidance):
@@ -50,15 +64,15 @@ class Writer(CFGuidance):
 
 def drawn(config: SwarmConfig, i: int) -> Drawing:
     """What drone i flies: the drawing, its middle over the drone's home; no jerk that its attitude cannot follow."""
-    options, flight, home = DEFAULTS | config.mission_options, config.flight, config.drone(i).home
-    strokes = read_strokes(options["drawing"])
+    options, flight, home = given(config, Options), config.flight, config.drone(i).home
+    strokes = read_strokes(options.drawing)
     places = np.vstack([stroke[:, 1:] for stroke in strokes])
     middle = 0.5 * (places.min(axis=0) + places.max(axis=0))
     placed = [
-        np.column_stack([stroke[:, 0], home[:2] + options["scale"] * (stroke[:, 1:] - middle)]) for stroke in strokes
+        np.column_stack([stroke[:, 0], home[:2] + options.scale * (stroke[:, 1:] - middle)]) for stroke in strokes
     ]
     pen = Pen(
-        height=flight.ground + flight.takeoff_height, lift=options["lift"], yaw=options["yaw"], timing=options["timing"]
+        height=flight.ground + flight.takeoff_height, lift=options.lift, yaw=options.yaw, timing=options.timing
     )
     limits = Limits(
         v_max=flight.speed_limit, a_max=flight.acceleration_limit, j_max=STANDARD.kr[0] * flight.acceleration_limit,
@@ -88,9 +102,8 @@ def swarm(drones: int | None) -> SwarmConfig:
 
 def check(config: SwarmConfig, force: bool = False) -> list[str]:
     """The options are those that there are, and the drawing can be flown; says how it will be."""
-    for key, value in config.mission_options.items():
-        if key not in DEFAULTS:
-            raise ConfigError(f"swarm {config.name}: mission_options.{key}", value, f"one of {', '.join(DEFAULTS)}")
+    given(config, Options)
+    require_none(config)
     flown, *_ = [_checked(config, i) for i in config.ids]
     return [
         f"the drawing takes {flown.path.duration:.1f} s, at most {flown.speed:.2f} m/s and "

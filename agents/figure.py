@@ -1,32 +1,47 @@
 """Each drone flies a circle or an eight around its home, as exactly as it can.
 
 crazychoir run figure --fast --drones 4 --picture out/figure.png
-
-[mission_options]: figure = "circle" | "eight";  size: m, the radius, or half the width of the eight;  period: s of a
-lap at full speed;  laps;  ramp: s from rest to full speed, 0 for half a period;  yaw: rad at first;  yaw_rate: rad/s.
 """
 
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import matplotlib.pyplot as plt
 import numpy as np
+from msgspec import Meta
 
 from crazychoir import CFGuidance, SwarmConfig
 from crazychoir.errors import ConfigError
+from crazychoir.guidance.mission_options import Laps, Length, Period, Ramp, Yaw, given, require_none
 from crazychoir.planning import feasibility
 from crazychoir.planning.feasibility import Limits
 from crazychoir.planning.figure import Figure, circle, eight
+from crazychoir.swarm.tables import Table
 
 Results = dict[int, dict[str, Any]]
-DEFAULTS: dict[str, Any] = {
-    "figure": "circle", "size": 0.4, "period": 10.0, "laps": 2.0, "ramp": 0.0, "yaw": 0.0, "yaw_rate": 0.0,
-}  # fmt: skip
+Kind = Annotated[Literal["circle", "eight"], Meta(description='"circle" or "eight"', examples=["eight"])]
+YawRate = Annotated[float, Meta(ge=-20, le=20, description="a rate in rad/s, -20 to 20", examples=[0.5])]
+
+
+class Options(Table, frozen=True, kw_only=True):
+    """[mission_options].
+
+    figure;  size: m, the radius, or half the width of the eight;  period: s of a lap at full speed;  laps;
+    ramp: s from rest to full speed, 0 for half a period;  yaw: rad at first, or "along" the path;  yaw_rate: rad/s.
+    """
+
+    figure: Kind = "circle"
+    size: Length = 0.4
+    period: Period = 10.0
+    laps: Laps = 2.0
+    ramp: Ramp = 0.0
+    yaw: Yaw = 0.0
+    yaw_rate: YawRate = 0.0
 
 
 class Flown(CFGuidance):
     """Flies one figure."""
 
-    def __init__(self, home: tuple[float, float, float], options: dict[str, Any]) -> None:
+    def __init__(self, home: tuple[float, float, float], options: Options) -> None:
         self.home, self.options = home, options
 
     async def mission(self) -> dict[str, Any]:
@@ -40,32 +55,23 @@ class Flown(CFGuidance):
         return {"place": self.state.p.tolist()}
 
 
-def figure(home: tuple[float, float, float], height: float, options: dict[str, Any]) -> Figure:
+def figure(home: tuple[float, float, float], height: float, options: Options) -> Figure:
     """The figure over a home, at a height m above it."""
-    chosen = DEFAULTS | options
-    center = (home[0], home[1], home[2] + height)
-    size, rest = chosen["size"], {key: chosen[key] for key in ("period", "laps", "yaw", "yaw_rate")}
-    rest["ramp"] = chosen["ramp"] or None
-    if chosen["figure"] == "circle":
-        return circle(center, size, **rest)
-    return eight(center, size, 0.5 * size, **rest)
+    center, size = (home[0], home[1], home[2] + height), options.size
+    rest = options.period, options.laps, options.ramp or None, options.yaw, options.yaw_rate
+    return circle(center, size, *rest) if options.figure == "circle" else eight(center, size, 0.5 * size, *rest)
 
 
 def guidance(i: int, config: SwarmConfig) -> CFGuidance:
     """Drone i flies around its home."""
-    return Flown(config.drone(i).home, config.mission_options)
+    return Flown(config.drone(i).home, given(config, Options))
 
 
 def check(config: SwarmConfig, force: bool = False) -> list[str]:
     """The options are those that there are, and each drone can fly its figure."""
     where = f"swarm {config.name}: mission_options"
-    for key, value in config.mission_options.items():
-        if key not in DEFAULTS:
-            raise ConfigError(f"{where}.{key}", value, f"one of {', '.join(DEFAULTS)}")
-        if key == "figure" and value not in ("circle", "eight"):
-            raise ConfigError(f"{where}.figure", value, '"circle" or "eight"')
-        if key != "figure" and not isinstance(value, int | float) and (key, value) != ("yaw", "along"):
-            raise ConfigError(f"{where}.{key}", value, "a number")
+    given(config, Options)
+    require_none(config)
     limits = Limits(
         v_max=config.flight.speed_limit, a_max=config.flight.acceleration_limit,
         low=config.fence.min, high=config.fence.max,
@@ -102,4 +108,4 @@ def _path(config: SwarmConfig, i: int) -> np.ndarray:
 
 
 def _figure(config: SwarmConfig, i: int) -> Figure:
-    return figure(config.drone(i).home, config.flight.takeoff_height, config.mission_options)
+    return figure(config.drone(i).home, config.flight.takeoff_height, given(config, Options))

@@ -3,24 +3,24 @@
 crazychoir run goto --fast --picture out/goto.png
 
 All cross at one height, at one time: the collision filter leads them round each other.
-[mission_options]: goals: {"0": [[t, x, y, z], ...], ...}, s of the law and m, of each drone, instead of the crossing.
 """
 
 from itertools import combinations
-from typing import Any
+from typing import Annotated, Any
 
-import msgspec
 import numpy as np
+from msgspec import Meta
 
 from crazychoir import CFGuidance, SwarmConfig
 from crazychoir.errors import ConfigError
+from crazychoir.guidance.mission_options import Coordinate, given, require_each, require_none
 from crazychoir.guidance.timed import TimedFlight
 from crazychoir.math3d import Vec
 from crazychoir.planning.feasibility import Limits
 from crazychoir.planning.goal import timed_goals
 from crazychoir.planning.piecewise import Piecewise
 from crazychoir.recording.tracks import draw_ways
-from crazychoir.swarm.graph import span
+from crazychoir.swarm.tables import Id, Table
 from crazychoir.types import FullState
 
 Results = dict[int, dict[str, Any]]
@@ -35,18 +35,22 @@ NEAR = 0.25
 """m between two planned flights, below which the collision filter must keep the drones apart."""
 
 
-class Options(msgspec.Struct, frozen=True, kw_only=True):
-    """[mission_options]."""
+Row = tuple[Annotated[float, Meta(gt=0, le=3600)], Coordinate, Coordinate, Coordinate]
+Rows = Annotated[tuple[Row, ...], Meta(min_length=1)]
+Goals = Annotated[
+    dict[Id, Rows],
+    Meta(
+        min_length=1,
+        description="a table of drone ids, each with one row [t, x, y, z] or more: s, above 0, and m, within 1000 m",
+        examples=[{"0": [[5.0, 0.0, 1.0, 1.0]]}],
+    ),
+]
 
-    goals: dict[int, tuple[tuple[float, float, float, float], ...]] | None = None
 
+class Options(Table, frozen=True, kw_only=True):
+    """[mission_options].  goals: s of the law and m, of each drone, instead of the crossing."""
 
-def given(config: SwarmConfig) -> Options:
-    """[mission_options]; raises ConfigError that names the key."""
-    try:
-        return msgspec.convert(config.mission_options, Options, strict=False)
-    except msgspec.ValidationError as error:
-        raise ConfigError(f"swarm {config.name}: mission_options", str(error), "see agents/goto.py") from error
+    goals: Goals | None = None
 
 
 def guidance(i: int, config: SwarmConfig) -> CFGuidance:
@@ -69,15 +73,13 @@ def flight(i: int, config: SwarmConfig) -> Piecewise:
         raise ConfigError(where, error.found, error.allowed, error.do) from error
 
 
-def goals(config: SwarmConfig) -> dict[int, tuple[tuple[float, float, float, float], ...]]:
+def goals(config: SwarmConfig) -> dict[int, tuple[Row, ...]]:
     """Rows t, x, y, z of each drone: those given, else the crossing."""
-    options = given(config)
-    if options.goals is not None:
-        return options.goals
-    return {i: crossing(k) for k, i in enumerate(config.ids)}
+    rows = given(config, Options).goals
+    return rows or {i: crossing(k) for k, i in enumerate(config.ids)}
 
 
-def crossing(k: int) -> tuple[tuple[float, float, float, float], ...]:
+def crossing(k: int) -> tuple[Row, ...]:
     """The k-th drone's own corner, the opposite one, and the next."""
     corners = [CORNERS[(k + turn) % len(CORNERS)] for turn in (0, 2, 3)]
     return tuple((t, *corner, HEIGHT) for t, corner in zip(TIMES, corners, strict=True))
@@ -98,15 +100,10 @@ def swarm(drones: int | None = None) -> SwarmConfig:
 
 def check(config: SwarmConfig, force: bool = False) -> list[str]:
     """Each drone has goals, and can be there in time; says where two flights meet if nothing keeps them apart."""
-    options = given(config)
-    if options.goals is None and len(config.ids) != len(CORNERS):
+    require_none(config)
+    if not given(config, Options).goals and len(config.ids) != len(CORNERS):
         raise ConfigError(f"swarm {config.name}: drones", len(config.ids), f"{len(CORNERS)}, or mission_options.goals")
-    for i, rows in (options.goals or {}).items():
-        if not rows:
-            raise ConfigError(f"swarm {config.name}: mission_options.goals.{i}", "[]", "one row t, x, y, z or more")
-    if sorted(goals(config)) != sorted(config.ids):
-        where, found = f"swarm {config.name}: mission_options.goals", f"goals of drones {sorted(goals(config))}"
-        raise ConfigError(where, found, f"goals of each drone, {span(config.ids)}")
+    require_each(config, goals(config), "goals")
     gap, i, j, t = nearest(config)
     if gap >= NEAR or config.collision.method != "off":
         return []
@@ -143,7 +140,7 @@ def report(config: SwarmConfig, results: Results) -> dict[str, Any]:
     }
 
 
-def _late(errors: list[float], rows: tuple[tuple[float, float, float, float], ...]) -> str:
+def _late(errors: list[float], rows: tuple[Row, ...]) -> str:
     if len(errors) < len(rows):
         return f"its flight ended before its goal at {rows[len(errors)][0]:g} s"
     worst = int(np.argmax(errors))

@@ -3,7 +3,6 @@
 crazychoir run head_on --fast
 
 Their plans know nothing of each other, and meet at one height: the collision filter leads them past.
-[mission_options]: goals, see agents/goto.py.
 """
 
 from typing import Any

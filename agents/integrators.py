@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 
 from crazychoir import Acceleration, CFDistributedFeedback, SwarmConfig, Velocity
+from crazychoir.guidance.mission_options import NoOptions, given, require_none
+from crazychoir.guidance.rigidity import require_led
 from crazychoir.recording.tracks import draw_ways
 from crazychoir.swarm.checks import DOUBLE, SINGLE
 from crazychoir.types import Heard, State, Vec
@@ -61,6 +63,16 @@ def swarm(drones: int | None = None) -> SwarmConfig:
         for i, (p, uri) in enumerate(zip(LEADERS + FOLLOWERS, uris, strict=True))
     ]
     return SwarmConfig.of({"name": "integrators", "mission": "integrators", "edges": EDGES, "drones": robots})
+
+
+def check(config: SwarmConfig, force: bool = False) -> list[str]:
+    """Each follower hears a leader, by way of others at least: else it has no equilibrium."""
+    given(config, NoOptions)
+    require_none(config)
+    graph = config.graph()
+    leaders = [robot.id for robot in config.drones if robot.leader]
+    require_led({i: graph.in_neighbors(i) for i in graph.ids}, leaders)
+    return []
 
 
 def goal(config: SwarmConfig) -> dict[int, Vec]:

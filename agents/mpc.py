@@ -5,23 +5,22 @@ crazychoir run mpc --fast --loss 0.3
 
 Each drone has a goal, and stays within `reach` of its neighbours in how far it still has to go, so that the formation
 waits for its slowest drone; in each step the drones plan one after another, by increasing id.
-[mission_options]: shift: [x, y] m, of the goals from the homes;  reach: m;  step: s;  horizon: steps;  duration: s;
-speed, acceleration, jerk: m/s, m/s2, m/s3.  options of a drone: speed: m/s;  goal: [x, y] m, instead of home + shift.
 """
 
 from itertools import combinations
-from typing import Any
+from typing import Annotated, Any
 
-import msgspec
 import numpy as np
+from msgspec import Meta
 
 from crazychoir import CFGuidance, SwarmConfig
 from crazychoir.errors import ConfigError
+from crazychoir.guidance.mission_options import Duration, Spot, given, own
 from crazychoir.guidance.mpc import Motion, MPCGuidance
 from crazychoir.math3d import Vec
 from crazychoir.recording.tracks import draw_ways
 from crazychoir.safety.guard import EDGE
-from crazychoir.swarm.tables import Drone
+from crazychoir.swarm.tables import Acceleration, Drone, Speed, Table
 
 Results = dict[int, dict[str, Any]]
 MARGIN = 0.05
@@ -31,48 +30,60 @@ TOLERANCE = 0.03
 SLOW = 0.25
 
 
-class Options(msgspec.Struct, frozen=True, kw_only=True):
-    """[mission_options]."""
-
-    shift: tuple[float, float] = (3.0, 0.0)
-    reach: float = 0.35
-    step: float = 0.4
-    horizon: int = 10
-    duration: float = 22.0
-    speed: float = 0.6
-    acceleration: float = 1.0
-    jerk: float = 4.0
+Reach = Annotated[
+    float, Meta(gt=MARGIN, le=100, description=f"m, more than {MARGIN} m, which plans leave, to 100", examples=[0.35])
+]
+Step = Annotated[float, Meta(ge=0.1, le=2, description="a time in s, 0.1 to 2", examples=[0.4])]
+Horizon = Annotated[int, Meta(ge=3, le=50, description="3 steps or more, to start and to stop, to 50", examples=[10])]
+Jerk = Annotated[float, Meta(gt=0, le=1000, description="a jerk in m/s3, above 0, at most 1000", examples=[4.0])]
 
 
-def given(config: SwarmConfig) -> Options:
-    """[mission_options]; raises ConfigError that names the key."""
-    try:
-        return msgspec.convert(config.mission_options, Options)
-    except msgspec.ValidationError as error:
-        raise ConfigError(f"swarm {config.name}: mission_options", str(error), "see agents/mpc.py") from error
+class Options(Table, frozen=True, kw_only=True):
+    """[mission_options].
+
+    shift: m, of the goals from the homes;  reach: m;  step: s;  horizon: steps;  duration: s;
+    speed, acceleration, jerk: m/s, m/s2, m/s3, in x and in y.
+    """
+
+    shift: Spot = (3.0, 0.0)
+    reach: Reach = 0.35
+    step: Step = 0.4
+    horizon: Horizon = 10
+    duration: Duration = 22.0
+    speed: Speed = 0.6
+    acceleration: Acceleration = 1.0
+    jerk: Jerk = 4.0
+
+
+class DroneOptions(Table, frozen=True, kw_only=True):
+    """`options` of a drone.  speed: m/s;  goal: m, instead of home + shift."""
+
+    speed: Speed | None = None
+    goal: Spot | None = None
 
 
 def guidance(i: int, config: SwarmConfig) -> CFGuidance:
     """Drone i, from its home to its goal, in the fence."""
-    options, drone = given(config), config.drone(i)
+    options, drone = given(config, Options), config.drone(i)
     goal = goal_of(config, drone)
     low, high = np.array(config.fence.min[:2]) + EDGE - goal, np.array(config.fence.max[:2]) - EDGE - goal
     neighbors = config.graph().neighbors(i)
-    law = MPCGuidance(goal, motion(options, drone), low, high, options.reach - MARGIN, neighbors)
+    law = MPCGuidance(goal, motion(config, drone), low, high, options.reach - MARGIN, neighbors)
     law.duration = options.duration
     return law
 
 
-def motion(options: Options, drone: Drone) -> Motion:
+def motion(config: SwarmConfig, drone: Drone) -> Motion:
     """What the drone can."""
-    speed = float(drone.options.get("speed", options.speed))
+    options = given(config, Options)
+    speed = own(config, drone, DroneOptions).speed or options.speed
     return Motion(options.step, options.horizon, speed, options.acceleration, options.jerk)
 
 
 def goal_of(config: SwarmConfig, drone: Drone) -> Vec:
     """(2,) m."""
-    place: Vec = np.array(drone.options.get("goal", np.add(drone.home[:2], given(config).shift)), float)
-    return place
+    goal = own(config, drone, DroneOptions).goal
+    return np.array(goal) if goal is not None else np.add(drone.home[:2], given(config, Options).shift)
 
 
 def swarm(drones: int | None = None) -> SwarmConfig:
@@ -94,32 +105,25 @@ def swarm(drones: int | None = None) -> SwarmConfig:
 
 def check(config: SwarmConfig, force: bool = False) -> list[str]:
     """The options make a problem that is feasible where the drones start: at rest, in the fence, as near as allowed."""
-    options, where, graph = given(config), f"swarm {config.name}", config.graph()
+    options, where, graph = given(config, Options), f"swarm {config.name}", config.graph()
     if not graph.is_undirected or not graph.is_connected:
         raise ConfigError(f"{where}: graph", "one-way or in parts", "undirected and connected", "Add an edge.")
-    if options.reach <= MARGIN:
-        raise ConfigError(f"{where}: mission_options.reach", options.reach, f"more than {MARGIN} m, which plans leave")
-    if options.horizon < 3:
-        raise ConfigError(f"{where}: mission_options.horizon", options.horizon, "3 steps or more: to start and to stop")
-    for name in ("step", "speed", "acceleration", "jerk", "duration"):
-        if not getattr(options, name) > 0:
-            raise ConfigError(f"{where}: mission_options.{name}", getattr(options, name), "a positive number")
     for drone in config.drones:
-        _require_possible(config, drone, options)
+        _require_possible(config, drone)
     _require_near(config, options.reach - MARGIN)
     return []
 
 
-def _require_possible(config: SwarmConfig, drone: Drone, options: Options) -> None:
+def _require_possible(config: SwarmConfig, drone: Drone) -> None:
     """Raise ConfigError for a goal outside the fence, and for more speed than [flight] has."""
     where, low, high = f"swarm {config.name}: drone {drone.id}", config.fence.min, config.fence.max
     place = goal_of(config, drone)
     if np.any(place < np.array(low[:2]) + EDGE) or np.any(place > np.array(high[:2]) - EDGE):
         allowed = f"a goal inside [fence], {EDGE} m from its edge"
         raise ConfigError(f"{where}: goal", place.tolist(), allowed, "Change mission_options.shift, or widen [fence].")
-    speed, most = motion(options, drone).speed, config.flight.speed_limit / 2**0.5
-    if not 0.0 < speed <= most:
-        allowed = f"above 0, at most {most:.2f} m/s: flight.speed_limit on a diagonal"
+    speed, most = motion(config, drone).speed, config.flight.speed_limit / 2**0.5
+    if speed > most:
+        allowed = f"at most {most:.2f} m/s: flight.speed_limit on a diagonal"
         raise ConfigError(f"{where}: speed", speed, allowed)
 
 
@@ -151,7 +155,7 @@ def report(config: SwarmConfig, results: Results) -> dict[str, Any]:
         if far > TOLERANCE:
             reasons[i] = f"{far:.3f} m from its goal at the end, allowed {TOLERANCE} m; {results[i]['why'] or 'slow'}"
     ahead, pair = most_ahead(config, results)
-    reach = given(config).reach
+    reach = given(config, Options).reach
     if ahead > reach:
         reasons[pair[0]] = f"{ahead:.3f} m ahead of or behind drone {pair[1]}, allowed {reach} m"
     count = {name: {i: results[i][name] for i in config.ids} for name in ("solved", "loosened", "kept", "infeasible")}

@@ -2,40 +2,39 @@
 
 crazychoir run targets --fast
 crazychoir run targets --fast --drones 3
-
-[mission_options]: targets: [[x, y, z], ...] m, from a drone's home.
 """
 
-from typing import Any
+from typing import Annotated, Any
 
-import msgspec
 import numpy as np
+from msgspec import Meta
 
 from crazychoir import CFGuidance, SwarmConfig
 from crazychoir.errors import ConfigError
+from crazychoir.guidance.mission_options import Place, given, require_none
 from crazychoir.guidance.timed import TargetList
 from crazychoir.math3d import Mat, Vec
 from crazychoir.recording.tracks import draw_ways
+from crazychoir.swarm.tables import Table
 
 Results = dict[int, dict[str, Any]]
 TARGETS = ((0.8, 0.0, 1.0), (0.8, 0.8, 1.3), (0.0, 0.8, 1.0), (-0.4, 0.4, 0.6), (0.0, 0.0, 1.0))
 SPACING = 2.0
+Targets = Annotated[
+    tuple[Place, ...],
+    Meta(min_length=1, description="one place [x, y, z] or more, in m, within 1000 m", examples=[[[0.8, 0.0, 1.0]]]),
+]
 
 
-class Options(msgspec.Struct, frozen=True, kw_only=True):
-    """[mission_options]."""
+class Options(Table, frozen=True, kw_only=True):
+    """[mission_options].  targets: m, from a drone's home."""
 
-    targets: tuple[tuple[float, float, float], ...] = TARGETS
+    targets: Targets = TARGETS
 
 
 def targets(i: int, config: SwarmConfig) -> Mat:
     """(k, 3) m, world, of drone i; raises ConfigError that names the key."""
-    try:
-        given = msgspec.convert(config.mission_options, Options)
-    except msgspec.ValidationError as error:
-        raise ConfigError(f"swarm {config.name}: mission_options", str(error), "targets = [[x, y, z], ...]") from error
-    places: Mat = np.array(given.targets).reshape(-1, 3) + config.drone(i).home
-    return places
+    return np.add(given(config, Options).targets, config.drone(i).home)
 
 
 def guidance(i: int, config: SwarmConfig) -> CFGuidance:
@@ -59,11 +58,10 @@ def swarm(drones: int | None = None) -> SwarmConfig:
 
 def check(config: SwarmConfig, force: bool = False) -> list[str]:
     """There are targets, all of them inside the fence."""
+    require_none(config)
     low, high = config.fence.min, config.fence.max
     for i in config.ids:
         places = targets(i, config)
-        if not len(places):
-            raise ConfigError(f"swarm {config.name}: mission_options.targets", "none", "one target or more")
         for k, place in enumerate(places):
             if not (np.all(place >= low) and np.all(place <= high)):
                 where = f"swarm {config.name}: mission_options.targets[{k}]"

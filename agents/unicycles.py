@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from crazychoir import CFDistributedFeedback, SwarmConfig, Velocity
+from crazychoir.guidance.mission_options import NoOptions, given, require_none
 from crazychoir.recording.tracks import draw_ways
 from crazychoir.swarm.checks import UNICYCLE
 from crazychoir.types import Heard, State, Vec
@@ -69,6 +70,13 @@ def swarm(drones: int | None = None) -> SwarmConfig:
     robots = [{"id": i, "home": [*p, 0.0], "yaw": float(i), "uri": UNICYCLE} for i, p in enumerate(starts)]
     flight = {"speed_limit": 0.5}
     return SwarmConfig.of({"name": "unicycles", "mission": "unicycles", "drones": robots, "flight": flight})
+
+
+def check(config: SwarmConfig, force: bool = False) -> list[str]:
+    """There are no options."""
+    given(config, NoOptions)
+    require_none(config)
+    return []
 
 
 def report(config: SwarmConfig, results: Results) -> dict[str, Any]:

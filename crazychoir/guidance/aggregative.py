@@ -30,7 +30,8 @@ class Defence:
         f_i(x_i, s) = a |x_i - r_i|^2 + b |s - t|^2 + c |x_i - s|^2,   s = (1/N) sum_j x_j
         grad_1 f_i = 2 a (x_i - r_i) + 2 c (x_i - s),   grad_2 f_i = 2 b (s - t) - 2 c (x_i - s)
 
-    r_i: (d,) m, the intruder;  t: (d,) m, the target;  intruder, goal, team: the weights a, b, c >= 0, a + c > 0.
+    r_i: (d,) m, the intruder;  t: (d,) m, the target;  intruder, goal, team: the weights a, b, c >= 0,
+    a + b > 0, a + c > 0.
     """
 
     target: Vec

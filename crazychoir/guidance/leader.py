@@ -1,25 +1,48 @@
 """Leaders of a formation: they stand, or fly one path side by side, while their followers fly accelerations."""
 
-from typing import Any
+from typing import Annotated, Literal
 
 import numpy as np
+from msgspec import Meta
 
 from crazychoir.errors import ConfigError
 from crazychoir.guidance.feedback import CFDistributedFeedback
-from crazychoir.math3d import Vec
+from crazychoir.guidance.mission_options import Duration, HeightOption, Laps, Length, Period, Ramp, own
+from crazychoir.math3d import Mat, Vec
+from crazychoir.planning import feasibility
 from crazychoir.planning.drawing import Pen, drawing
 from crazychoir.planning.feasibility import Limits
 from crazychoir.planning.figure import circle
 from crazychoir.planning.stroke import read_strokes
 from crazychoir.planning.trajectory import Trajectory
 from crazychoir.swarm.config import SwarmConfig
+from crazychoir.swarm.tables import Table, Text
 from crazychoir.types import FullState, Heard, Point, State
 
-OPTIONS: dict[str, Any] = {
-    "leaders": "still", "radius": 0.4, "period": 40.0, "laps": 1.0, "ramp": 5.0, "drawing": "", "begin": 4.0,
-}  # fmt: skip
-"""Of a mission whose leaders may move: what they do, m and s of the circle, the CSV file of the drawing, and s of the
-law after which they begin."""
+SETTLING = 20.0
+"""s of the law, to form up where leaders stand."""
+Kind = Annotated[
+    Literal["still", "circle", "drawn"],
+    Meta(description='what leaders do: "still", "circle" or "drawn"', examples=["circle"]),
+]
+
+
+class LeaderOptions(Table, frozen=True, kw_only=True):
+    """[mission_options] of every mission whose leaders may move.
+
+    leaders: what they do;  radius m, period s, laps, ramp s: of the circle;  drawing: a CSV file of rows stroke, t, x,
+    y;  begin: s of the law after which they begin;  duration: s of the law, without it SETTLING, or as long as their
+    path and 5 s more.
+    """
+
+    leaders: Kind = "still"
+    radius: Length = 0.4
+    period: Period = 40.0
+    laps: Laps = 1.0
+    ramp: Ramp = 5.0
+    drawing: Text = ""
+    begin: Ramp = 4.0
+    duration: Duration | None = None
 
 
 class Leader(CFDistributedFeedback):
@@ -52,29 +75,52 @@ def shifted(path: Trajectory, place: Vec, t: float) -> FullState:
     return FullState(flat)
 
 
-def path_of(config: SwarmConfig) -> Trajectory | None:
-    """What the leaders fly, by the mission's options; None if they stand. Raises ConfigError."""
-    options = OPTIONS | config.mission_options
-    kind, where = options["leaders"], f"swarm {config.name}: mission_options"
-    if kind == "still":
-        return None
-    if kind == "circle":
-        return circle(
-            (0.0, 0.0, 0.0), options["radius"], options["period"], laps=options["laps"], ramp=options["ramp"]
-        )  # fmt: skip
-    if kind != "drawn":
-        raise ConfigError(f"{where}.leaders", kind, '"still", "circle" or "drawn"')
-    if not options["drawing"]:
-        raise ConfigError(f"{where}.drawing", "nothing", "a CSV file of rows stroke, t, x, y")
+def path_of(config: SwarmConfig, options: LeaderOptions) -> Trajectory | None:
+    """What the leaders fly; None if they stand. Raises ConfigError."""
+    match options.leaders:
+        case "still":
+            return None
+        case "circle":
+            return circle((0.0, 0.0, 0.0), options.radius, options.period, laps=options.laps, ramp=options.ramp)
+    if not options.drawing:
+        where = f"swarm {config.name}: mission_options.drawing"
+        raise ConfigError(where, "nothing", "a CSV file of rows stroke, t, x, y")
     limits = Limits(v_max=0.5 * config.flight.speed_limit, a_max=0.25 * config.flight.acceleration_limit)
-    return drawing(read_strokes(options["drawing"]), Pen(timing="drawn"), limits).path
+    return drawing(read_strokes(options.drawing), Pen(timing="drawn"), limits).path
+
+
+def require_flyable(config: SwarmConfig, options: LeaderOptions) -> None:
+    """Raise ConfigError for drones that hover outside the fence, and leaders whose path leaves it or [flight]."""
+    flight, fence = config.flight, config.fence
+    room = Limits(v_max=flight.speed_limit, a_max=flight.acceleration_limit, low=fence.min, high=fence.max)
+    for i, place in places(config).items():
+        room.check_places(place[None], f"swarm {config.name}: drone {i}: hovers")
+    if path := path_of(config, options):
+        t, x = feasibility.references(path)
+        for i, place in leaders_of(config).items():
+            moved = x.copy()
+            moved[:, 0:3] += place - x[0, 0:3]
+            _require_within(config, i, t, moved, room)
+
+
+def _require_within(config: SwarmConfig, i: int, t: Vec, x: Mat, room: Limits) -> None:
+    try:
+        feasibility.check_references(t, x, room)
+    except ConfigError as error:
+        where = f"swarm {config.name}: mission_options.leaders: drone {i}: {error.where}"
+        raise ConfigError(where, error.found, error.allowed, error.do) from error
+
+
+def height_of(config: SwarmConfig, i: int) -> float | None:
+    """m above the ground, of the take-off of drone i; None for that of the swarm file."""
+    return own(config, config.drone(i), HeightOption).height
 
 
 def places(config: SwarmConfig) -> dict[int, Vec]:
     """Where every drone hovers when the law begins: over its home, at its own `options.height` if it has one."""
     ground, rise = config.flight.ground, config.flight.takeoff_height
     return {
-        drone.id: np.array([*drone.home[:2], ground + float(drone.options.get("height", rise))])
+        drone.id: np.array([*drone.home[:2], ground + (own(config, drone, HeightOption).height or rise)])
         for drone in config.drones
     }
 
@@ -85,24 +131,25 @@ def leaders_of(config: SwarmConfig) -> dict[int, Vec]:
     return {drone.id: at[drone.id] for drone in config.drones if drone.leader}
 
 
-def leaders_at_last(config: SwarmConfig, duration: float) -> dict[int, Vec]:
-    """The leaders' places after `duration` s of the law."""
-    path, begin = path_of(config), float((OPTIONS | config.mission_options)["begin"])
+def leaders_at_last(config: SwarmConfig, options: LeaderOptions) -> dict[int, Vec]:
+    """The leaders' places when the law ends."""
+    path, leaders = path_of(config, options), leaders_of(config)
     if path is None:
-        return leaders_of(config)
-    return {i: shifted(path, place, duration - begin).p for i, place in leaders_of(config).items()}
+        return leaders
+    t = duration_of(config, options) - options.begin
+    return {i: shifted(path, place, t).p for i, place in leaders.items()}
 
 
-def leader_of(i: int, config: SwarmConfig, duration: float) -> Leader:
+def leader_of(i: int, config: SwarmConfig, options: LeaderOptions) -> Leader:
     """The law of leader i."""
-    leader = Leader(leaders_of(config)[i], path_of(config), float((OPTIONS | config.mission_options)["begin"]))
-    leader.duration = duration
+    leader = Leader(leaders_of(config)[i], path_of(config, options), options.begin)
+    leader.duration = duration_of(config, options)
     return leader
 
 
-def duration_of(config: SwarmConfig, settling: float) -> float:
-    """s of the law: of the options; else `settling` to form up, and, where leaders move, their path and 5 s more."""
-    if "duration" in config.mission_options:
-        return float(config.mission_options["duration"])
-    path = path_of(config)
-    return settling if path is None else float((OPTIONS | config.mission_options)["begin"]) + path.duration + 5.0
+def duration_of(config: SwarmConfig, options: LeaderOptions) -> float:
+    """s of the law."""
+    if options.duration is not None:
+        return options.duration
+    path = path_of(config, options)
+    return SETTLING if path is None else options.begin + path.duration + 5.0

@@ -21,7 +21,8 @@ class Smoother:
 
     A place u runs to the goal at v_max at most, and p follows it through four equal lags. The answer h to a pulse has
     no sign but plus, so  |v| <= v_max,  |a| <= v_max w int |h'| = 0.448 w v_max,  |j| <= 0.375 w^2 v_max.
-    A goal that moves evenly is followed 4 / w s late; one that stands is reached within 1 % of the way after 10 / w s.
+    A goal that moves evenly is followed 4 / w s late; one that stands is reached within 1 % of the way after
+    |way| / v_max + 10.1 / w s.
     p: (3,) m, at rest at the start;  v_max: m/s;  a_max: m/s2, from which w follows, at most QUICKEST 1/s;
     period: s, of its steps.
     """

@@ -92,7 +92,7 @@ def _value(raw: object, entry: FieldInfo, where: str, key: str) -> object:
     if isinstance(raw, list | tuple) and (table := _row(kind)):
         return tuple(read(item, table, where, f"{key}[{n}]") for n, item in enumerate(raw))
     try:
-        return msgspec.convert(raw, entry.type)
+        return msgspec.convert(raw, entry.type, str_keys=True)
     except msgspec.ValidationError:
         description, example = _allowed(entry)
         do = f"For example {entry.encode_name} = {example}."
@@ -120,7 +120,7 @@ def _unknown(name: str, value: object, kind: type[msgspec.Struct], where: str, k
     names = [entry.encode_name for entry in msgspec.structs.fields(kind)]
     near = difflib.get_close_matches(name, names, n=1)
     do = f"Did you mean {near[0]}?" if near else "Remove it; keys of your own go into [mission_options]."
-    allowed = f"the keys here are {', '.join(names)}"
+    allowed = f"the keys here are {', '.join(names)}" if names else "there is no key here"
     return ConfigError(_at(where, key, name), show(value), allowed, do, problem="there is no such key")
 
 

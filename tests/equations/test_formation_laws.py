@@ -160,18 +160,18 @@ def test_the_rigidity_matrix_is_the_derivative_of_the_distances(p):
 @given(numbers)
 def test_containment_is_its_mean_over_neighbours(x):
     at, kp, kv = states(x), 0.8, 1.6
-    u = Containment(3, (0, 1, 2), kp, kv, 1.0, 0).step(at[3], {j: at[j] for j in (0, 1, 2)}).a
+    u = Containment(3, (0, 1, 2), kp, kv, 1.0, 0).pulled(at[3], {j: at[j] for j in (0, 1, 2)}, 0).a
     wanted = -sum(kp * (at[3].p - at[j].p) + kv * (at[3].v - at[j].v) for j in (0, 1, 2)) / 3.0
     np.testing.assert_allclose(u, wanted, atol=1e-12)
 
 
 def test_random_edges_count_at_both_ends_or_at_none_and_change_nothing_on_average():
     ends = Containment(3, (5,), 1.0, 0.0, 0.5, 7), Containment(5, (3,), 1.0, 0.0, 0.5, 7)
-    counted = np.array([(ends[0].counts(5), ends[1].counts(3)) for _ in range(4000)])
+    counted = np.array([(ends[0].counts(5, k), ends[1].counts(3, k)) for k in range(4000)])
     assert np.all(counted[:, 0] == counted[:, 1])
     assert counted[:, 0].mean() == pytest.approx(0.25, abs=0.02)
     law, here, there = Containment(3, (5,), 1.0, 0.0, 0.5, 8), State.at((1.0, 0.0, 1.0)), State.at((0.0, 0.0, 1.0))
-    mean = np.mean([law.step(here, {5: there}).a for _ in range(4000)], axis=0)
+    mean = np.mean([law.pulled(here, {5: there}, k).a for k in range(4000)], axis=0)
     np.testing.assert_allclose(mean, [-1.0, 0.0, 0.0], atol=0.1)
 
 

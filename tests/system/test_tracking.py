@@ -52,7 +52,7 @@ def test_the_whole_stack_with_a_drone_that_is_not_what_its_controllers_believe(c
     [
         ("figure", {"period": 1.0}, "drone 0: trajectory at .* s: acceleration"),
         ("figure", {"figure": "eight", "size": 1.5, "period": 40.0}, "drone 1: trajectory: set-point.*fence"),
-        ("figure", {"size": "wide"}, "mission_options.size.*a number"),
+        ("figure", {"size": "wide"}, "mission_options.size.*a length"),
         ("drawn_path", {}, "drone 1: .*fence"),
     ],
 )

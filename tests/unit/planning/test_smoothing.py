@@ -37,6 +37,14 @@ def test_a_goal_that_moves_evenly_is_followed_late():
     assert 0.3 * t[-1] - x[-1, 0] == pytest.approx(0.3 * smoother.lag, abs=0.003)
 
 
+@pytest.mark.parametrize("far", [0.02, 3.0])
+def test_a_goal_that_stands_is_reached_within_1_percent_of_the_way_when_it_is_said(far):
+    x, smoother = flown(np.tile([far, 0.0, 0.0], (1500, 1)))
+    said = far / 0.6 + 10.1 / smoother.w
+    left = 1.0 - x[:, 0] / far
+    assert left[round(said / H)] < 0.01 < left[round((said - 0.5 * far / 0.6 - 0.5 / smoother.w) / H)]
+
+
 def test_late_steps_make_up_for_what_was_missed():
     one, other = Smoother(np.zeros(3), 1.0, 2.0, H), Smoother(np.zeros(3), 1.0, 2.0, H)
     for _ in range(3):

@@ -1,0 +1,97 @@
+"""Leaders' paths before they fly, and graphs that are the same in the check and in the law."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from crazychoir.errors import ConfigError, Refused
+from crazychoir.guidance.mission import load
+from crazychoir.types import State
+
+FORMATIONS = ("bearing_formation", "containment", "distance_formation")
+
+
+def swarm(name, **options):
+    """A mission, and its own swarm with these options besides."""
+    mission = load(name)
+    config = mission.swarm(None)
+    return mission, config.replace(mission_options=config.mission_options | options)
+
+
+@pytest.mark.parametrize("name", FORMATIONS)
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"radius": 50.0, "period": 100.0}, r"mission_options\.leaders: drone 0: trajectory: set-point.*fence"),
+        ({"period": 1.0, "ramp": 1.0}, r"mission_options\.leaders: drone 0: trajectory at .* s: (speed|acceleration)"),
+    ],
+)
+def test_paths_that_leaders_cannot_fly_are_refused(name, options, said):
+    mission, config = swarm(name, leaders="circle", **options)
+    with pytest.raises(ConfigError, match=said):
+        mission.check(config)
+
+
+@pytest.mark.parametrize("name", FORMATIONS)
+def test_a_circle_inside_the_fence_may_be_flown(name):
+    mission, config = swarm(name, leaders="circle")
+    assert mission.check(config) == []
+
+
+def test_a_drawing_that_is_not_named_is_asked_for():
+    mission, config = swarm("containment", leaders="drawn")
+    with pytest.raises(ConfigError, match=r"mission_options\.drawing: found nothing; allowed: a CSV file"):
+        mission.check(config)
+
+
+def test_who_would_hover_outside_the_fence_is_named():
+    mission, config = swarm("containment")
+    drones = [
+        {"id": d.id, "home": d.home, "leader": d.leader, "options": {"height": 2.0 + d.id}} for d in config.drones
+    ]
+    with pytest.raises(ConfigError, match=r"drone 2: hovers.*4\.0.*within the fence"):
+        mission.check(config.replace(drones=drones))
+
+
+def test_in_a_directed_graph_a_follower_flies_by_those_whom_it_hears():
+    mission, config = swarm("bearing_formation")
+    edges = [[0, 2], [1, 2], [3, 2], [0, 3], [1, 3]]
+    config = config.replace(edges=edges, directed=True)
+    assert mission.guidance(3, config).neighbors == mission.neighbors(config)[3] == (0, 1)
+
+
+def test_a_directed_graph_of_distances_is_refused():
+    mission, config = swarm("distance_formation")
+    with pytest.raises(ConfigError, match="a directed graph; allowed: an undirected one"):
+        mission.check(config.replace(directed=True))
+
+
+def test_a_share_whose_rare_ticks_are_too_strong_is_refused():
+    mission, config = swarm("containment", edges="random")
+    assert mission.check(config) == []
+    with pytest.raises(Refused, match=r"kp = 0.8, kv = 1.6 over share\^2 = 0.04 are unstable.*or raise share"):
+        mission.check(swarm("containment", edges="random", share=0.2)[1])
+    assert mission.check(swarm("containment", share=0.2)[1]) == [], "of static edges it says nothing"
+
+
+def test_where_all_are_leaders_nothing_is_contained():
+    mission, config = swarm("containment")
+    drones = [{"id": d.id, "home": d.home, "leader": True} for d in config.drones]
+    with pytest.raises(Refused, match="every drone is a leader"):
+        mission.check(config.replace(drones=drones))
+
+
+def test_a_tick_that_one_drone_has_missed_changes_no_random_edge():
+    mission, config = swarm("containment", edges="random")
+    ends = mission.guidance(4, config), mission.guidance(5, config)
+    at = {i: State.at((float(i), 0.0, 1.0)) for i in (4, 5)}
+    same = []
+    for k in range(200):
+        now = SimpleNamespace(epoch_ns=0, now_ns=lambda k=k: 10_000_000 * k + 300_000)
+        for law in ends:
+            law.member = SimpleNamespace(clock=now)
+        mine = ends[0].step(at[4], {5: at[5]}).a
+        if k % 7:  # a tick that drone 5 misses
+            same.append(np.allclose(mine[0] != 0.0, ends[1].step(at[5], {4: at[4]}).a[0] != 0.0))
+    assert all(same)
