@@ -58,6 +58,10 @@ class Containment(CFDistributedFeedback):
         self.neighbors, self.kp, self.kv, self.share = neighbors, kp, kv, share
         self.keys = {j: (draws.key(seed, i, j), draws.key(seed, j, i)) for j in neighbors}
 
+    def height(self) -> float | None:
+        """Of its options, so that it may start elsewhere than in the plane."""
+        return leader.height_of(self.member.config, self.id)
+
     def step(self, me: State, heard: Heard) -> Acceleration:
         """The law, over those edges that count in this tick."""
         clock = self.member.clock
