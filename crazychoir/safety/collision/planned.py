@@ -31,6 +31,8 @@ AHEAD = 0.8
 """s, of what is wanted by somebody who does not say where it ends."""
 BETTER = 0.3
 """s that another way must save."""
+LEADS = 0.25
+"""Of what is left to a goal that moves: ending so near to it, a way still leads there. Each new one begins slowly."""
 ON, OFF = 0.03, 0.05
 """m from what is wanted: as good as there; and too far to catch up without a flight of its own."""
 GENTLE = 0.8
@@ -301,8 +303,9 @@ class PlannedFlights:
         others = self._others(now)
         if self._keeps_up(future, whole, begins, now, others):
             return
-        goal = self._goal(future, whole, begins - now)
-        present = self.left(now) + missing(end(mine.way), goal, self.v_max, self.a_max)
+        goal, moves = self._goal(future, whole, begins - now)
+        near = max(NEAR, LEADS * math.dist(start[0:3], goal)) if moves else NEAR
+        present = self.left(now) + missing(end(mine.way), goal, self.v_max, self.a_max, near)
         if threat < IMMINENT:
             present = math.inf
         wait = begins - now
@@ -338,12 +341,19 @@ class PlannedFlights:
             mine.settle(now)
         return True
 
-    def _goal(self, future: Future, whole: float, wait: float) -> Vec:
-        """(3,) m, where what is wanted ends; or would, if it braked."""
+    def _goal(self, future: Future, whole: float, wait: float) -> tuple[Vec, bool]:
+        """(3,) m, where what is wanted ends; or would, if it braked, inside the fence; and whether that moves."""
         if whole > 0.0:
-            return future(whole).p
+            return future(whole).p, False
         then = future(wait).flat[0:12]
-        return end(braking(then, self.a_max)) if np.linalg.norm(then[3:6]) > NEAR else then[0:3]
+        if np.linalg.norm(then[3:6]) <= NEAR:
+            return then[0:3], False
+        return self._inside(then[0:3], end(braking(then, self.a_max))), True
+
+    def _inside(self, wanted: Vec, beyond: Vec) -> Vec:
+        """A place (3,) m not further outside the fence than what is wanted."""
+        fence = self.detours.fence
+        return np.clip(beyond, np.minimum(fence.low, wanted), np.maximum(fence.high, wanted))
 
 
 def _motion(state: State) -> Vec:

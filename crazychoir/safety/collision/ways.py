@@ -14,6 +14,8 @@ from crazychoir.planning.point_to_point import PEAK_ACCELERATION, PEAK_DECELERAT
 PIECE = 25
 GROWTH, PATIENT, LOOKS = 1.06, 2.0, 16
 """Durations are tried in a row that grows so, up to so many times the one from rest; peaks are those of samples."""
+LOOK, ROUNDING = 0.1, 1e-3
+"""s between two looks at where a way is, and m by which it may be elsewhere: 1 m/s2 makes 1.3 mm in between."""
 FAST, HARD = 1.05, 1.1
 """Of a limit, what sampled peaks may come to."""
 
@@ -105,6 +107,19 @@ def hardest(way: Mat) -> float:
             worst = max(worst, math.sqrt(at[6] ** 2 + at[7] ** 2))
         began += way[k, 0]
     return worst
+
+
+@kernel(matrix, vector, vector)
+def leaves(way: Mat, low: Vec, high: Vec) -> bool:
+    """Whether a way comes out of the box from corner low (3,) m to corner high, seen every LOOK s."""
+    lasts, t = np.sum(way[:, 0]), 0.0
+    while t < lasts + LOOK:
+        p = place(way, t)
+        for c in range(3):
+            if p[c] < low[c] - ROUNDING or p[c] > high[c] + ROUNDING:
+                return True
+        t += LOOK
+    return False
 
 
 @kernel(vector, vector, real, real, memory)
