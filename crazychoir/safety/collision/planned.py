@@ -12,7 +12,7 @@ import numpy as np
 
 from crazychoir.bus.local import Port
 from crazychoir.math3d import Vec
-from crazychoir.safety.collision.agreement import Agreement, Other
+from crazychoir.safety.collision.agreement import NO_WAY, Agreement, Other
 from crazychoir.safety.collision.detours import NEAR, Detours, missing
 from crazychoir.safety.collision.filter import BODY, STANDING, USABLE
 from crazychoir.safety.collision.landing_place import nearest_free
@@ -84,6 +84,7 @@ class PlannedFlights:
         self.detours = Detours(v_max, a_max, fence, np.random.default_rng(port.address))
         self._flew, self._next = -math.inf, 0.0
         self._kept = False
+        self._brakes = NO_WAY
         self.gives_way_to: int | None = None
         """Whom it would have met, had it flown as it was wanted to; None: nobody."""
         self.restarts = 0
@@ -275,7 +276,7 @@ class PlannedFlights:
             self._choose(future, whole, now, threat)
         else:
             mine.waited(mute, PERIOD)
-            self._brake_before(threat, now)
+            self._brake_before(threat, now, self._others(now))
 
     def _arrives(self, future: Future, whole: float, now: float) -> bool:
         """Whether its way is what is wanted, to its end."""
@@ -288,12 +289,19 @@ class PlannedFlights:
         then = wanted.flat
         return math.dist(then[0:3], end(self.agreement.way)) < SAME and float(np.linalg.norm(then[3:6])) < SAME
 
-    def _brake_before(self, threat: float, now: float) -> None:
-        """Brake, unasked, if it meets a stranger in `threat` s."""
-        if threat < IMMINENT:
-            mine = self.agreement
+    def _brake_before(self, threat: float, now: float, others: Meeting) -> None:
+        """Brake, unasked, if it meets a stranger in `threat` s, and would meet somebody later, or nobody, if it did.
+
+        Once: a way to rest that is begun anew, and slowly each time, comes to rest ever later and further on.
+        """
+        mine = self.agreement
+        if threat >= IMMINENT or mine.way is self._brakes:
+            return
+        way = braking(moving(mine.way, now - mine.began), self.a_max)
+        if others.first(way, now, now)[0] > now + threat:
             self.kinds["braked"] += 1
-            mine.begin(braking(moving(mine.way, now - mine.began), self.a_max), now)
+            self._brakes = way
+            mine.begin(way, now)
 
     def _choose(self, future: Future, whole: float, now: float, threat: float) -> None:
         """The best way that is clear."""
@@ -315,7 +323,7 @@ class PlannedFlights:
                 mine.propose(option.way, begins)
                 mine.settle(now)
                 return
-        self._brake_before(threat, now)
+        self._brake_before(threat, now, others)
 
     def _keeps_up(
         self, future: Future, whole: float, begins: float, now: float, others: Meeting, alone: bool = False
