@@ -290,7 +290,7 @@ class PlannedFlights:
         return math.dist(then[0:3], end(self.agreement.way)) < SAME and float(np.linalg.norm(then[3:6])) < SAME
 
     def _brake_before(self, threat: float, now: float, others: Meeting) -> None:
-        """Brake, unasked, if it meets a stranger in `threat` s, and would meet somebody later, or nobody, if it did.
+        """Brake, unasked, if it meets a stranger in `threat` s, and would meet nobody sooner if it did.
 
         Once: a way to rest that is begun anew, and slowly each time, comes to rest ever later and further on.
         """
@@ -298,7 +298,7 @@ class PlannedFlights:
         if threat >= IMMINENT or mine.way is self._brakes:
             return
         way = braking(moving(mine.way, now - mine.began), self.a_max)
-        if others.first(way, now, now)[0] > now + threat:
+        if others.first(way, now, now)[0] >= now + threat:
             self.kinds["braked"] += 1
             self._brakes = way
             mine.begin(way, now)
