@@ -37,6 +37,8 @@ ON, OFF = 0.03, 0.05
 """m from what is wanted: as good as there; and too far to catch up without a flight of its own."""
 GENTLE = 0.8
 """m/s2, with which it flies where others are: harder ways are flown less exactly."""
+URGENT = 1.6
+"""m/s2, with which it brakes before a stranger."""
 ROUGH, ROOM = 1.2, 0.4
 """m/s2 sideways, from which on a way as it is wanted is such a one; m of room that it needs beside D."""
 SAME = 1e-3
@@ -75,7 +77,7 @@ class PlannedFlights:
         v_max: float, ground: float,
     ) -> None:  # fmt: skip
         sx, sy, sz = settings.semi_axes
-        a_max = min(a_max, GENTLE)
+        self._brake, a_max = min(a_max, URGENT), min(a_max, GENTLE)
         self.traffic, self.a_max, self.v_max, self._ground = traffic, a_max, v_max, ground
         self._figures = np.array([sx / sy, sx / sz, 2.0 * sx + settings.margin + settings.slack, BODY])
         self.agreement = Agreement(port, planners)
@@ -297,7 +299,7 @@ class PlannedFlights:
         mine = self.agreement
         if threat >= IMMINENT or mine.way is self._brakes:
             return
-        way = braking(moving(mine.way, now - mine.began), self.a_max)
+        way = braking(moving(mine.way, now - mine.began), self._brake)
         if others.first(way, now, now)[0] >= now + threat:
             self.kinds["braked"] += 1
             self._brakes = way

@@ -370,7 +370,7 @@ async def test_who_brakes_unasked_begins_to_once(clock):
     await fly(clock, drones, 0.8)
     assert one.v[0] > 0.3
     for _ in range(10):
-        drones[2].at = one.at + [0.7, 0.0, 0.0]
+        drones[2].at = one.at + np.array([0.7, 0.0, 0.0])
         await fly(clock, drones, PERIOD)
     assert one.filter.kinds["braked"] == 1
     await fly(clock, drones, 2.0)
