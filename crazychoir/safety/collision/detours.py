@@ -8,11 +8,11 @@ import numpy as np
 
 from crazychoir.math3d import E3, Mat, Vec
 from crazychoir.planning.point_to_point import PEAK_ACCELERATION, PEAK_SPEED
-from crazychoir.safety.collision.ways import braking, end, flight, hold, moving, seconds
+from crazychoir.safety.collision.ways import braking, end, flight, hold, leaves, moving, seconds
 from crazychoir.safety.guard import EDGE, Fence
 
-DELAYS = (0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0)
-"""s."""
+DELAYS = (0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0)
+"""s, after it has come to rest."""
 SHARES = (0.25, 0.5, 0.75, 0.9)
 """Of the straight way, where it may wait, or turn aside before and after."""
 ASIDE, ABOVE = (0.5, 0.9), 0.95
@@ -39,10 +39,13 @@ class Option:
     kind: str
 
 
-def missing(p: Vec, goal: Vec, v_max: float, a_max: float) -> float:
-    """s that a way costs which ends at p (3,) m instead of at its goal: more than a flight from there takes."""
+def missing(p: Vec, goal: Vec, v_max: float, a_max: float, near: float = NEAR) -> float:
+    """s that a way costs which ends at p (3,) m instead of at its goal: more than a flight from there takes.
+
+    near: m from the goal that counts as there.
+    """
     gap = math.dist(p, goal)
-    if gap <= NEAR:
+    if gap <= near:
         return gap
     return UNENDED + REST * max(PEAK_SPEED * gap / v_max, math.sqrt(PEAK_ACCELERATION * gap / a_max))
 
@@ -50,18 +53,23 @@ def missing(p: Vec, goal: Vec, v_max: float, a_max: float) -> float:
 class Detours:
     """Ways from a motion to a goal, cheapest first.
 
-    v_max m/s, a_max m/s2: of go_to;  fence: where waypoints are;  draw: for some of them.
+    v_max m/s, a_max m/s2: of go_to;  fence: where ways are, and their waypoints;  draw: for some of those.
     """
 
     def __init__(self, v_max: float, a_max: float, fence: Fence, draw: np.random.Generator) -> None:
         self.v_max, self.a_max, self.fence, self.draw = v_max, a_max, fence, draw
 
     def options(self, start: Vec, goal: Vec, most: float) -> list[Option]:
-        """All that cost less than `most` s, from a motion (12,) to rest at goal (3,) m."""
+        """All that cost less than `most` s, from a motion (12,) to rest at goal (3,) m, and stay inside the fence.
+
+        Its own sides lie further out where the drone cannot stop before them, or the goal is beyond.
+        """
+        places = np.array([start[0:3], goal, end(braking(start, self.a_max)), self.fence.low, self.fence.high])
+        low, high = places.min(axis=0), places.max(axis=0)
         found = [
             option
             for option in (*self._straight(start, goal), *self._by_waypoints(start, goal))
-            if option.cost < most
+            if option.cost < most and not leaves(option.way, low, high)
         ]  # fmt: skip
         return sorted(found, key=lambda option: option.cost)
 

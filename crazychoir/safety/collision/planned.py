@@ -12,7 +12,7 @@ import numpy as np
 
 from crazychoir.bus.local import Port
 from crazychoir.math3d import Vec
-from crazychoir.safety.collision.agreement import Agreement, Other
+from crazychoir.safety.collision.agreement import NO_WAY, Agreement, Other
 from crazychoir.safety.collision.detours import NEAR, Detours, missing
 from crazychoir.safety.collision.filter import BODY, STANDING, USABLE
 from crazychoir.safety.collision.landing_place import nearest_free
@@ -31,10 +31,14 @@ AHEAD = 0.8
 """s, of what is wanted by somebody who does not say where it ends."""
 BETTER = 0.3
 """s that another way must save."""
+LEADS = 0.25
+"""Of what is left to a goal that moves: ending so near to it, a way still leads there. Each new one begins slowly."""
 ON, OFF = 0.03, 0.05
 """m from what is wanted: as good as there; and too far to catch up without a flight of its own."""
 GENTLE = 0.8
 """m/s2, with which it flies where others are: harder ways are flown less exactly."""
+URGENT = 1.6
+"""m/s2, with which it brakes before a stranger."""
 ROUGH, ROOM = 1.2, 0.4
 """m/s2 sideways, from which on a way as it is wanted is such a one; m of room that it needs beside D."""
 SAME = 1e-3
@@ -73,7 +77,7 @@ class PlannedFlights:
         v_max: float, ground: float,
     ) -> None:  # fmt: skip
         sx, sy, sz = settings.semi_axes
-        a_max = min(a_max, GENTLE)
+        self._brake, a_max = min(a_max, URGENT), min(a_max, GENTLE)
         self.traffic, self.a_max, self.v_max, self._ground = traffic, a_max, v_max, ground
         self._figures = np.array([sx / sy, sx / sz, 2.0 * sx + settings.margin + settings.slack, BODY])
         self.agreement = Agreement(port, planners)
@@ -82,6 +86,7 @@ class PlannedFlights:
         self.detours = Detours(v_max, a_max, fence, np.random.default_rng(port.address))
         self._flew, self._next = -math.inf, 0.0
         self._kept = False
+        self._brakes = NO_WAY
         self.gives_way_to: int | None = None
         """Whom it would have met, had it flown as it was wanted to; None: nobody."""
         self.restarts = 0
@@ -273,7 +278,7 @@ class PlannedFlights:
             self._choose(future, whole, now, threat)
         else:
             mine.waited(mute, PERIOD)
-            self._brake_before(threat, now)
+            self._brake_before(threat, now, self._others(now))
 
     def _arrives(self, future: Future, whole: float, now: float) -> bool:
         """Whether its way is what is wanted, to its end."""
@@ -286,12 +291,19 @@ class PlannedFlights:
         then = wanted.flat
         return math.dist(then[0:3], end(self.agreement.way)) < SAME and float(np.linalg.norm(then[3:6])) < SAME
 
-    def _brake_before(self, threat: float, now: float) -> None:
-        """Brake, unasked, if it meets a stranger in `threat` s."""
-        if threat < IMMINENT:
-            mine = self.agreement
+    def _brake_before(self, threat: float, now: float, others: Meeting) -> None:
+        """Brake, unasked, if it meets a stranger in `threat` s, and would meet nobody sooner if it did.
+
+        Once: a way to rest that is begun anew, and slowly each time, comes to rest ever later and further on.
+        """
+        mine = self.agreement
+        if threat >= IMMINENT or mine.way is self._brakes:
+            return
+        way = braking(moving(mine.way, now - mine.began), self._brake)
+        if others.first(way, now, now)[0] >= now + threat:
             self.kinds["braked"] += 1
-            mine.begin(braking(moving(mine.way, now - mine.began), self.a_max), now)
+            self._brakes = way
+            mine.begin(way, now)
 
     def _choose(self, future: Future, whole: float, now: float, threat: float) -> None:
         """The best way that is clear."""
@@ -301,8 +313,9 @@ class PlannedFlights:
         others = self._others(now)
         if self._keeps_up(future, whole, begins, now, others):
             return
-        goal = self._goal(future, whole, begins - now)
-        present = self.left(now) + missing(end(mine.way), goal, self.v_max, self.a_max)
+        goal, moves = self._goal(future, whole, begins - now)
+        near = max(NEAR, LEADS * math.dist(start[0:3], goal)) if moves else NEAR
+        present = self.left(now) + missing(end(mine.way), goal, self.v_max, self.a_max, near)
         if threat < IMMINENT:
             present = math.inf
         wait = begins - now
@@ -312,7 +325,7 @@ class PlannedFlights:
                 mine.propose(option.way, begins)
                 mine.settle(now)
                 return
-        self._brake_before(threat, now)
+        self._brake_before(threat, now, others)
 
     def _keeps_up(
         self, future: Future, whole: float, begins: float, now: float, others: Meeting, alone: bool = False
@@ -338,12 +351,19 @@ class PlannedFlights:
             mine.settle(now)
         return True
 
-    def _goal(self, future: Future, whole: float, wait: float) -> Vec:
-        """(3,) m, where what is wanted ends; or would, if it braked."""
+    def _goal(self, future: Future, whole: float, wait: float) -> tuple[Vec, bool]:
+        """(3,) m, where what is wanted ends; or would, if it braked, inside the fence; and whether that moves."""
         if whole > 0.0:
-            return future(whole).p
+            return future(whole).p, False
         then = future(wait).flat[0:12]
-        return end(braking(then, self.a_max)) if np.linalg.norm(then[3:6]) > NEAR else then[0:3]
+        if np.linalg.norm(then[3:6]) <= NEAR:
+            return then[0:3], False
+        return self._inside(then[0:3], end(braking(then, self.a_max))), True
+
+    def _inside(self, wanted: Vec, beyond: Vec) -> Vec:
+        """A place (3,) m not further outside the fence than what is wanted."""
+        fence = self.detours.fence
+        return np.clip(beyond, np.minimum(fence.low, wanted), np.maximum(fence.high, wanted))
 
 
 def _motion(state: State) -> Vec:

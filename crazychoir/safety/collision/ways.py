@@ -14,8 +14,12 @@ from crazychoir.planning.point_to_point import PEAK_ACCELERATION, PEAK_DECELERAT
 PIECE = 25
 GROWTH, PATIENT, LOOKS = 1.06, 2.0, 16
 """Durations are tried in a row that grows so, up to so many times the one from rest; peaks are those of samples."""
+LOOK, ROUNDING = 0.1, 1e-3
+"""s between two looks at where a way is, and m by which it may be elsewhere: 1 m/s2 makes 1.3 mm in between."""
 FAST, HARD = 1.05, 1.1
 """Of a limit, what sampled peaks may come to."""
+SWING = 2.0
+"""Of a_max, at least, the limit of who begins with more: it would become far too fast before it turned round gently."""
 
 
 @kernel()
@@ -95,6 +99,12 @@ def _excess(piece: Vec, v_max: float, a_max: float, at: Vec) -> float:
     return worst
 
 
+@kernel()
+def _limit(acceleration: float, a_max: float) -> float:
+    """m/s2, for who begins with an acceleration."""
+    return a_max if acceleration <= HARD * a_max else max(acceleration, SWING * a_max)
+
+
 @kernel(matrix)
 def hardest(way: Mat) -> float:
     """The largest acceleration sideways on a way, m/s2, of samples."""
@@ -107,13 +117,26 @@ def hardest(way: Mat) -> float:
     return worst
 
 
+@kernel(matrix, vector, vector)
+def leaves(way: Mat, low: Vec, high: Vec) -> bool:
+    """Whether a way comes out of the box from corner low (3,) m to corner high, seen every LOOK s."""
+    lasts, t = np.sum(way[:, 0]), 0.0
+    while t < lasts + LOOK:
+        p = place(way, t)
+        for c in range(3):
+            if p[c] < low[c] - ROUNDING or p[c] > high[c] + ROUNDING:
+                return True
+        t += LOOK
+    return False
+
+
 @kernel(vector, vector, real, real, memory)
 def go_to(start: Vec, goal: Vec, v_max: float, a_max: float, piece: Vec) -> None:
     """What go_to on board makes of a motion (12,), whose jerk it does not know, and a goal (3,) at rest.
 
     As short as the limits allow: from rest T = max(35/16 d / v_max, sqrt(84 sqrt(5) / 25 d / a_max)); else the first of
-    a growing row of durations whose samples do, or which miss them least, where a start that is itself too fast or hard
-    counts as its own limit.
+    a growing row of durations whose samples do, or which miss them least, where a start that is itself too fast counts
+    as its own limit, and one that is too hard as well, or SWING a_max.
     """
     begin, end, at = start.copy(), np.zeros(12), np.zeros(12)
     begin[9:12], end[0:3] = 0.0, goal
@@ -124,7 +147,7 @@ def go_to(start: Vec, goal: Vec, v_max: float, a_max: float, piece: Vec) -> None
         connect(begin, end, t, piece)
         return
     longest, t = PATIENT * t + PEAK_DECELERATION * speed / a_max, max(SHORTEST, 0.5 * t)
-    v, a = max(v_max, speed), max(a_max, acceleration)
+    v, a = max(v_max, speed), _limit(acceleration, a_max)
     best, least = t, math.inf
     while t < longest and least > 1.0:
         connect(begin, end, t, piece)
@@ -144,7 +167,7 @@ def stop(start: Vec, a_max: float, piece: Vec) -> None:
     begin, end, at = start.copy(), np.zeros(12), np.zeros(12)
     begin[9:12] = 0.0
     t = max(PEAK_DECELERATION * _length(start, 3) / a_max, SHORTEST)
-    a, longest = max(a_max, _length(start, 6)), PATIENT * t + PATIENT
+    a, longest = _limit(_length(start, 6), a_max), PATIENT * t + PATIENT
     while True:
         for c in range(3):
             end[c] = start[c] + start[3 + c] * t / 2.0 + start[6 + c] * t * t / 10.0

@@ -339,3 +339,39 @@ async def test_beside_is_clear_of_who_stands_and_of_who_flies(clock):
     assert place[2] == 0.3
     assert np.linalg.norm(place[0:2]) == pytest.approx(0.4)
     assert np.linalg.norm(place[0:2] - [0.5, 0.0]) >= 0.58
+
+
+@virtual
+async def test_who_is_behind_what_moves_does_not_begin_anew_all_the_time(clock):
+    """Each new way begins slowly: it would never catch up."""
+    _, drones = crowd(clock, ((-2.5, 0.0, 1.0),))
+    await fly(clock, drones, 0.5)
+    drone = drones[0]
+    for k in range(500):
+        drone.leads = FullState.at([min(-1.5 + 0.008 * k, 2.0), 0.0, 1.0], [0.8 * (k < 438), 0.0, 0.0])
+        await clock.sleep(TICK)
+        now = clock.now_ns() / SECOND
+        p, v = drone.leads.p, drone.leads.v
+        flown = drone.filter.fly(
+            State.at(drone.at, drone.v), drone.leads, lambda later, p=p, v=v: FullState.at(p + later * v, v), 0.0, now
+        )
+        drone.at, drone.v = flown.p.copy(), flown.v.copy()
+    assert sum(drone.filter.kinds.values()) <= 20
+    assert drone.at[0] > 0.5
+
+
+@virtual
+async def test_who_brakes_unasked_begins_to_once(clock):
+    bus, drones = crowd(clock, ((-1.0, 2.5, 1.0),), (A, B), ((0.0, 2.5, 2.0),), planners=[0, 1])
+    drones[2].flies = False
+    await fly(clock, drones, 1.5)
+    one = drones[1]
+    parted(bus, clock, (0, 1), (1, 0))
+    await fly(clock, drones, 0.8)
+    assert one.v[0] > 0.3
+    for _ in range(10):
+        drones[2].at = one.at + np.array([0.7, 0.0, 0.0])
+        await fly(clock, drones, PERIOD)
+    assert one.filter.kinds["braked"] == 1
+    await fly(clock, drones, 2.0)
+    assert np.linalg.norm(one.v) < 0.01

@@ -8,7 +8,7 @@ import pytest
 from crazychoir.math3d import GRAVITY
 from crazychoir.platforms import CRAZYFLIE_21
 from crazychoir.safety.collision.meeting import Meeting
-from crazychoir.safety.collision.ways import braking, end, flight, hold, keeping_up, moving, seconds
+from crazychoir.safety.collision.ways import braking, end, flight, hold, keeping_up, leaves, moving, seconds
 from crazychoir.simulation.onboard import loop
 from crazychoir.simulation.onboard.onboard import Onboard
 
@@ -172,3 +172,19 @@ def test_one_that_may_have_come_down_is_anywhere_below():
     meeting.below(4, np.array([0.0, 0.0, 1.1]))
     assert not meeting.clear(under, 0.0, 0.0)
     assert meeting.clear(over, 0.0, 0.0)
+
+
+def test_a_way_leaves_a_box_wherever_it_is_outside():
+    low, high = np.array([-1.0, -1.0, 0.0]), np.array([1.0, 1.0, 2.0])
+    assert not leaves(straight((-1.0, 0.0, 1.0), (1.0, 0.0, 1.0)), low, high)
+    assert leaves(straight((0.0, 0.0, 1.0), (0.0, 1.1, 1.0)), low, high)
+    middle, below = (0.0, 0.0, 1.0), (0.0, 0.0, -0.2)
+    assert leaves(np.concatenate([straight(middle, below), straight(below, middle)]), low, high)
+
+
+def test_who_accelerates_comes_to_rest_without_flying_much_faster():
+    start = np.array([0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 1.1, 0.0, 0.0, 0.0, 0.0, 0.0])
+    way = braking(start, 0.8)
+    flown = np.array([moving(way, t) for t in np.linspace(0.0, seconds(way), 200)])
+    assert np.linalg.norm(flown[:, 3:6], axis=1).max() < 1.4
+    assert np.linalg.norm(flown[:, 6:9], axis=1).max() < 1.8
