@@ -16,7 +16,7 @@ from crazychoir.launch.flight import fly_fast
 from crazychoir.swarm.config import SwarmConfig
 
 LOSSY = {"loss": 0.2, "delay": 0.02}
-GRID_GAINS = {"kp": 1.0, "kv": 2.0}
+GRID_GAINS = {"kp": 2.0, "kv": 2.5}
 """1/s2, 1/s: of the paper's law on the grid, whose drones have up to eight neighbours."""
 FLIGHT = {"takeoff_height": 1.2, "speed_limit": 3.0, "acceleration_limit": 4.0, "landing_speed": 1.0}
 
