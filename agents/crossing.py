@@ -119,7 +119,7 @@ def _deranged(draw: np.random.Generator, n: int) -> list[int]:
 def swarm(drones: int | None = None) -> SwarmConfig:
     """Drones at motor level, of whose messages one in ten is lost, in bursts."""
     n = drones or 30
-    radius = max(3.0, 0.4 * n / (2.0 * np.pi))
+    radius = max(3.0, 0.6 * n / (2.0 * np.pi))
     rows = [
         {"id": k, "home": [float(k), 0.0, 0.0], "uri": "sim://motors", "platform": "cf21"} for k in range(n)
     ]  # fmt: skip
