@@ -150,7 +150,8 @@ async def test_a_killed_process_in_planning_ends_the_mission_of_the_others_and_i
 
 
 async def test_a_stopped_process_delays_nobody(tmp_path):
-    config, first = apart(standing(tmp_path, duration=4.0), None), ahead_of_others()
+    alone = {"method": "off"}  # else who stands beside it evades it
+    config, first = apart(standing(tmp_path, duration=4.0).replace(collision=alone), None), ahead_of_others()
     async with flying(config, tmp_path, lambda i: first) as team:
         await team.law()
         stopped = time.monotonic()
