@@ -25,6 +25,7 @@ from crazychoir.swarm.config import SwarmConfig
 
 log = logging.getLogger(__name__)
 NO_REASONS = "its mission's report returned success = False, without reasons"
+KEPT_CLEAR = "; the collision filter has flown it for {:g} s"
 NO_REASON = "its mission returned success = False, without a reason"
 NO_RESULT = "its process has ended without a result; the log says how"
 NOBODY_MOVED = "the law returned None in every step of every drone: all hovered, nobody moved"
@@ -107,8 +108,9 @@ def summary(
     started = config.ids if started is None else started
     report = mission.report(config, results) if started == config.ids and has(mission, "report") else {}
     reached, off = bool(report.pop("success", True)), report.pop("reasons", {})
+    kept_clear = {i: r["kept_clear_s"] for i, r in sorted(results.items()) if "kept_clear_s" in r}
     if not reached and not off:
-        off = dict.fromkeys(started, NO_REASONS)
+        off = {i: NO_REASONS + (KEPT_CLEAR.format(kept_clear[i]) if i in kept_clear else "") for i in started}
     failed = failures(results, score.touching, started)
     absent = [i for i in started if i not in results]
     separation = score.min_separation
@@ -126,6 +128,7 @@ def summary(
         "wall_s": wall,
         "real_time_factor": simulated / wall,
         "min_separation_m": separation if np.isfinite(separation) else None,
+        "kept_clear_s": kept_clear or None,
         "messages": score.messages(),
         "rounds": max((status.round for status in score.statuses.values()), default=0),
         "digest": None,
