@@ -96,6 +96,24 @@ def test_the_originals_reach_their_equilibria_and_keep_clear(name):
     assert 1.0 < result["settling_s"] < config.mission_options["duration"] - 2.0
 
 
+@pytest.mark.slow
+@pytest.mark.timeout(3600)
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [
+        ("original_letter", {"kp": 0.6, "kv": 1.0, "duration": 200.0}),
+        ("original_grid", {"kp": 0.2, "kv": 1.0, "duration": 900.0}),
+    ],
+)
+def test_the_originals_reach_them_by_the_papers_law_too_in_minutes(name, options):
+    config = SwarmConfig.load(DEPLOY / f"{name}.toml")
+    config = config.replace(mission_options=config.mission_options | {"law": "paper"} | options)
+    result = fly_fast(config, load(config.mission))
+    assert result["success"], result["reasons"]
+    assert result["formation_error_m"] <= 0.01
+    assert 60.0 < result["settling_s"] < options["duration"] - 10.0
+
+
 def worst_beside_leaders(config, rows):
     """(n,) m: how far followers are from where the leaders' true places want them; rows: {i: (3,) m}."""
     mission = load("bearing_formation")
