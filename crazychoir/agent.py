@@ -18,6 +18,7 @@ from crazychoir.control.robots import ROBOTS
 from crazychoir.errors import Refused
 from crazychoir.guidance.drone import Drone
 from crazychoir.guidance.life import GuidanceActor
+from crazychoir.guidance.member import Member
 from crazychoir.guidance.mission import Mission, mission_hash
 from crazychoir.guidance.orders import VERBS as ORDERS
 from crazychoir.guidance.orders import Orders
@@ -145,6 +146,7 @@ class Agent:
             self._remotes[i].found_flying = pilot.take_over
         supervisor = self._supervisor(i)
         guidance = self.mission.guidance(i, config)
+        guidance.foresee(Member(i, config, self.clock, communicator, pilot))
         drone = Drone(i, port, barrier, communicator, pilot, guidance, supervisor, harm, self._sensors(i))
         CommandServer(port, partial(self._execute, drone), partial(self._stop, drone))
         return drone

@@ -201,7 +201,7 @@ def summary_table(run: dict[str, Any]) -> Table:
     shown = [
         ("drones", "{}"), ("tasks", "{}"), ("cost", "{:.4f} m"), ("plan_digest", "{:.16}"), ("simulated_s", "{:.2f} s"),
         ("wall_s", "{:.2f} s"), ("real_time_factor", "{:.1f}"), ("rounds", "{}"), ("messages", "{}"),
-        ("min_separation_m", "{:.3f} m"), ("kept_clear_s", "{}"),
+        ("min_separation_m", "{:.3f} m"), ("kept_clear_s", "{}"), ("at_fence_s", "{}"),
         ("formation_error_m", "{:.4f} m"), ("settling_s", "{:.2f} s"),
         ("planned_m", "{}"), ("flown_m", "{}"), ("digest", "{}"), ("picture", "{}"),
     ]  # fmt: skip
@@ -215,6 +215,8 @@ def summary_table(run: dict[str, Any]) -> Table:
             table.add_row(key, Text(_pairs(run[key]) if isinstance(run[key], dict) else _short(run[key])))
     if run.get("recording"):
         table.add_row("recording", Text(_recording(run["recording"])))
+    if run.get("reason"):
+        table.add_row("reason", Text(run["reason"], "red"))
     for i, reason in run["reasons"].items():
         table.add_row(f"drone {i}", Text(_of(i, reason), "red"))
     return table

@@ -24,8 +24,12 @@ from crazychoir.swarm.checks import TOUCHING
 from crazychoir.swarm.config import SwarmConfig
 
 log = logging.getLogger(__name__)
-NO_REASONS = "its mission's report returned success = False, without reasons"
-KEPT_CLEAR = "; the collision filter has flown it for {:g} s"
+NO_REASONS = "the mission's report returned success = False, without reasons"
+HELD = {
+    "kept_clear_s": "the collision filter has flown it for {:g} s",
+    "at_fence_s": "held at the fence for {:g} s",
+}
+"""What has kept a drone from where it wanted to be, by the key of its result."""
 NO_REASON = "its mission returned success = False, without a reason"
 NO_RESULT = "its process has ended without a result; the log says how"
 NOBODY_MOVED = "the law returned None in every step of every drone: all hovered, nobody moved"
@@ -107,12 +111,13 @@ def summary(
     """
     started = config.ids if started is None else started
     report = mission.report(config, results) if started == config.ids and has(mission, "report") else {}
-    reached, off = bool(report.pop("success", True)), report.pop("reasons", {})
-    kept_clear = {i: r["kept_clear_s"] for i, r in sorted(results.items()) if "kept_clear_s" in r}
-    if not reached and not off:
-        off = {i: NO_REASONS + (KEPT_CLEAR.format(kept_clear[i]) if i in kept_clear else "") for i in started}
+    reached, off, said = bool(report.pop("success", True)), report.pop("reasons", {}), report.pop("reason", NO_REASONS)
+    held = hindrances(results)
     failed = failures(results, score.touching, started)
     absent = [i for i in started if i not in results]
+    reasons = {i: "; ".join([str(text), *held.get(i, [])]) for i, text in off.items()} | failed
+    reasons |= dict.fromkeys(absent, NO_RESULT)
+    of_all = [str(said), *(f"drone {i}: {', '.join(texts)}" for i, texts in held.items())]
     separation = score.min_separation
     if idle(results):
         log.warning(NOBODY_MOVED)
@@ -128,11 +133,12 @@ def summary(
         "wall_s": wall,
         "real_time_factor": simulated / wall,
         "min_separation_m": separation if np.isfinite(separation) else None,
-        "kept_clear_s": kept_clear or None,
+        **{key: {i: r[key] for i, r in sorted(results.items()) if key in r} or None for key in HELD},
         "messages": score.messages(),
         "rounds": max((status.round for status in score.statuses.values()), default=0),
         "digest": None,
-        "reasons": off | failed | dict.fromkeys(absent, NO_RESULT),
+        "reason": None if reached or reasons else "; ".join(of_all),
+        "reasons": reasons,
         "absent": absent,
         "flown_m": {i: round(length, 4) for i, length in score.flown.items()},
         "log": list(score.log),
@@ -152,6 +158,12 @@ def starts_world(config: SwarmConfig, started: tuple[int, ...] | None) -> bool:
 def all_wait(config: SwarmConfig, score: Score) -> bool:
     """Whether every drone must be there for the start, and none is known to have begun."""
     return config.start == "all" and all(status.task == WAITING for status in score.statuses.values())
+
+
+def hindrances(results: Results) -> dict[int, list[str]]:
+    """What has kept each drone from where it wanted to be, of those that something has."""
+    told = {i: [text.format(r[key]) for key, text in HELD.items() if key in r] for i, r in sorted(results.items())}
+    return {i: texts for i, texts in told.items() if texts}
 
 
 def failures(

@@ -120,6 +120,9 @@ def test_a_run_says_who_failed():
     assert "m: failed" in text
     assert text.count("drone 1") == 1, "its name is said once"
     assert "lost" in text
+    text = printed(show.summary_table(RUN | {"success": False, "reason": "nobody came"}))
+    assert "nobody came" in text
+    assert "drone 1" not in text
 
 
 def test_a_run_says_where_its_recording_is_and_what_it_lacks():
