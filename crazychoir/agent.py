@@ -5,10 +5,10 @@ import logging
 import socket
 from collections.abc import Callable
 from functools import partial
-from importlib.metadata import version
 from typing import Any
 
 from crazychoir.bus.commands import CommandServer
+from crazychoir.bus.hello import VERSION
 from crazychoir.bus.local import Bus
 from crazychoir.bus.topics import LOG, POSE, RESULT, STATUS, TELEMETRY
 from crazychoir.control.choice import ON_BOARD, Controls, controls
@@ -48,7 +48,6 @@ from crazychoir.swarm.roster import Barrier
 from crazychoir.worlds import owners
 
 log = logging.getLogger(__name__)
-VERSION = version("crazychoir")
 VERBS = (*ORDERS, "impair", "param_get", "param_set", "task_add", "task_cancel", "ping")
 """What operators may ask of a drone."""
 
