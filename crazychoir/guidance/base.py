@@ -178,7 +178,7 @@ class CFGuidance:
             raise ConfigError(f"drone {self.id}: {where}", height, allowed, "Lower it, or raise fence.max.")
 
     def foresee(self, member: Member) -> None:
-        """Look, before anybody flies, at what can be known of this drone's flight; raises ConfigError."""
+        """Look ahead, before anybody flies: compile what takes long; raise ConfigError for what cannot be flown."""
 
     async def wait_for_start(self) -> None:
         """In a run with an operator, wait on the ground for his start, and for the team's; else go on at once.

@@ -49,14 +49,15 @@ def fly_fast(
         agent.services.append(score)
         recorder = Recorder(agent.bus, config.ids, file) if file else None
         agent.services += [recorder] if recorder else []
+        ready = time.perf_counter()
         with HangWatch() as agent.watchdog:
             results = await agent.run()
         rounds = max(drone.communicator.rounds for drone in agent.drones.values())
         counters = [drone.port.counters for drone in agent.drones.values()]
         messages = {name: sum(getattr(c, name) for c in counters) for name in ("sent", "lost", "resent")}
-        wall = time.perf_counter() - began
+        wall = time.perf_counter() - ready
         return summary(config, mission, results, score, clock.now(), wall) | {
-            "messages": messages, "rounds": rounds, "digest": trace.digest(),
+            "startup_s": ready - began, "messages": messages, "rounds": rounds, "digest": trace.digest(),
             "recording": recorder.result() if recorder else None,
         }  # fmt: skip
 
@@ -72,11 +73,10 @@ def fly_real(
 
     path: the file of `config`, for the processes;  started: the drones to start, None for all: whole groups.
     """
-    began = time.perf_counter()
     groups = [group for group in config.groups() if started is None or any(i in started for i in group)]
 
     async def main(clock: Clock) -> dict[str, Any]:
-        link = observer(clock, config)
+        link, began = observer(clock, config), clock.now()
         address = next(iter(link.bus.ports))
         watched = watch or (lambda score: None)
         score = Score(
@@ -87,9 +87,10 @@ def fly_real(
             results = await run_children(
                 groups, path, config, list(options), say, lambda: all_wait(config, score), starts_world(config, started)
             )
-        wall = time.perf_counter() - began
+        ready = began if score.go_at is None else score.go_at
+        wall = clock.now() - ready
         return summary(config, mission, results, score, wall, wall, started) | {
-            "recording": recorder.result() if recorder else None
+            "startup_s": ready - began, "recording": recorder.result() if recorder else None
         }
 
     return run_wall(main)
@@ -106,6 +107,7 @@ def summary(
 ) -> dict[str, Any]:
     """The object that `run --json` prints; what the mission reports is added to the figures of the run.
 
+    wall: s, from GO; before it drones are made, and laws are compiled if they were not: `startup_s`.
     started: the drones that were started here, None for all: they decide on the success. What is measured from outside
     is of the whole swarm. The mission's own report needs the results of all drones, and is left out without them.
     """

@@ -1,6 +1,7 @@
 """The object that a run prints."""
 
 import json
+import time
 from collections import deque
 from types import SimpleNamespace
 
@@ -129,6 +130,19 @@ def test_drones_that_swap_places_have_failed_though_nothing_in_their_missions_sa
     assert result["min_separation_m"] < 0.05
     assert list(result["reasons"]) == [0, 1]
     assert all("may have touched" in reason for reason in result["reasons"].values())
+
+
+def test_compiling_before_the_flight_is_not_part_of_its_time():
+    class Slow(CFGuidance):
+        def foresee(self, member):
+            time.sleep(0.2)
+
+        async def mission(self):
+            return {}
+
+    result = fly_fast(default_swarm(2), SimpleNamespace(guidance=lambda i, config: Slow()))
+    assert result["startup_s"] > 0.4
+    assert result["wall_s"] < 0.4
 
 
 def test_all_wait_until_one_has_begun_and_for_no_one_that_a_start_can_do_without():
