@@ -88,7 +88,8 @@ def run(
             config, mission = to_run(what, drones, swarm, loss, seed)
             config = with_operator(config, wait, fast)
             check_picture(mission, picture)
-            started = to_start(only, config)
+            started, source = to_start(only, config), named_file(what, swarm)
+            named = {} if source is None else {"swarm": config.name}
             warned = look_before(mission, config, force)
             with Progress(status_table, enabled=not as_json) as progress:
                 for text in warned:
@@ -98,13 +99,13 @@ def run(
                     if fast:
                         result = fly_fast(config, mission, progress, file)
                     else:
-                        source = named_file(what, swarm)
                         with swarm_file(config) as path, recorded(Run(config.name, what, source, str(path))):
                             progress.say(f"Look into it (or echo, hz, land, stop): crazychoir status --swarm {path}")
                             flags = ["--force"] if force else []
                             result = fly_real(path, config, mission, flags, progress, progress.say, started, file)
             result["picture"] = _drawn(mission, config, result, picture)
             del result["tracks"]
+            result = named | result
     except CrazyChoirError as error:
         fail(error, as_json)
     except KeyboardInterrupt:

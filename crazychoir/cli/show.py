@@ -197,7 +197,7 @@ class Progress(Generic[T]):
 
 def summary_table(run: dict[str, Any]) -> Table:
     """The result of a run, one row a figure."""
-    table = Table("figure", "value", title=f"{run['mission']}: {'success' if run['success'] else 'failed'}")
+    table = Table("figure", "value", title=f"{_flown(run)}: {'success' if run['success'] else 'failed'}")
     shown = [
         ("drones", "{}"), ("tasks", "{}"), ("cost", "{:.4f} m"), ("plan_digest", "{:.16}"), ("simulated_s", "{:.2f} s"),
         ("startup_s", "{:.2f} s"), ("wall_s", "{:.2f} s"), ("real_time_factor", "{:.1f}"), ("rounds", "{}"),
@@ -220,6 +220,12 @@ def summary_table(run: dict[str, Any]) -> Table:
     for i, reason in run["reasons"].items():
         table.add_row(f"drone {i}", Text(_of(i, reason), "red"))
     return table
+
+
+def _flown(run: dict[str, Any]) -> str:
+    """The mission, without the folder of its file; and the swarm, where that has a file of its own."""
+    mission = Path(run["mission"]).name
+    return f"swarm {run['swarm']}, {mission}" if "swarm" in run else mission
 
 
 def _recording(recording: dict[str, Any]) -> str:
