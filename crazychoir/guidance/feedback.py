@@ -113,7 +113,8 @@ class CFDistributedFeedback(CFGuidance):
         """Raise ConfigError for a take-off beyond the fence."""
         self.member, height = member, None
         try:
-            with contextlib.suppress(Exception), limited(HOOK):  # what it needs may come with `bind`: asked again then
+            # What it needs may come with `bind` only: it is asked again at the take-off.
+            with contextlib.suppress(Exception), limited(HOOK, f"drone {self.id}: height()"):
                 height = self.height()
             self.require_height(height, "height()")
         finally:
