@@ -6,7 +6,6 @@ from typing import Any
 
 import msgspec
 
-from crazychoir.cli.show import require_drawable
 from crazychoir.errors import ConfigError
 from crazychoir.guidance.mission import Mission, has, load
 from crazychoir.swarm.config import SwarmConfig, default_swarm, find_swarm
@@ -71,14 +70,6 @@ def to_run(
         raise ConfigError("--drones", drones, f"{len(config.ids)}: mission {what} flies no other number")
     scatter = getattr(mission, "scatter", None)
     return (scatter(config) if scatter else config), mission
-
-
-def check_picture(mission: Mission, path: Path | None) -> None:
-    """Refuse to draw what the mission does not draw, and where it cannot be."""
-    require_drawable(path)
-    if path is not None and not has(mission, "picture"):
-        do = "Leave it out, or define picture(config, results, path) in the mission."
-        raise ConfigError("--picture", str(path), "a mission that draws one", do)
 
 
 def check_options(what: str, swarm: str | None, only: str | None, given: dict[str, Any]) -> None:
