@@ -126,9 +126,9 @@ class Window:
         """
         meant = tuple(self.config.ids if drones is None else drones)
         owned, alone = [i for i in self.config.owned if i in meant], drones is not None and not clear
-        await self.somebody()
         targets = [BODIES + i for i in owned]
-        bodies = asyncio.ensure_future(self.commander.emergency_stop(targets, clear, DISCOVERY, alone))
+        seconds = max(DISCOVERY, self.patience)  # from now on: a world may be there without any agent
+        bodies = asyncio.ensure_future(self.commander.emergency_stop(targets, clear, seconds, alone))
         try:
             answers = await self._ask(lambda i: self._stop(i, clear, alone), meant)
             missing = await bodies

@@ -147,6 +147,20 @@ def test_without_anybody_there_is_no_swarm():
     assert seconds == pytest.approx(2.0 * DISCOVERY, abs=0.1)
 
 
+def test_bodies_are_stopped_though_no_agent_is_there():
+    drones = [{"id": i, "home": [float(i), 0.0, 0.0]} for i in range(2)]
+
+    async def scene(swarm):
+        swarm.window.config = SwarmConfig.of({"name": "a", "drones": drones, "world": {"owned": True}})
+        for i in range(2):
+            CommandServer(swarm.bus.port(BODIES + i), swarm.execute, partial(swarm.stop, BODIES + i))
+        with pytest.raises(Refused):
+            await swarm.window.emergency_stop(clear=False)
+
+    swarm, _, _ = play(scene)
+    assert [on for i in range(2) for _, on in swarm.stops[BODIES + i]] == [True, True]
+
+
 def test_an_order_waits_for_a_swarm_that_is_starting(caplog):
     async def scene(swarm):
         swarm.window.patience = 30.0
