@@ -49,7 +49,7 @@ def test_who_computes_for_long_is_named_with_the_place_before_it_is_given_up(has
     config = default_swarm(3).replace(flight=BRISK)
     fly_fast(config, SimpleNamespace(guidance=lambda i, config: Law(i, forever)))
     said = [text for text in caplog.messages if "has computed" in text]
-    assert 2 <= len(said) <= 3, "and ever more rarely"
+    assert 1 <= len(said) <= 3, "and ever more rarely"
     place = rf"{__file__}:\d+ forever; it is given up after 0.6 s"
     assert all(re.fullmatch(rf"drone 1 guidance has computed for \d s, in {place}", text) for text in said), said
 
