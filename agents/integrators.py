@@ -21,7 +21,7 @@ EDGES = [[0, 3], [0, 4], [1, 4], [1, 5], [2, 5], [2, 3], [3, 4], [4, 5], [3, 5]]
 TOLERANCE = 0.01
 
 
-class Containment(CFDistributedFeedback):
+class IntegratorContainment(CFDistributedFeedback):
     """Leaders stand still; a follower, by what it obeys:
 
         a velocity: u_i = k sum_j (p_j - p_i);      an acceleration: u_i = k sum_j (p_j - p_i) - c v_i
@@ -49,10 +49,10 @@ class Containment(CFDistributedFeedback):
         return Acceleration(pull - self.c * me.v) if self.inertia else Velocity(pull)
 
 
-def guidance(i: int, config: SwarmConfig) -> Containment:
+def guidance(i: int, config: SwarmConfig) -> IntegratorContainment:
     """The law of robot i."""
     robot = config.drone(i)
-    return Containment(robot.leader, inertia=robot.uri == DOUBLE)
+    return IntegratorContainment(robot.leader, inertia=robot.uri == DOUBLE)
 
 
 def swarm(drones: int | None = None) -> SwarmConfig:

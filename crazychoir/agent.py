@@ -5,10 +5,10 @@ import logging
 import socket
 from collections.abc import Callable
 from functools import partial
-from importlib.metadata import version
 from typing import Any
 
 from crazychoir.bus.commands import CommandServer
+from crazychoir.bus.hello import VERSION
 from crazychoir.bus.local import Bus
 from crazychoir.bus.topics import LOG, POSE, RESULT, STATUS, TELEMETRY
 from crazychoir.control.choice import ON_BOARD, Controls, controls
@@ -18,6 +18,7 @@ from crazychoir.control.robots import ROBOTS
 from crazychoir.errors import Refused
 from crazychoir.guidance.drone import Drone
 from crazychoir.guidance.life import GuidanceActor
+from crazychoir.guidance.member import Member
 from crazychoir.guidance.mission import Mission, mission_hash
 from crazychoir.guidance.orders import VERBS as ORDERS
 from crazychoir.guidance.orders import Orders
@@ -47,7 +48,6 @@ from crazychoir.swarm.roster import Barrier
 from crazychoir.worlds import owners
 
 log = logging.getLogger(__name__)
-VERSION = version("crazychoir")
 VERBS = (*ORDERS, "impair", "param_get", "param_set", "task_add", "task_cancel", "ping")
 """What operators may ask of a drone."""
 
@@ -145,6 +145,7 @@ class Agent:
             self._remotes[i].found_flying = pilot.take_over
         supervisor = self._supervisor(i)
         guidance = self.mission.guidance(i, config)
+        guidance.foresee(Member(i, config, self.clock, communicator, pilot))
         drone = Drone(i, port, barrier, communicator, pilot, guidance, supervisor, harm, self._sensors(i))
         CommandServer(port, partial(self._execute, drone), partial(self._stop, drone))
         return drone

@@ -35,7 +35,7 @@ def solve_here(
     """
     began = time.perf_counter()
     links = named(graph, instance.robots, seed)
-    warm(instance, method)
+    warm(instance.local(0), method)
     agents = team(instance, {i: list(links.neighbors(i)) for i in links.ids}, method, settings)
     started = time.perf_counter() - began
     history = simulate(

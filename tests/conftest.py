@@ -46,7 +46,7 @@ def compile_routing() -> None:
     from crazychoir.routing.solve import warm
 
     for trips in (1, 2):
-        warm(replace(random_instance(2, 3, seed=0), recharge=trips))
+        warm(replace(random_instance(2, 3, seed=0), recharge=trips).local(0))
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:

@@ -21,6 +21,8 @@ ALONE = "alone"
 """What a stop says that is meant for its targets alone: it does not keep the others on the ground."""
 REMEMBERED = 256
 ACCEPTED, REFUSED, DONE = "accepted", "refused", "done"
+NOT_READY = "it is not ready"
+"""How a refusal begins of who will do it soon: it may be asked again."""
 _ACCEPTED = encode([ACCEPTED, None])
 _Key = tuple[int, str, int]
 """Of a request: its issuer, the issuer's incarnation, its number."""

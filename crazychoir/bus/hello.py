@@ -1,5 +1,6 @@
 """What a process says of itself to every other process, and what of it is believed."""
 
+from importlib.metadata import version
 from typing import Annotated, Any
 
 import msgspec
@@ -10,6 +11,7 @@ from crazychoir.bus.frames import MAX_NAME
 from crazychoir.bus.local import Interest
 from crazychoir.errors import CodecError
 
+VERSION = version("crazychoir")
 MAX_ADDRESSES = 4096
 MAX_INTERESTS = 16_384
 MIN_RATE, MAX_RATE = 1e-3, 1e6

@@ -88,7 +88,7 @@ def measured(case: Case) -> dict[str, Any]:
     """The row of a case: what it was, and its figures."""
     links = named(GRAPHS[case.graph](case.robots), case.robots, case.seed)
     instance, n = instance_of(case), case.robots
-    warm(instance, case.method)
+    warm(instance.local(0), case.method)
     agents = team(instance, {i: list(links.neighbors(i)) for i in links.ids}, case.method)
     losses = changes({"loss": case.loss, "burst": case.burst}) if case.loss else {}
     network = {"delay": DELAY, **{name: value for name, value in losses.items() if value is not None}}

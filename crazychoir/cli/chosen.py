@@ -6,17 +6,14 @@ from typing import Any
 
 import msgspec
 
-from crazychoir.cli.show import require_drawable
-from crazychoir.errors import ConfigError, Refused
+from crazychoir.errors import ConfigError
 from crazychoir.guidance.mission import Mission, has, load
-from crazychoir.launch.running import Run, of_file, runs
 from crazychoir.swarm.config import SwarmConfig, default_swarm, find_swarm
 from crazychoir.swarm.graph import span
 
 FEW = 4
 """Drones of a mission that brings no swarm of its own."""
 SWARM_FILES = (".toml", ".json")
-LOCAL_FILE = "swarm.toml"
 
 
 def configured(swarm: str | None, mission: str | None, loss: float | None, seed: int | None) -> tuple[SwarmConfig, str]:
@@ -34,24 +31,6 @@ def chosen_swarm(swarm: str | None, mission: str | None = None) -> tuple[SwarmCo
         found = load(str(mission or config.mission))
         config = found.swarm(None) if has(found, "swarm") else config
     return config, which
-
-
-def running_swarm(option: str | None) -> SwarmConfig:
-    """The swarm to look into: the run of that swarm file; else the swarm of the file itself, started by its agents.
-
-    Without a file, that of ./swarm.toml; without that, the only run of this user, else the demo swarm. Raises Refused
-    if several runs could be meant.
-    """
-    file = option or (LOCAL_FILE if Path(LOCAL_FILE).is_file() else None)
-    found = runs() if file is None else of_file(file)
-    if len(found) > 1:
-        raise Refused(file or "crazychoir", f"several of your runs could be meant. {choose(found)}")
-    return SwarmConfig.load(found[0].file) if found else chosen_swarm(file)[0]
-
-
-def choose(found: list[Run]) -> str:
-    """How to name one of them."""
-    return "Name one: " + "; ".join(f"--swarm {run.file} ({run.what})" for run in found)
 
 
 def named_file(what: str, swarm: str | None) -> str | None:
@@ -91,14 +70,6 @@ def to_run(
         raise ConfigError("--drones", drones, f"{len(config.ids)}: mission {what} flies no other number")
     scatter = getattr(mission, "scatter", None)
     return (scatter(config) if scatter else config), mission
-
-
-def check_picture(mission: Mission, path: Path | None) -> None:
-    """Refuse to draw what the mission does not draw, and where it cannot be."""
-    require_drawable(path)
-    if path is not None and not has(mission, "picture"):
-        do = "Leave it out, or define picture(config, results, path) in the mission."
-        raise ConfigError("--picture", str(path), "a mission that draws one", do)
 
 
 def check_options(what: str, swarm: str | None, only: str | None, given: dict[str, Any]) -> None:

@@ -12,6 +12,7 @@ from crazychoir.cli.show import (
     fail,
     interrupted,
     prints_aside,
+    require_drawable,
     set_up_logging,
     status_table,
     summary_table,
@@ -69,7 +70,6 @@ def run(
     set_up_logging()
     from crazychoir.cli.chosen import (  # kernels and network: 1 s that --help does not need
         check_options,
-        check_picture,
         named_file,
         to_run,
         to_start,
@@ -87,8 +87,9 @@ def run(
         with prints_aside():
             config, mission = to_run(what, drones, swarm, loss, seed)
             config = with_operator(config, wait, fast)
-            check_picture(mission, picture)
-            started = to_start(only, config)
+            require_drawable(picture)
+            started, source = to_start(only, config), named_file(what, swarm)
+            named = {} if source is None else {"swarm": config.name}
             warned = look_before(mission, config, force)
             with Progress(status_table, enabled=not as_json) as progress:
                 for text in warned:
@@ -98,13 +99,13 @@ def run(
                     if fast:
                         result = fly_fast(config, mission, progress, file)
                     else:
-                        source = named_file(what, swarm)
                         with swarm_file(config) as path, recorded(Run(config.name, what, source, str(path))):
                             progress.say(f"Look into it (or echo, hz, land, stop): crazychoir status --swarm {path}")
                             flags = ["--force"] if force else []
                             result = fly_real(path, config, mission, flags, progress, progress.say, started, file)
             result["picture"] = _drawn(mission, config, result, picture)
             del result["tracks"]
+            result = named | result
     except CrazyChoirError as error:
         fail(error, as_json)
     except KeyboardInterrupt:
@@ -114,11 +115,19 @@ def run(
 
 
 def _drawn(mission: "Mission", config: "SwarmConfig", result: dict[str, Any], path: Path | None) -> str | None:
+    """The picture of the mission; of one that draws none, what was flown. Returns its path, None without a picture."""
     if path is None:
         return None
+    from crazychoir.guidance.mission import has
+    from crazychoir.recording.tracks import draw_tracks
+
     path.parent.mkdir(parents=True, exist_ok=True)
     tracks = result["tracks"]
-    mission.picture(config, {i: {**r, "track": tracks[i]} for i, r in result["results"].items()}, str(path))
+    flown = {i: {**r, "track": tracks[i]} for i, r in result["results"].items()}
+    if has(mission, "picture"):
+        mission.picture(config, flown, str(path))
+    else:
+        draw_tracks(flown, path, leaders=[drone.id for drone in config.drones if drone.leader])
     return str(path) if path.exists() else None
 
 

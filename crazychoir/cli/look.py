@@ -20,6 +20,8 @@ SwarmOption = Annotated[
     str | None, typer.Option(help="Swarm file, or its run here; else ./swarm.toml, else your only run, else the demo.")
 ]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON on standard output, nothing else.")]
+LONGEST = 1.0
+"""s that drones get to say how they are: they do so four times a second."""
 SecondsOption = Annotated[float, typer.Option(help="How long to look, in s.")]
 
 
@@ -101,9 +103,10 @@ def status(
     """How the drones are."""
 
     async def work(window: "Window") -> "Score":
-        await window.find()
-        score = window.score()
-        await window.clock.sleep(1.0)
+        there, score = await window.find(), window.score()
+        ends = window.clock.now() + LONGEST
+        while any(i not in score.statuses for i in there) and window.clock.now() < ends:
+            await window.clock.sleep(0.02)
         if watch:
             from rich.live import Live
 

@@ -8,7 +8,8 @@ import socket
 from dataclasses import asdict
 from typing import Any
 
-from crazychoir.agent import VERSION, Agent
+from crazychoir.agent import Agent
+from crazychoir.bus.hello import VERSION
 from crazychoir.bus.public import PublicCopies
 from crazychoir.bus.zenoh import ZenohLink
 from crazychoir.errors import Refused

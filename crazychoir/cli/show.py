@@ -197,11 +197,11 @@ class Progress(Generic[T]):
 
 def summary_table(run: dict[str, Any]) -> Table:
     """The result of a run, one row a figure."""
-    table = Table("figure", "value", title=f"{run['mission']}: {'success' if run['success'] else 'failed'}")
+    table = Table("figure", "value", title=f"{_flown(run)}: {'success' if run['success'] else 'failed'}")
     shown = [
         ("drones", "{}"), ("tasks", "{}"), ("cost", "{:.4f} m"), ("plan_digest", "{:.16}"), ("simulated_s", "{:.2f} s"),
-        ("wall_s", "{:.2f} s"), ("real_time_factor", "{:.1f}"), ("rounds", "{}"), ("messages", "{}"),
-        ("min_separation_m", "{:.3f} m"), ("kept_clear_s", "{}"),
+        ("startup_s", "{:.2f} s"), ("wall_s", "{:.2f} s"), ("real_time_factor", "{:.1f}"), ("rounds", "{}"),
+        ("messages", "{}"), ("min_separation_m", "{:.3f} m"), ("kept_clear_s", "{}"), ("at_fence_s", "{}"),
         ("formation_error_m", "{:.4f} m"), ("settling_s", "{:.2f} s"),
         ("planned_m", "{}"), ("flown_m", "{}"), ("digest", "{}"), ("picture", "{}"),
     ]  # fmt: skip
@@ -215,9 +215,17 @@ def summary_table(run: dict[str, Any]) -> Table:
             table.add_row(key, Text(_pairs(run[key]) if isinstance(run[key], dict) else _short(run[key])))
     if run.get("recording"):
         table.add_row("recording", Text(_recording(run["recording"])))
+    if run.get("reason"):
+        table.add_row("reason", Text(run["reason"], "red"))
     for i, reason in run["reasons"].items():
         table.add_row(f"drone {i}", Text(_of(i, reason), "red"))
     return table
+
+
+def _flown(run: dict[str, Any]) -> str:
+    """The mission, without the folder of its file; and the swarm, where that has a file of its own."""
+    mission = Path(run["mission"]).name
+    return f"swarm {run['swarm']}, {mission}" if "swarm" in run else mission
 
 
 def _recording(recording: dict[str, Any]) -> str:

@@ -1,26 +1,32 @@
 """A look into a running swarm: the place of an observer and operator on its network."""
 
 import asyncio
+import logging
 from collections.abc import Awaitable, Callable, Iterable, Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from crazychoir.bus.commands import ACCEPTED, DONE, REFUSED, Answer, Commander
+from crazychoir.bus.commands import ACCEPTED, DONE, NOT_READY, REFUSED, Answer, Commander
 from crazychoir.bus.local import BODIES, OBSERVER
 from crazychoir.bus.topics import Topic
 from crazychoir.bus.zenoh import ZenohLink
-from crazychoir.cli.chosen import choose, running_swarm
-from crazychoir.errors import ConfigError, Refused
+from crazychoir.cli.meant import DISCOVERY, nobody, patience, running_swarm
+from crazychoir.errors import ConfigError
 from crazychoir.launch.network import attached, observer
-from crazychoir.launch.running import runs
-from crazychoir.launch.score import Score
 from crazychoir.runtime.clock import Clock, run_wall
 from crazychoir.runtime.mailbox import Call
 from crazychoir.swarm.config import SwarmConfig
 from crazychoir.swarm.graph import span
 
-DISCOVERY = 4.0
-"""s to find the swarm's processes."""
+READY, RETRY = 15.0, 0.3
+"""s for which drones that are not ready yet are asked again, and between two times."""
+LOOK = 0.02
+SOON = 2.0
+"""s after which it is said that somebody is waited for."""
 ABSENT, SILENT = "absent", "silent"
+log = logging.getLogger(__name__)
+
+if TYPE_CHECKING:
+    from crazychoir.launch.score import Score
 
 Work = Callable[["Window"], Awaitable[Any]]
 Answers = dict[int, tuple[bool, Any]]
@@ -28,10 +34,16 @@ Answers = dict[int, tuple[bool, Any]]
 
 
 class Window:
-    """An observer's place in a running swarm."""
+    """An observer's place in a running swarm.
 
-    def __init__(self, clock: Clock, config: SwarmConfig, link: ZenohLink) -> None:
-        self.clock, self.config, self.link = clock, config, link
+    option: the swarm file that was named, None without one;  patience: s until the first process must be found.
+    """
+
+    def __init__(
+        self, clock: Clock, config: SwarmConfig, link: ZenohLink, option: str | None = None,
+        patience: float = DISCOVERY,
+    ) -> None:  # fmt: skip
+        self.clock, self.config, self.link, self.option, self.patience = clock, config, link, option, patience
         self.address, port = next(iter(link.bus.ports.items()))
         self.commander = Commander(port)
 
@@ -41,15 +53,28 @@ class Window:
         return sorted(j for j in self.link.directory if j < OBSERVER)
 
     async def find(self) -> list[int]:
-        """Wait until all drones are found, at most DISCOVERY s; raises Refused if there are none."""
-        ends = self.clock.now() + DISCOVERY
-        while len(self.drones) < len(self.config.ids) and self.clock.now() < ends:
-            await self.clock.sleep(0.02)
-        if not self.drones:
-            endpoints = ", ".join(list(self.config.endpoints().values())[:3])
-            others = f" {choose(found)}" if (found := runs()) else ""
-            raise Refused(f"swarm {self.config.name}", f"no agent found at {endpoints} ...; is it running?{others}")
+        """Wait until all drones are found, at most DISCOVERY s after the last one; raises Refused if none comes."""
+        await self.somebody()
+        seen, ends = 0, 0.0
+        while len(self.drones) < len(self.config.ids):
+            if len(self.drones) > seen:
+                seen, ends = len(self.drones), self.clock.now() + DISCOVERY
+            if self.clock.now() >= ends:
+                break
+            await self.clock.sleep(LOOK)
         return self.drones
+
+    async def somebody(self) -> None:
+        """Wait until the first drone is found; raises Refused if none is."""
+        began, said = self.clock.now(), False
+        while not self.drones:
+            waited = self.clock.now() - began
+            if waited >= self.patience:
+                raise nobody(self.config, self.option)
+            if waited > SOON and not said and self.patience > DISCOVERY:
+                log.warning("swarm %s is starting: waiting for its drones, up to %g s", self.config.name, self.patience)
+                said = True
+            await self.clock.sleep(LOOK)
 
     def check(self, option: str, ids: Iterable[int]) -> None:
         """Raise ConfigError for a drone that the swarm does not have."""
@@ -63,8 +88,10 @@ class Window:
         self.link.bus.subscribe(topic, self.config.source(topic, i), self.address, box, rate)
         return box
 
-    def score(self) -> Score:
+    def score(self) -> "Score":
         """The whole swarm, from now on."""
+        from crazychoir.launch.score import Score  # laws and numerics: 1 s that an order does not wait
+
         return Score(self.link.bus, self.config.ids, address=self.address, source=self.config.source)
 
     async def request(self, verb: str, drones: Iterable[int] | None = None, **arguments: Any) -> Answers:
@@ -74,16 +101,22 @@ class Window:
     async def order(self, verb: str, drones: Iterable[int] | None, seconds: float) -> Answers:
         """Command these drones in flight, None: all; a command that takes longer than so many s is left ACCEPTED.
 
-        Says of each its answer and its words, as "refused" and the reason.
+        Who is not ready yet is asked again, for at most READY s. Says of each its answer and its words, as "refused"
+        and the reason.
         """
         return await self._ask(lambda i: self._order(i, verb, seconds), drones)
 
     async def _order(self, i: int, verb: str, seconds: float) -> tuple[bool, Any]:
-        try:
-            answer = await self.commander.request(i, verb, seconds)
-        except TimeoutError:
-            return False, (SILENT, f"no answer within {seconds:g} s; is its agent running?")
-        return answer.kind == DONE, (answer.kind, str(answer.detail or ""))
+        began, asks = self.clock.now(), self.clock.now() + min(seconds, READY)
+        while True:
+            try:
+                answer = await self.commander.request(i, verb, began + seconds - self.clock.now())
+            except TimeoutError:
+                return False, (SILENT, f"no answer within {seconds:g} s; is its agent running?")
+            waits = answer.kind == REFUSED and str(answer.detail).startswith(NOT_READY)
+            if not waits or self.clock.now() + RETRY >= asks:
+                return answer.kind == DONE, (answer.kind, str(answer.detail or ""))
+            await self.clock.sleep(RETRY)
 
     async def emergency_stop(self, clear: bool, drones: Iterable[int] | None = None) -> Answers:
         """Stop these drones, None: the swarm; or clear the stop. Every body that a world's owner has is stopped too.
@@ -94,7 +127,8 @@ class Window:
         meant = tuple(self.config.ids if drones is None else drones)
         owned, alone = [i for i in self.config.owned if i in meant], drones is not None and not clear
         targets = [BODIES + i for i in owned]
-        bodies = asyncio.ensure_future(self.commander.emergency_stop(targets, clear, DISCOVERY, alone))
+        seconds = max(DISCOVERY, self.patience)  # from now on: a world may be there without any agent
+        bodies = asyncio.ensure_future(self.commander.emergency_stop(targets, clear, seconds, alone))
         try:
             answers = await self._ask(lambda i: self._stop(i, clear, alone), meant)
             missing = await bodies
@@ -127,6 +161,7 @@ class Window:
         self, ask: Callable[[int], Awaitable[tuple[bool, Any]]], drones: Iterable[int] | None = None
     ) -> Answers:
         """All at once, and each as soon as it is found: who is absent delays nobody."""
+        await self.somebody()
         asked = {i: asyncio.ensure_future(ask(i)) for i in (self.config.ids if drones is None else drones)}
         try:
             there = await self.find()
@@ -144,6 +179,6 @@ def look(swarm: str | None, work: Work) -> Any:
         config = running_swarm(swarm)
         link = observer(clock, config)
         async with attached(link):
-            return await work(Window(clock, config, link))
+            return await work(Window(clock, config, link, swarm, patience(config)))
 
     return run_wall(main)

@@ -3,7 +3,7 @@
 from abc import abstractmethod
 from collections.abc import Callable
 from types import MethodType
-from typing import Any, Concatenate, Generic, ParamSpec, TypeVar, overload
+from typing import Any, Concatenate, Generic, ParamSpec, SupportsFloat, TypeVar, overload
 
 import numpy as np
 
@@ -144,11 +144,12 @@ class CFGuidance:
         """Rise to `height` m above the ground (None: that of the swarm file), inside the fence, and be there.
 
         In a run with an operator it waits, the first time, for his take-off, at most UNCOMMANDED s on the ground, and
-        then in the air for his start, at most PATIENCE s.
+        then in the air for his start, at most PATIENCE s. It stays 0.1 m off the fence.
         A drone that is held, or not seen yet, waits on the ground; a rise that the safety table or an operator has
         stopped goes on as in `go_to`, which is also how a drone in the air gets to the height.
-        Raises Interrupted when it may not rise, and as `go_to`.
+        Raises ConfigError for a height beyond the fence, Interrupted when it may not rise, and as `go_to`.
         """
+        self.require_height(height, "take_off()")
         pilot = self.member.pilot
         if pilot.awaits_start:
             self.member.rise = height
@@ -165,6 +166,19 @@ class CFGuidance:
         if pilot.gap(goal) > RISEN:
             await self.go_to(goal)
         await self._settle(goal)
+
+    def require_height(self, height: object, where: str) -> None:
+        """Raise ConfigError for a take-off to `height` m above the ground (None: the swarm file's) beyond the fence."""
+        pilot = self.member.pilot
+        top = pilot.fence.high[2] - pilot.limits.ground
+        if height is None or not pilot.controls.takes_off:
+            return
+        if not (isinstance(height, SupportsFloat) and 0.0 <= float(height) <= top):
+            allowed = f"0 to {top:g} m above the ground, by the fence"
+            raise ConfigError(f"drone {self.id}: {where}", height, allowed, "Lower it, or raise fence.max.")
+
+    def foresee(self, member: Member) -> None:
+        """Look ahead, before anybody flies: compile what takes long; raise ConfigError for what cannot be flown."""
 
     async def wait_for_start(self) -> None:
         """In a run with an operator, wait on the ground for his start, and for the team's; else go on at once.

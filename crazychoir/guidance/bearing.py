@@ -10,10 +10,10 @@ from crazychoir.control.gains import AGILE, FORMATION
 from crazychoir.control.margin import REQUIRED
 from crazychoir.errors import ConfigError, Refused
 from crazychoir.guidance.modes import LEVEL, Chain, age_margin, mode_margin, slowest_mode, slowest_normalised
+from crazychoir.guidance.shapes import Shape
 from crazychoir.math3d import Mat, Vec, projector
 from crazychoir.types import Point
 
-Shape = Mapping[int, Point]
 Neighbors = Mapping[int, Collection[int]]
 Law = Literal["paper", "normalised"]
 KP, KV = 1.6, 4.6

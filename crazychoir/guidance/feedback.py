@@ -1,6 +1,7 @@
 """A law as a mission: CFDistributedFeedback, and what is said of a law that returns what cannot be flown."""
 
 import asyncio
+import contextlib
 import logging
 from abc import abstractmethod
 from collections.abc import Mapping
@@ -14,6 +15,7 @@ from crazychoir.guidance.base import CFGuidance
 from crazychoir.guidance.hearing import Hearing, Paired, VelocitySum
 from crazychoir.guidance.member import Interrupted, Member, raisable
 from crazychoir.runtime.clock import SECOND, wake
+from crazychoir.runtime.hanging import HOOK, limited
 from crazychoir.runtime.mailbox import Call
 from crazychoir.safety.modes import Mode
 from crazychoir.types import Acceleration, FullState, Goto, Heard, Reference, State, Velocity
@@ -104,8 +106,19 @@ class CFDistributedFeedback(CFGuidance):
         return f"{where}{' (None in the others)' if self._nothing else ''}: {self._amiss}"
 
     def height(self) -> float | None:
-        """m, of the take-off; None for that of the swarm file."""
+        """m, of the take-off; None for that of the swarm file. Asked before anybody flies, and at the take-off."""
         return None
+
+    def foresee(self, member: Member) -> None:
+        """Raise ConfigError for a take-off beyond the fence."""
+        self.member, height = member, None
+        try:
+            # What it needs may come with `bind` only: it is asked again at the take-off.
+            with contextlib.suppress(Exception), limited(HOOK, f"drone {self.id}: height()"):
+                height = self.height()
+            self.require_height(height, "height()")
+        finally:
+            del self.member
 
     async def run_law(self) -> None:
         """Let `step` run for `duration` s; raises what `step` raises, and Interrupted when the pilot stops obeying."""

@@ -56,7 +56,7 @@ class Hook:
     def __call__(self, *values: Any) -> Any:
         """Call it; an error that is no word of this package becomes one that names file, line and hook."""
         try:
-            with limited(HOOK):
+            with limited(HOOK, f"{self.kind} {self.file}: {self.call}"):
                 return self.function(*values)
         except Hung as error:
             raise self.wrong(f"no end within {HOOK:g} s", self._line(error)) from error

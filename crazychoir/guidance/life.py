@@ -201,6 +201,8 @@ class GuidanceActor(Actor):
         pilot, harm = self.drone.pilot, self.drone.harm()
         if pilot.clearance.ticks:
             result = {**result, "kept_clear_s": round(pilot.clearance.ticks * pilot.period_ns / SECOND, 2)}
+        if pilot.at_fence:
+            result = {**result, "at_fence_s": round(pilot.at_fence * pilot.period_ns / SECOND, 2)}
         cut = pilot.note if pilot.mode is Mode.CUT else ""
         brought_down = self._aborted or cut or pilot.guard.latched or pilot.brought_down
         if result.get("success"):

@@ -106,7 +106,7 @@ def from_file(path: Path, kind: str) -> ModuleType:
     module = importlib.util.module_from_spec(spec)
     _see_neighbors(path)
     try:
-        with limited(HOOK):
+        with limited(HOOK, f"the import of {path}"):
             spec.loader.exec_module(module)
     except Exception as error:
         lines = [at.lineno for at in traceback.extract_tb(error.__traceback__) if at.filename == spec.origin]

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from typing import NoReturn
 
+from crazychoir.bus.commands import NOT_READY
 from crazychoir.bus.local import Port
 from crazychoir.bus.topics import STATE, STATUS
 from crazychoir.errors import Refused
@@ -79,7 +80,7 @@ class Orders:
         if not self.drone.pilot.awaits_start:
             self._refuse("its mission has started")
         if not hasattr(guidance, "member") or not guidance.member.gate:
-            self._refuse(f"it is not ready: {self.drone.status().task or 'its mission prepares'}")
+            self._refuse(f"{NOT_READY}: {self.drone.status().task or 'its mission prepares'}")
         if guidance.member.gate != command:
             self._refuse(f"it {guidance.member.report()['task']}")
         return guidance.member

@@ -6,10 +6,12 @@ import numpy as np
 
 from crazychoir.errors import ConfigError
 from crazychoir.guidance.base import CFGuidance
+from crazychoir.guidance.member import Member
 from crazychoir.math3d import Vec
 from crazychoir.routing.instance import LocalProblem
 from crazychoir.routing.pickup_delivery import METHODS, PickupDelivery
 from crazychoir.routing.plan import Route, Solution, Stop
+from crazychoir.routing.solve import warm
 
 DEADLINE = 120.0
 """s for one round: the slowest neighbour prices its routes in it."""
@@ -26,6 +28,10 @@ class PDVRPGuidance(CFGuidance):
     def __init__(self, problem: LocalProblem, method: str = METHODS[0], service_time: float = 1.0) -> None:
         self.problem, self.method, self.service_time = problem, method, service_time
         self.served: list[dict[str, Any]] = []
+
+    def foresee(self, member: Member) -> None:
+        """Compile the route search, or load it, before anybody waits for this robot."""
+        warm(self.problem, self.method)
 
     async def mission(self) -> dict[str, Any]:
         """Plan together, then fly, each its own route at once: the collision filter keeps them apart."""

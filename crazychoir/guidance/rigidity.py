@@ -6,10 +6,9 @@ import numpy as np
 from scipy.optimize import nnls
 
 from crazychoir.errors import Refused
+from crazychoir.guidance.shapes import Shape
 from crazychoir.math3d import Mat, Vec
-from crazychoir.types import Point
 
-Shape = Mapping[int, Point]
 Edges = Iterable[tuple[int, int]]
 FLEXIBLE = 1e-6
 """m: a singular value of the rigidity matrix below this, for edges of some metres, counts as zero."""

@@ -5,8 +5,9 @@ from collections.abc import Mapping
 from itertools import combinations
 
 from crazychoir.errors import ConfigError
+from crazychoir.types import Point
 
-Shape = Mapping[int, tuple[float, float, float]]
+Shape = Mapping[int, Point]
 SQUARE: Shape = {0: (0.0, 0.0, 1.0), 1: (1.0, 0.0, 1.0), 2: (1.0, 1.0, 1.0), 3: (0.0, 1.0, 1.0)}
 SQUARE_EDGES = [[0, 1], [0, 3], [1, 2], [1, 3], [2, 3]]
 """The paper's: one diagonal."""

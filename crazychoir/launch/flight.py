@@ -24,8 +24,12 @@ from crazychoir.swarm.checks import TOUCHING
 from crazychoir.swarm.config import SwarmConfig
 
 log = logging.getLogger(__name__)
-NO_REASONS = "its mission's report returned success = False, without reasons"
-KEPT_CLEAR = "; the collision filter has flown it for {:g} s"
+NO_REASONS = "the mission's report returned success = False, without reasons"
+HELD = {
+    "kept_clear_s": "the collision filter has flown it for {:g} s",
+    "at_fence_s": "held at the fence for {:g} s",
+}
+"""What has kept a drone from where it wanted to be, by the key of its result."""
 NO_REASON = "its mission returned success = False, without a reason"
 NO_RESULT = "its process has ended without a result; the log says how"
 NOBODY_MOVED = "the law returned None in every step of every drone: all hovered, nobody moved"
@@ -45,14 +49,15 @@ def fly_fast(
         agent.services.append(score)
         recorder = Recorder(agent.bus, config.ids, file) if file else None
         agent.services += [recorder] if recorder else []
+        ready = time.perf_counter()
         with HangWatch() as agent.watchdog:
             results = await agent.run()
         rounds = max(drone.communicator.rounds for drone in agent.drones.values())
         counters = [drone.port.counters for drone in agent.drones.values()]
         messages = {name: sum(getattr(c, name) for c in counters) for name in ("sent", "lost", "resent")}
-        wall = time.perf_counter() - began
+        wall = time.perf_counter() - ready
         return summary(config, mission, results, score, clock.now(), wall) | {
-            "messages": messages, "rounds": rounds, "digest": trace.digest(),
+            "startup_s": ready - began, "messages": messages, "rounds": rounds, "digest": trace.digest(),
             "recording": recorder.result() if recorder else None,
         }  # fmt: skip
 
@@ -68,11 +73,10 @@ def fly_real(
 
     path: the file of `config`, for the processes;  started: the drones to start, None for all: whole groups.
     """
-    began = time.perf_counter()
     groups = [group for group in config.groups() if started is None or any(i in started for i in group)]
 
     async def main(clock: Clock) -> dict[str, Any]:
-        link = observer(clock, config)
+        link, began = observer(clock, config), clock.now()
         address = next(iter(link.bus.ports))
         watched = watch or (lambda score: None)
         score = Score(
@@ -83,9 +87,10 @@ def fly_real(
             results = await run_children(
                 groups, path, config, list(options), say, lambda: all_wait(config, score), starts_world(config, started)
             )
-        wall = time.perf_counter() - began
+        ready = began if score.go_at is None else score.go_at
+        wall = clock.now() - ready
         return summary(config, mission, results, score, wall, wall, started) | {
-            "recording": recorder.result() if recorder else None
+            "startup_s": ready - began, "recording": recorder.result() if recorder else None
         }
 
     return run_wall(main)
@@ -102,17 +107,19 @@ def summary(
 ) -> dict[str, Any]:
     """The object that `run --json` prints; what the mission reports is added to the figures of the run.
 
+    wall: s, from GO; before it drones are made, and laws are compiled if they were not: `startup_s`.
     started: the drones that were started here, None for all: they decide on the success. What is measured from outside
     is of the whole swarm. The mission's own report needs the results of all drones, and is left out without them.
     """
     started = config.ids if started is None else started
     report = mission.report(config, results) if started == config.ids and has(mission, "report") else {}
-    reached, off = bool(report.pop("success", True)), report.pop("reasons", {})
-    kept_clear = {i: r["kept_clear_s"] for i, r in sorted(results.items()) if "kept_clear_s" in r}
-    if not reached and not off:
-        off = {i: NO_REASONS + (KEPT_CLEAR.format(kept_clear[i]) if i in kept_clear else "") for i in started}
+    reached, off, said = bool(report.pop("success", True)), report.pop("reasons", {}), report.pop("reason", NO_REASONS)
+    held = hindrances(results)
     failed = failures(results, score.touching, started)
     absent = [i for i in started if i not in results]
+    reasons = {i: "; ".join([str(text), *held.get(i, [])]) for i, text in off.items()} | failed
+    reasons |= dict.fromkeys(absent, NO_RESULT)
+    of_all = [str(said), *(f"drone {i}: {', '.join(texts)}" for i, texts in held.items())]
     separation = score.min_separation
     if idle(results):
         log.warning(NOBODY_MOVED)
@@ -128,11 +135,12 @@ def summary(
         "wall_s": wall,
         "real_time_factor": simulated / wall,
         "min_separation_m": separation if np.isfinite(separation) else None,
-        "kept_clear_s": kept_clear or None,
+        **{key: {i: r[key] for i, r in sorted(results.items()) if key in r} or None for key in HELD},
         "messages": score.messages(),
         "rounds": max((status.round for status in score.statuses.values()), default=0),
         "digest": None,
-        "reasons": off | failed | dict.fromkeys(absent, NO_RESULT),
+        "reason": None if reached or reasons else "; ".join(of_all),
+        "reasons": reasons,
         "absent": absent,
         "flown_m": {i: round(length, 4) for i, length in score.flown.items()},
         "log": list(score.log),
@@ -152,6 +160,12 @@ def starts_world(config: SwarmConfig, started: tuple[int, ...] | None) -> bool:
 def all_wait(config: SwarmConfig, score: Score) -> bool:
     """Whether every drone must be there for the start, and none is known to have begun."""
     return config.start == "all" and all(status.task == WAITING for status in score.statuses.values())
+
+
+def hindrances(results: Results) -> dict[int, list[str]]:
+    """What has kept each drone from where it wanted to be, of those that something has."""
+    told = {i: [text.format(r[key]) for key, text in HELD.items() if key in r] for i, r in sorted(results.items())}
+    return {i: texts for i, texts in told.items() if texts}
 
 
 def failures(

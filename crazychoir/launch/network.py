@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from crazychoir.agent import VERSION
+from crazychoir.bus.hello import VERSION
 from crazychoir.bus.local import OBSERVER, Bus
 from crazychoir.bus.zenoh import ZenohLink
 from crazychoir.errors import ConfigError

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from crazychoir.agent import VERSION
+from crazychoir.bus.hello import VERSION
 from crazychoir.recording.file import RecordingFile
 from crazychoir.swarm.config import SwarmConfig
 

@@ -122,7 +122,7 @@ class Process:
         instance = Instance.load(spec["instance"])
         links = Graph.from_neighbors({int(i): tuple(js) for i, js in spec["neighbors"].items()})
         bus = Bus(clock, Impairment(spec["seed"], [Rule(spec["effects"])]), spec["process"], "solve")
-        await clock.compute(warm, instance, spec["method"])
+        await clock.compute(warm, instance.local(0), spec["method"])
         neighbors = {j: links.neighbors(j) for j in links.ids}
         for i in spec["mine"]:
             agent = member(instance, neighbors, i, links.diameter(), spec["method"], Settings(**spec["settings"]))

@@ -13,6 +13,7 @@ from scipy.spatial.distance import pdist
 
 from crazychoir.bus.local import OBSERVER, Bus
 from crazychoir.bus.topics import LOG, STATUS, TRUTH, Topic
+from crazychoir.guidance.drone import WAITING
 from crazychoir.guidance.feedback import LAW
 from crazychoir.guidance.mission import Mission, has
 from crazychoir.math3d import Vec
@@ -65,6 +66,8 @@ class Score(Actor):
         self._truth: dict[int, tuple[Vec, Vec, float]] = {}  # p, v, and when they were so
         self._law_began: float | None = None
         self._law_ended = False
+        self.go_at: float | None = None
+        """s of its clock, when a drone was first heard to have begun."""
         if self.address not in self.bus.ports:
             self.bus.port(self.address)
         for i in self.ids:
@@ -116,6 +119,8 @@ class Score(Actor):
 
     def _hear_status(self, i: int, status: Status, age: float) -> None:
         self.statuses[i] = status
+        if self.go_at is None and status.task != WAITING:
+            self.go_at = self.bus.clock.now()
         flying = status.phase in ("hovering", "mission") and status.task == LAW
         if self.goal and flying and self._law_began is None:
             self._law_began = self.bus.clock.now()

@@ -10,7 +10,7 @@ from crazychoir.bus.codec import decode, encode
 from crazychoir.errors import ConfigError, SolverError
 from crazychoir.routing.checker import check
 from crazychoir.routing.generate import random_instance
-from crazychoir.routing.instance import Instance
+from crazychoir.routing.instance import Instance, LocalProblem
 from crazychoir.routing.member import Settings
 from crazychoir.routing.pickup_delivery import METHODS, PickupDelivery
 from crazychoir.routing.plan import Solution
@@ -38,10 +38,9 @@ def solve_in_loop(
     return joined(instance, [agent.solution for agent in agents.values()])
 
 
-def warm(instance: Instance, method: str = METHODS[0]) -> None:
-    """Compile the kernels that a solution of this instance will need, or load them, before a clock starts; once."""
-    vehicle = instance.local(0).vehicle
-    _warm(method, instance.objective, 2 if vehicle.timed or vehicle.trips > 1 else 1)
+def warm(problem: LocalProblem, method: str = METHODS[0]) -> None:
+    """Compile the kernels that a solution of such a problem will need, or load them, before a clock starts; once."""
+    _warm(method, problem.objective, 2 if problem.vehicle.timed or problem.vehicle.trips > 1 else 1)
 
 
 @cache

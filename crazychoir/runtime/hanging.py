@@ -1,6 +1,7 @@
 """User code that does not return, where no watchdog of real time runs: in virtual time, and in the hooks of a file."""
 
 import contextlib
+import logging
 import threading
 from collections.abc import Callable, Coroutine, Generator, Iterator
 from functools import partial
@@ -8,12 +9,15 @@ from types import TracebackType
 from typing import Any, Generic, Protocol, TypeVar
 
 from crazychoir.runtime.clock import Stopwatch
-from crazychoir.runtime.watchdog import Guard
+from crazychoir.runtime.watchdog import Guard, standing
 
 T = TypeVar("T")
 STEP, MISSION, HOOK = 60.0, 600.0, 300.0
 """s of real time that a step of a law, a turn of a mission, and a hook of a mission file may take."""
 LOOK = 0.25
+SAID = 5.0
+"""s of real time after which it is said that something computes; again when they have doubled."""
+log = logging.getLogger(__name__)
 
 
 class Guards(Protocol):
@@ -34,7 +38,11 @@ class HangWatch:
 
     def guard(self, actor: str, patient: bool = False) -> Guard:
         """Code in `with watch.guard(actor):` gets Hung after STEP s; if it is patient after MISSION s."""
-        self._guard.actor, self._guard.limit = actor, MISSION if patient else STEP
+        return self.within(MISSION if patient else STEP, actor)
+
+    def within(self, seconds: float, actor: str) -> Guard:
+        """Code in `with watch.within(seconds, actor):` gets Hung after so many s; actor: who is named meanwhile."""
+        self._guard.actor, self._guard.limit = actor, seconds
         return self._guard
 
     def __enter__(self) -> "HangWatch":
@@ -47,17 +55,22 @@ class HangWatch:
         self._ending.set()
 
     def _watch(self) -> None:
+        guard, since_ns, say_at = self._guard, 0, SAID
         while not self._ending.wait(LOOK):
-            self._guard.interrupt(self._thread)
+            if guard.since_ns != since_ns:
+                since_ns, say_at = guard.since_ns, SAID
+            if (seconds := guard.seconds()) >= say_at:
+                say_at = 2.0 * seconds
+                text = "%s has computed for %.0f s, in %s; it is given up after %g s"
+                log.warning(text, guard.actor, seconds, standing(self._thread), guard.limit)
+            guard.interrupt(self._thread)
 
 
 @contextlib.contextmanager
-def limited(seconds: float) -> Iterator[None]:
+def limited(seconds: float, who: str) -> Iterator[None]:
     """Code that gets Hung after so many s: of a hook, before anybody flies or after all have."""
-    with HangWatch() as watch:
-        watch._guard.limit = seconds
-        with watch._guard:
-            yield
+    with HangWatch() as watch, watch.within(seconds, who):
+        yield
 
 
 class Guarded(Generic[T]):

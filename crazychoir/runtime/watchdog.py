@@ -159,15 +159,19 @@ class Watchdog:
             return
         self._said[actor] = now_ns, 0
         more -= bool(more) and not begins  # its own beginning
-        frame = sys._current_frames().get(self._loop_thread)
-        stack = traceback.extract_stack(frame)[-1] if frame else None
-        place = f"{stack.filename}:{stack.lineno} {stack.name}" if stack else "unknown code"
-        stall = Stall(late, actor, place, more)
+        stall = Stall(late, actor, standing(self._loop_thread), more)
         log.warning("%s", stall)
         try:
             self.on_stall(stall)
         except Exception:
             log.exception("watchdog: error in what hears of the stall")
+
+
+def standing(thread: int) -> str:
+    """Where the code of a thread stands: file, line, function."""
+    frame = sys._current_frames().get(thread)
+    stack = traceback.extract_stack(frame)[-1] if frame else None
+    return f"{stack.filename}:{stack.lineno} {stack.name}" if stack else "unknown code"
 
 
 class Guard:
@@ -188,6 +192,11 @@ class Guard:
         # One that strikes before the first line leaves `since_ns` as it is; the next beat of the loop clears it.
         with self._lock:
             self.since_ns = 0
+
+    def seconds(self) -> float:
+        """s for which code has been inside; 0 outside."""
+        since_ns = self.since_ns
+        return (self.clock.now_ns() - since_ns) / SECOND if since_ns else 0.0
 
     def interrupt(self, thread: int, sooner: float | None = None) -> None:
         """Raise Hung in that thread, if it has been inside for its limit; from another thread.

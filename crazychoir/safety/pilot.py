@@ -156,6 +156,9 @@ class Pilot(Actor):
         self._cut_for = ""
         self._said = Throttle()
         self._braked = 0  # how often, in this flight
+        self.at_fence = 0
+        """Ticks in which it was held at the fence, for what guidance wanted is beyond it."""
+        self._beyond: Trajectory | None = None  # a flight to the fence, as the place that was wanted is beyond it
         self._takes_over = False
         self._idle, self._level = self.controls.sender.idle, self.controls.sender.steady(platform.weight)
         self._run: asyncio.Future[None] | None = None
@@ -327,14 +330,18 @@ class Pilot(Actor):
         if self.guard.acts:
             return 0.0
         start, now = self._departure(), self.clock.now()
-        goal = self.fence.nearest(np.asarray(p, dtype=float), inset=EDGE)
+        wanted = np.asarray(p, dtype=float)
+        goal = self.fence.nearest(wanted, inset=EDGE)
         if self._planar:
-            goal[2] = start.p[2]
+            wanted, goal = np.array([*wanted[0:2], start.p[2]]), np.array([*goal[0:2], start.p[2]])
             seconds = self.flights.drive_to(start, goal, start.yaw if yaw is None else yaw, duration, now)
         else:
             seconds = self.flights.go_to(start, goal, start.yaw if yaw is None else yaw, duration, now)
         self._flown, self._reference, self._obeyed = start, None, NOMINAL
         self._change(Event.FLY)
+        if np.abs(wanted - goal).max() > 2.0 * EDGE:
+            self._beyond = self.flights.plan
+            self._say("goal", f"{wanted.round(2).tolist()} is outside the fence: flies to {goal.round(2).tolist()}")
         return seconds
 
     def fly(self, trajectory: Trajectory) -> float:
@@ -516,6 +523,8 @@ class Pilot(Actor):
             self._obey(verdict)
             if not self.airborne:
                 return self._idle
+        if self._held_at_fence(verdict, now):
+            self.at_fence += 1
         if self.mode is not LAND and self.clearance.deaf(now):
             self._give_up(DEAF)
         if self.mode is not LAND and self.clearance.gives_up:
@@ -526,6 +535,12 @@ class Pilot(Actor):
             self._landed()
             return self._idle
         return self._follow(state, now)
+
+    def _held_at_fence(self, verdict: Verdict, now: float) -> bool:
+        """Whether the safety table keeps it inside, or it is where a flight to a place outside had to end."""
+        if verdict.measure == "stop":
+            return self.mode is not LAND
+        return self._beyond is not None and self.flights.plan is self._beyond and self.flights.done(now)
 
     def _give_up(self, reason: str) -> None:
         """Land, whatever its mission wants."""

@@ -62,7 +62,7 @@ changes = [{}, {"recharge": 2}, {"release": 1.0}, {"penalty": [9.0] * 4}, {"obje
 for method, several in (("columns", changes), ("resource-columns", changes[:-1]), ("cbba", changes)):
     for change in several:
         instance = Instance.parse(json.load(open(sys.argv[1])) | change)
-        warm(instance, method)
+        warm(instance.local(0), method)
         before = compiled()
         result = solve_here(instance, method=method)
         assert compiled() == before, (method, change, set(compiled().items()) - set(before.items()))

@@ -39,8 +39,6 @@ FLOOR_GAP = 0.2
 """m above the floor, at least, for who gives way, unless it wants to be lower."""
 NEAR_WALL = 1.0
 """m."""
-CLEAR, ACTS, BRAKES = 0, 1, 2
-"""What the filter does: nothing; it bends what is wanted; it brakes, for want of a usable state."""
 
 # Figures of the kernel.
 LAG, DELAY, SX, SY, SZ, WIDTH, BRAKE, GAMMA, A_XY = range(9)
@@ -60,14 +58,14 @@ def _wanted(x: Vec, ref: Vec, gains: Vec, follow: float) -> Triple:
 @kernel()
 def _braking(x: Vec, v: Triple, limit: float, out: Vec) -> Triple:
     """What brings it to rest, and lets it stay there, whatever the wind does, m/s2: -2 v - (p - p_0)."""
-    if out[6] == 0.0 and length((x[3], x[4], x[5])) < HOLDS:
-        out[6], out[7], out[8], out[9] = 1.0, x[0], x[1], x[2]
-    stays = out[6]
+    if out[5] == 0.0 and length((x[3], x[4], x[5])) < HOLDS:
+        out[5], out[6], out[7], out[8] = 1.0, x[0], x[1], x[2]
+    stays = out[5]
     return shrunk(
         (
-            -2.0 * v[0] - stays * (x[0] - out[7]),
-            -2.0 * v[1] - stays * (x[1] - out[8]),
-            -2.0 * v[2] - stays * (x[2] - out[9]),
+            -2.0 * v[0] - stays * (x[0] - out[6]),
+            -2.0 * v[1] - stays * (x[1] - out[7]),
+            -2.0 * v[2] - stays * (x[2] - out[8]),
         ),
         limit,
     )
@@ -132,11 +130,11 @@ def _walls(planes: Vec, m: int, p: Triple, v: Triple, box: Vec, f: Vec) -> int:
 def _filtered(
     x: Vec, a: Vec, ref: Vec, gains: Vec, follow: float, others: Vec, now: float, box: Vec, f: Vec, planes: Vec,
     near: Vec, out: Vec,
-) -> int:  # fmt: skip
-    """The law of CollisionFilter.
+) -> bool:  # fmt: skip
+    """The law of CollisionFilter; whether it acts.
 
-    out: (10,) = the acceleration, the row of the nearest that is in the way, how many were relaxed, whether it is cut
-    off, and whether it stays while it brakes, and where.
+    out: (9,) = the acceleration, the row of the nearest that is in the way, whether it is cut off, and whether it stays
+    while it brakes, and where.
     """
     p, v = late(x, a, f[LAG], f[DELAY], LASTS)
     low, count, blind, heard, silent = x[2] < f[GROUND] + STANDING, 0, False, 0, 0
@@ -184,20 +182,20 @@ def _filtered(
     cut_off = silent > heard
     blind = blind or (cut_off and f[WAITS] > 0.0)
     u = _braking(x, v, f[A_Z], out) if blind else _wanted(x, ref, gains, follow)
-    out[5], out[6] = 1.0 if cut_off else 0.0, out[6] if blind else 0.0
+    out[4], out[5] = 1.0 if cut_off else 0.0, out[5] if blind else 0.0
     acts = blind
     out[3] = -1.0
     for k in range(6 + count - 1, 5, -1):
         if dot((planes[k, 0], planes[k, 1], planes[k, 2]), u) < planes[k, 3]:
             acts, out[3] = True, near[k - 6, 1]
     if not acts:
-        return CLEAR
+        return False
     floor = min(box[2] + FLOOR_GAP, ref[2]) if follow > 0.0 else box[2]
     _box(planes, -f[A_Z] if low else _wall(p[2] - floor, v[2], f), f)
     u = turned(u, planes, 6, 6 + count, f[TURN])
-    relaxed, u = nearest(u, planes, _walls(planes, 6 + count, p, v, box, f))
-    out[0], out[1], out[2], out[4] = u[0], u[1], u[2], relaxed
-    return BRAKES if blind else ACTS
+    _, u = nearest(u, planes, _walls(planes, 6 + count, p, v, box, f))
+    out[0], out[1], out[2] = u
+    return True
 
 
 class CollisionFilter:
@@ -213,7 +211,6 @@ class CollisionFilter:
     has not been heard for USABLE s, or half of those that flew for SILENT s, it brakes, unless it lands.
     settings: [collision];  fence: from the floor upwards;  a_max: m/s2, with which it brakes;  v_max: m/s, at which
     others fly at most;  ground: m.
-    acted, braked, relaxed: ticks in which it did so.
     """
 
     def __init__(
@@ -227,9 +224,8 @@ class CollisionFilter:
             float(settings.method == "cells"), settings.stiff, 1.0,
         ])  # fmt: skip
         self._box = np.array([*fence.low, *fence.high]) + np.repeat([1.0, -1.0], 3) * settings.margin
-        self._planes, self._near, self._out = np.zeros((6 + MOST + 6, 4)), np.zeros((MOST, 2)), np.zeros(10)
+        self._planes, self._near, self._out = np.zeros((6 + MOST + 6, 4)), np.zeros((MOST, 2)), np.zeros(9)
         self._accelerates = np.zeros(14)
-        self.acted = self.braked = self.relaxed = 0
 
     def full_state(self, state: State, reference: Vec, gains: Vec, now: float, lands: bool = False) -> Vec | None:
         """The acceleration (3,) for who flies the reference (14,) by these gains; None: as he would."""
@@ -243,21 +239,18 @@ class CollisionFilter:
 
     def _run(self, state: State, reference: Vec, gains: Vec, follow: float, now: float) -> Vec | None:
         traffic = self.traffic
-        does = _filtered(
+        acts = _filtered(
             state.flat, state.a, reference, gains, follow, traffic.rows, now, self._box, self._figures, self._planes,
             self._near, self._out,
         )  # fmt: skip
-        if does == CLEAR:
+        if not acts:
             return None
-        self.acted += 1
-        self.braked += does == BRAKES
-        self.relaxed += self._out[4] > 0.0
         return self._out[0:3].copy()
 
     @property
     def cut_off(self) -> bool:
         """Whether it hears, of all that fly, itself too, no more than half."""
-        return bool(self._out[5])
+        return bool(self._out[4])
 
     @property
     def gives_way_to(self) -> int | None:

@@ -1,9 +1,9 @@
-from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 
-from crazychoir.cli.chosen import changed, check_options, check_picture, to_run, to_start
+from crazychoir.cli.chosen import changed, check_options, to_run, to_start
+from crazychoir.cli.crazychoir import _drawn
 from crazychoir.errors import ConfigError
 from crazychoir.swarm.config import SwarmConfig, default_swarm
 
@@ -87,8 +87,12 @@ def test_a_mission_without_a_swarm_of_its_own_gets_one(tmp_path):
     assert to_run(str(path), 6, None, None, None)[0].ids == tuple(range(6))
 
 
-def test_a_picture_that_the_mission_does_not_draw_is_refused():
-    check_picture(SimpleNamespace(), None)
-    check_picture(SimpleNamespace(picture=print), Path("x.png"))
-    with pytest.raises(ConfigError, match=r"--picture: found x.png; allowed: a mission that draws one"):
-        check_picture(SimpleNamespace(), Path("x.png"))
+def test_a_mission_draws_its_own_picture_else_what_was_flown_is_drawn(tmp_path):
+    result = {"results": {0: {}, 1: {}}, "tracks": {0: [(0.0, 0.0, 0.0, 1.0), (1.0, 2.0, 0.0, 1.0)], 1: []}}
+    path, drawn = tmp_path / "new" / "x.png", []
+    own = SimpleNamespace(picture=lambda config, results, path: drawn.append(results))
+    assert _drawn(own, PAIRS, result, path) is None, "it has written nothing"
+    assert drawn == [{i: {"track": result["tracks"][i]} for i in range(2)}]
+    assert _drawn(SimpleNamespace(), PAIRS, result, path) == str(path)
+    assert path.read_bytes().startswith(b"\x89PNG")
+    assert _drawn(SimpleNamespace(), PAIRS, result, None) is None

@@ -115,11 +115,21 @@ def test_a_run_says_which_drones_it_started_when_not_all():
     assert "2, 3" in row
 
 
+def test_a_run_is_named_by_its_mission_and_the_swarm_that_has_a_file():
+    there = RUN | {"mission": "/home/who/law.py"}
+    assert "law.py: success" in printed(show.summary_table(there))
+    assert "/home" not in printed(show.summary_table(there))
+    assert "swarm lab, law.py: success" in " ".join(printed(show.summary_table(there | {"swarm": "lab"})).split())
+
+
 def test_a_run_says_who_failed():
     text = printed(show.summary_table(RUN | {"success": False, "reasons": {1: "drone 1: lost"}, "absent": [2]}))
     assert "m: failed" in text
     assert text.count("drone 1") == 1, "its name is said once"
     assert "lost" in text
+    text = printed(show.summary_table(RUN | {"success": False, "reason": "nobody came"}))
+    assert "nobody came" in text
+    assert "drone 1" not in text
 
 
 def test_a_run_says_where_its_recording_is_and_what_it_lacks():

@@ -1,13 +1,14 @@
 """What operators ask of a swarm: whoever is there obeys at once, and everybody is accounted for."""
 
+import math
 from dataclasses import dataclass, field
 from functools import partial
 
 import pytest
 
-from crazychoir.bus.commands import CommandServer
+from crazychoir.bus.commands import NOT_READY, CommandServer
 from crazychoir.bus.local import BODIES, OBSERVER, Bus
-from crazychoir.cli.window import DISCOVERY, Window
+from crazychoir.cli.window import DISCOVERY, READY, Window
 from crazychoir.errors import ConfigError, Refused
 from crazychoir.runtime.clock import run_virtual
 from crazychoir.swarm.config import SwarmConfig, default_swarm
@@ -20,7 +21,8 @@ class Swarm:
     clock: object
     stops: dict[int, list[tuple[float, bool]]] = field(default_factory=dict)
     verbs: list[tuple[int, str]] = field(default_factory=list)
-    refuses: int = -1
+    refuses: dict[int, float] = field(default_factory=dict)
+    """Until when a drone is not ready."""
 
     def __post_init__(self):
         self.bus = Bus(self.clock)
@@ -35,8 +37,8 @@ class Swarm:
             CommandServer(self.bus.port(i), partial(self.execute, i), partial(self.stop, i))
 
     async def execute(self, i, verb, arguments):
-        if i == self.refuses:
-            raise Refused(f"drone {i}", "not now")
+        if self.clock.now() < self.refuses.get(i, 0.0):
+            raise Refused(f"drone {i}", f"{NOT_READY}: waiting for the others")
         self.verbs.append((i, verb))
         return arguments or None
 
@@ -78,7 +80,7 @@ def test_who_is_absent_is_named_and_delays_nobody():
     assert said == {0: (True, "acknowledged"), 1: (False, "absent"), 2: (True, "acknowledged")}
     assert swarm.stops[0][0][0] == pytest.approx(0.0, abs=0.02), "before it is known who else is there"
     assert swarm.stops[2][0][0] == pytest.approx(1.0, abs=0.15)
-    assert seconds == pytest.approx(DISCOVERY, abs=0.1)
+    assert seconds == pytest.approx(1.0 + DISCOVERY, abs=0.1), "after the last that was found"
 
 
 def test_who_is_there_and_does_not_answer_is_not_absent():
@@ -98,13 +100,14 @@ def test_who_is_there_and_does_not_answer_is_not_absent():
 
 def test_who_refuses_says_why():
     async def scene(swarm):
-        swarm.refuses = 2
+        swarm.refuses = {2: math.inf}
         for i in range(3):
             swarm.comes(i)
         return await swarm.window.request("land"), await swarm.window.request("impair", loss=0.3)
 
     swarm, (landed, impaired), seconds = play(scene)
-    assert landed == {0: (True, "acknowledged"), 1: (True, "acknowledged"), 2: (False, "refused: not now")}
+    not_now = f"refused: {NOT_READY}: waiting for the others"
+    assert landed == {0: (True, "acknowledged"), 1: (True, "acknowledged"), 2: (False, not_now)}
     assert impaired[0] == (True, {"loss": 0.3})
     assert swarm.verbs == [(0, "land"), (1, "land"), (0, "impair"), (1, "impair")]
     assert seconds < 0.2
@@ -133,12 +136,56 @@ def test_bodies_in_the_world_of_an_owner_are_stopped_by_themselves(owner):
 def test_without_anybody_there_is_no_swarm():
     async def scene(swarm):
         began = swarm.clock.now()
-        with pytest.raises(Refused, match=r"no agent found at tcp/127.0.0.1:7460.*is it running"):
+        with pytest.raises(Refused, match=r"no swarm of yours runs here: start one .*crazychoir run.*--swarm FILE"):
+            await swarm.window.order("hold", None, 5.0)
+        swarm.window.option = "lab.toml"
+        with pytest.raises(Refused, match=r"no agent found at tcp/127.0.0.1:7460 .*is it running"):
             await swarm.window.emergency_stop(clear=False)
         return swarm.clock.now() - began
 
     _, seconds, _ = play(scene)
-    assert seconds == pytest.approx(DISCOVERY, abs=0.1)
+    assert seconds == pytest.approx(2.0 * DISCOVERY, abs=0.1)
+
+
+def test_bodies_are_stopped_though_no_agent_is_there():
+    drones = [{"id": i, "home": [float(i), 0.0, 0.0]} for i in range(2)]
+
+    async def scene(swarm):
+        swarm.window.config = SwarmConfig.of({"name": "a", "drones": drones, "world": {"owned": True}})
+        for i in range(2):
+            CommandServer(swarm.bus.port(BODIES + i), swarm.execute, partial(swarm.stop, BODIES + i))
+        with pytest.raises(Refused):
+            await swarm.window.emergency_stop(clear=False)
+
+    swarm, _, _ = play(scene)
+    assert [on for i in range(2) for _, on in swarm.stops[BODIES + i]] == [True, True]
+
+
+def test_an_order_waits_for_a_swarm_that_is_starting(caplog):
+    async def scene(swarm):
+        swarm.window.patience = 30.0
+        swarm.refuses = {1: swarm.clock.now() + 25.0}
+        for i in range(3):
+            swarm.clock.call_at(int((18.0 + i) * 1e9), partial(swarm.comes, i))
+        return await swarm.window.order("take-off", None, 10.0)
+
+    swarm, said, seconds = play(scene)
+    assert {i: answer[1][0] for i, answer in said.items()} == dict.fromkeys(range(3), "done")
+    assert seconds == pytest.approx(25.0, abs=0.5), "drone 1 was not ready before"
+    assert sorted(swarm.verbs) == [(i, "take-off") for i in range(3)]
+    assert caplog.messages == ["swarm default is starting: waiting for its drones, up to 30 s"]
+
+
+def test_who_does_not_get_ready_says_so_in_time():
+    async def scene(swarm):
+        swarm.refuses = {1: math.inf}
+        for i in range(3):
+            swarm.comes(i)
+        return await swarm.window.order("take-off", None, 30.0)
+
+    _, said, seconds = play(scene)
+    assert said[1] == (False, ("refused", "it is not ready: waiting for the others"))
+    assert seconds == pytest.approx(READY, abs=0.5)
 
 
 def test_drones_that_there_are_not_are_refused_before_anybody_is_asked():

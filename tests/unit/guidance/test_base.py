@@ -131,7 +131,7 @@ async def test_a_low_rise_is_not_over_because_the_floor_is_near_it(clock):
 @virtual
 async def test_a_rise_waits_while_an_operator_holds_the_drone_and_ends_at_the_fence(clock):
     async with in_the_world(clock) as (guidance, pilot):
-        rise = asyncio.create_task(guidance.take_off(5.0))
+        rise = asyncio.create_task(guidance.take_off(2.5))
         await clock.sleep(1.5)
         pilot.hold()
         await clock.sleep(20.0)
@@ -140,6 +140,22 @@ async def test_a_rise_waits_while_an_operator_holds_the_drone_and_ends_at_the_fe
         pilot.hold(False)
         await rise
         assert guidance.state.p[2] == pytest.approx(2.4, abs=base.ARRIVED), "inside the fence"
+
+
+@virtual
+async def test_a_height_beyond_the_fence_is_refused_on_the_ground(clock):
+    async with in_the_world(clock) as (guidance, pilot):
+        for bad in (2.51, -0.1, np.nan, np.inf, "1"):
+            with pytest.raises(ConfigError, match=r"drone 0: take_off\(\): .*allowed: 0 to 2.5 m above .*fence.max"):
+                await guidance.take_off(bad)
+        assert pilot.mode is Mode.GROUND
+
+
+@virtual
+async def test_a_place_outside_the_fence_is_the_reason_why_it_is_not_reached(clock):
+    async with in_the_air(clock) as (guidance, _):
+        with pytest.raises(Interrupted, match=r"\[9.0, 0.0, 1.0\] is outside the fence: flies to \[3.0, 0.0, 1.0\]"):
+            await guidance.go_to([9.0, 0.0, 1.0])
 
 
 @virtual

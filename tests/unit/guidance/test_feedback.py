@@ -8,7 +8,7 @@ from virtual_time import virtual
 
 from crazychoir.bus.local import Bus
 from crazychoir.bus.topics import STATE
-from crazychoir.errors import Hung
+from crazychoir.errors import ConfigError, Hung
 from crazychoir.filters.velocity import VelocityFilter
 from crazychoir.guidance.feedback import CFDistributedFeedback
 from crazychoir.guidance.member import Interrupted, Member
@@ -304,6 +304,28 @@ async def test_a_pilot_that_lands_while_nobody_is_heard_names_whom(clock):
     drone.pilot.land("landing on command")
     await drone.fly(0.1, neighbor=False)
     assert str(await ending) == "drone 0: landing: landing on command; hears nothing of drone(s) 1"
+
+
+class High(Told):
+    """A law that says at which height it takes off, or fails to."""
+
+    def __init__(self, height):
+        super().__init__()
+        self._height = height
+
+    def height(self):
+        return self._height(self)
+
+
+@virtual
+async def test_a_height_beyond_the_fence_is_refused_before_anybody_flies(clock):
+    member = Drone(clock, Told()).law.member
+    with pytest.raises(ConfigError, match=r"drone 0: height\(\): found 4.0; allowed: 0 to 2.5 m"):
+        High(lambda law: law.id + 4.0).foresee(member)
+    for well in (lambda law: law.id + 2.5, lambda law: None, lambda law: law.known_after_bind):
+        law = High(well)
+        law.foresee(member)
+        assert not hasattr(law, "member"), "its mission has not begun"
 
 
 @virtual

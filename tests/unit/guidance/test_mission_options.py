@@ -59,6 +59,8 @@ def test_an_option_of_a_drone_that_there_is_not_is_named(name):
         ("containment", "kp", -1, "a gain, above 0"),
         ("containment", "laps", 0, "a number of laps"),
         ("distance_formation", "k", "stiff", "a gain, above 0"),
+        ("distance_formation", "kv", 0.0, "a gain, above 0"),
+        ("distance_formation", "kv", -1.2, "a gain, above 0"),
         ("distance_formation", "begin", -1, "0 to 600"),
         ("aggregative", "legs", -1, "a number of legs, 1 to 100"),
         ("aggregative", "leg", 0, "a time in s, above 0"),

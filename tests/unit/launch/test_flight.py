@@ -1,12 +1,13 @@
 """The object that a run prints."""
 
 import json
+import time
 from collections import deque
 from types import SimpleNamespace
 
 from crazychoir.guidance.base import CFGuidance
 from crazychoir.guidance.drone import WAITING
-from crazychoir.launch.flight import NO_REASON, NO_RESULT, all_wait, fly_fast, starts_world, summary
+from crazychoir.launch.flight import NO_REASON, NO_REASONS, NO_RESULT, all_wait, fly_fast, starts_world, summary
 from crazychoir.swarm.config import SwarmConfig, default_swarm
 from crazychoir.types import Status
 
@@ -71,6 +72,28 @@ def test_a_report_that_is_content_does_not_hide_a_drone_that_failed_and_may_name
     assert result["reasons"] == {0: "too far", 2: "lost"}
 
 
+def test_a_report_without_reasons_blames_those_who_failed_else_nobody():
+    mission = SimpleNamespace(report=lambda config, results: {"success": False})
+    every = {i: {"success": True} for i in range(3)}
+    result = result_of(every, mission=mission)
+    assert (result["success"], result["reason"], result["reasons"]) == (False, NO_REASONS, {})
+    result = result_of(every | {1: {"success": False, "reason": "lost"}}, mission=mission)
+    assert (result["success"], result["reason"], result["reasons"]) == (False, None, {1: "lost"})
+    result = result_of(every, mission=SimpleNamespace(report=lambda *_: {"success": False, "reason": "too slow"}))
+    assert (result["reason"], result["reasons"]) == ("too slow", {})
+    assert result_of(every)["reason"] is None
+
+
+def test_reasons_name_what_has_kept_a_drone_from_where_it_wanted_to_be():
+    results = {0: {"success": True, "kept_clear_s": 2.5}, 1: {"success": True, "at_fence_s": 3.0}, 2: {"success": True}}
+    result = result_of(results, mission=SimpleNamespace(report=lambda *_: {"success": False, "reasons": {1: "far"}}))
+    assert result["reasons"] == {1: "far; held at the fence for 3 s"}
+    assert (result["kept_clear_s"], result["at_fence_s"]) == ({0: 2.5}, {1: 3.0})
+    result = result_of(results, mission=SimpleNamespace(report=lambda *_: {"success": False}))
+    filtered = "drone 0: the collision filter has flown it for 2.5 s"
+    assert result["reason"] == f"{NO_REASONS}; {filtered}; drone 1: held at the fence for 3 s"
+
+
 def test_drones_that_came_near_enough_to_touch_have_failed():
     every = {i: {"success": True} for i in range(3)}
     result = result_of(every, touching={(0, 2): 0.002})
@@ -107,6 +130,19 @@ def test_drones_that_swap_places_have_failed_though_nothing_in_their_missions_sa
     assert result["min_separation_m"] < 0.05
     assert list(result["reasons"]) == [0, 1]
     assert all("may have touched" in reason for reason in result["reasons"].values())
+
+
+def test_compiling_before_the_flight_is_not_part_of_its_time():
+    class Slow(CFGuidance):
+        def foresee(self, member):
+            time.sleep(0.2)
+
+        async def mission(self):
+            return {}
+
+    result = fly_fast(default_swarm(2), SimpleNamespace(guidance=lambda i, config: Slow()))
+    assert result["startup_s"] > 0.4
+    assert result["wall_s"] < 0.4
 
 
 def test_all_wait_until_one_has_begun_and_for_no_one_that_a_start_can_do_without():

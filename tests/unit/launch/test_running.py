@@ -2,16 +2,19 @@
 
 import json
 import os
+import socket
 import subprocess
 import sys
 from dataclasses import asdict
 
 import pytest
 
-from crazychoir.cli.chosen import named_file, running_swarm
+from crazychoir.cli import meant
+from crazychoir.cli.chosen import named_file
+from crazychoir.cli.meant import DISCOVERY, STARTS, nobody, patience, running_swarm
 from crazychoir.errors import Refused
 from crazychoir.launch.running import Run, of_file, recorded, runs
-from crazychoir.swarm.config import default_swarm
+from crazychoir.swarm.config import SwarmConfig, default_swarm, demo_swarm
 
 LAB = default_swarm(2).replace(name="lab")
 
@@ -42,8 +45,13 @@ def test_my_file_finds_the_swarm_that_was_started_by_it(own_place):
     assert running_swarm("lab.toml") == LAB
 
 
-def test_without_a_file_the_only_run_is_meant(own_place):
-    assert running_swarm(None).name == "pickup", "the swarm of the demo's mission"
+def test_without_a_file_the_only_run_is_meant(own_place, monkeypatch):
+    with pytest.raises(Refused, match="no swarm of yours runs here"):
+        running_swarm(None)
+    monkeypatch.setattr(meant, "_listens", lambda port: port == demo_swarm().base_port)
+    found = running_swarm(None)
+    assert found.name == "pickup", "the swarm of the demo's mission, if anybody is there"
+    assert found.endpoints() == demo_swarm().endpoints(), "it is looked for where it is"
     with recorded(run_of(own_place, "demo-1")):
         assert running_swarm(None).name == "demo-1"
         (own_place / "swarm.toml").write_text(LAB.dumps())
@@ -62,6 +70,22 @@ def test_of_several_none_is_guessed(own_place):
                 assert other.file in refused.value.reason
             assert ("demo-1" in refused.value.reason), "it could be meant too"
         assert running_swarm("lab.toml").name == "lab-1", "the end of one leaves the other alone"
+
+
+def test_nobody_is_waited_for_who_cannot_be_there_and_a_run_that_starts_is(own_place):
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        port = taken.getsockname()[1]
+        here = default_swarm(2).replace(name="lab-1", base_port=port - 1)
+        assert patience(here) == 0.0, "nobody listens yet"
+        taken.listen()
+        assert patience(here) == DISCOVERY, "drone 1 does"
+    drones = [{"id": i, "home": [i, 0, 0], "host": "far"} for i in range(2)]
+    far = SwarmConfig.of({"name": "lab", "drones": drones, "hosts": {"far": "10.9.9.9"}})
+    assert patience(far) == DISCOVERY, "on another host, that is not asked"
+    with recorded(run_of(own_place, "lab-1")):
+        assert patience(here) == STARTS
+        assert "Name one: --swarm" in nobody(LAB, "lab.toml").reason
 
 
 def test_two_processes_of_one_swarm_are_one(own_place):

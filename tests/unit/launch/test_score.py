@@ -8,6 +8,7 @@ import pytest
 
 from crazychoir.bus.local import Bus
 from crazychoir.bus.topics import LOG, STATUS, TRUTH
+from crazychoir.guidance.drone import WAITING
 from crazychoir.guidance.feedback import LAW
 from crazychoir.launch import score as scores
 from crazychoir.launch.score import SETTLED, Score
@@ -171,3 +172,15 @@ def test_a_score_does_not_grow_with_the_flight():
     assert score.formation()["formation_error_m"] == 0.0
     assert len(score.log) == scores.LOGGED
     assert score.log[-1] == str(2 * scores.LOGGED - 1), "the newest stay"
+
+
+def test_it_hears_when_the_first_drone_has_begun():
+    async def scene(sky):
+        sky.tells(0, "on ground", WAITING)
+        assert sky.score.go_at is None
+        await sky.clock.sleep(3.0)
+        for task in ("planning", LAW):
+            sky.tells(1, "on ground", task)
+            await sky.clock.sleep(1.0)
+
+    assert seen(scene).go_at == pytest.approx(3.0)

@@ -1,6 +1,7 @@
 """User code that does not return: interrupted in virtual time, in hooks, and between two awaits of a mission."""
 
 import asyncio
+import re
 import time
 from types import SimpleNamespace
 
@@ -33,13 +34,24 @@ def forever():
 
 
 def test_code_that_is_limited_ends_in_time_or_is_interrupted():
-    with limited(5.0):
+    with limited(5.0, "a hook"):
         done = 1 + 1
     assert done == 2
     began = time.perf_counter()
-    with pytest.raises(Hung), limited(0.1):
+    with pytest.raises(Hung), limited(0.1, "a hook"):
         forever()
     assert time.perf_counter() - began < 3.0
+
+
+def test_who_computes_for_long_is_named_with_the_place_before_it_is_given_up(hasty, monkeypatch, caplog):
+    monkeypatch.setattr(hanging, "SAID", 0.1)
+    monkeypatch.setattr(hanging, "STEP", 0.6)
+    config = default_swarm(3).replace(flight=BRISK)
+    fly_fast(config, SimpleNamespace(guidance=lambda i, config: Law(i, forever)))
+    said = [text for text in caplog.messages if "has computed" in text]
+    assert 1 <= len(said) <= 3, "and ever more rarely"
+    place = rf"{__file__}:\d+ forever; it is given up after 0.6 s"
+    assert all(re.fullmatch(rf"drone 1 guidance has computed for \d s, in {place}", text) for text in said), said
 
 
 def test_a_guarded_coroutine_is_the_same_as_a_bare_one():

@@ -45,7 +45,6 @@ def test_who_has_nobody_near_flies_as_it_wants(method):
     assert sky.wants(here, (0.5, 0.0, 1.0)) is None
     sky.hears(1, (0.5, 0.0, 1.0))
     assert sky.wants(here, (-0.5, 0.0, 1.0)) is None, "away from it"
-    assert sky.filter.acted == 0
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -56,7 +55,6 @@ def test_who_flies_at_another_brakes_and_turns_to_its_right(method):
     assert a[0] < -1.0
     assert a[1] < -0.1, "n points to -x: e3 x n to -y"
     assert sky.filter.gives_way_to == 1
-    assert sky.filter.braked == 0
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -89,7 +87,7 @@ def test_without_a_usable_state_of_who_may_be_near_it_brakes_until_that_has_come
     me = State.at((0.0, 0.0, 1.0), (0.5, 0.0, 0.0))
     sky.hears(1, (0.9, 0.0, 1.0))
     assert sky.wants(me, (1.0, 0.0, 1.0), now=0.8)[0] < -0.5
-    assert (sky.filter.braked, sky.filter.gives_way_to) == (1, None)
+    assert sky.filter.gives_way_to is None
     sky.hears(1, (2.9, 0.0, 1.0))
     assert sky.wants(me, (0.2, 0.0, 1.0), now=0.8) is None, "too far away to be here by now"
     sky.hears(1, (0.9, 0.0, 1.0))
@@ -191,7 +189,6 @@ def test_between_too_many_it_keeps_above_the_floor(method):
         sky.hears(j, p, (0.0, 0.0, -0.5))
     a = sky.wants(State.at((0.0, 0.0, 0.2), (0.0, 0.0, -0.4)), (0.0, 0.0, 1.0))
     assert a[2] > 0.5
-    assert sky.filter.relaxed == 1
 
 
 def test_the_fence_is_not_left_for_another():

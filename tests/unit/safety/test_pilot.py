@@ -243,7 +243,20 @@ async def led_out(clock, reference):
     assert 2.7 < max(p[0] for p in drone.track) < 3.2
     assert drone.pilot.mode is Mode.FOLLOW
     assert drone.pilot.note.endswith(("m outside the fence, limit 0.00 m: braking", "inside the fence: braking"))
+    assert 100 < drone.pilot.at_fence < 700, "ticks of 8 s in which it was held"
     return drone
+
+
+@virtual
+async def test_a_flight_to_a_place_outside_ends_at_the_fence_and_says_for_how_long_it_was_there(clock):
+    drone = Flown(clock)
+    await drone.hovering()
+    seconds = drone.pilot.go_to([9.0, 0.0, 1.0])
+    assert drone.pilot.note == "[9.0, 0.0, 1.0] is outside the fence: flies to [3.0, 0.0, 1.0]"
+    await drone.fly(seconds + 2.0)
+    assert drone.pilot.at_fence * TICK == pytest.approx(2.0, abs=0.1)
+    await drone.fly(drone.pilot.go_to([2.9, 0.0, 1.0]) + 1.0)
+    assert drone.pilot.at_fence * TICK == pytest.approx(2.0, abs=0.1), "inside it is not held"
 
 
 def test_what_brakes_again_and_again_is_said_rarely_and_counted_at_the_end(caplog):
