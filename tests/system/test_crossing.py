@@ -91,6 +91,6 @@ def test_thirty_meet_without_the_filter(pattern):
 @pytest.mark.slow
 @pytest.mark.timeout(1800)
 def test_a_hundred_cross():
-    distance, arrived = flown(*crossing(100, 1, "barrier", duration=40.0))
+    distance, arrived = flown(*crossing(100, 1, "barrier", "permutation", duration=36.0))
     assert distance > MEET
-    assert arrived < 40.0
+    assert arrived < 30.0
