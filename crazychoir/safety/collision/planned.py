@@ -2,7 +2,7 @@
 
 Each such drone says what it will fly, to the end. It flies where it is wanted as long as that is clear of all that
 the others will fly; else it delays its flight, splits it by a waypoint, or goes part of it; see `agreement` for when it
-may.
+may. It says which place it cannot come to, and whoever rests there without being at its own goal goes elsewhere.
 """
 
 import math
@@ -12,13 +12,14 @@ import numpy as np
 
 from crazychoir.bus.local import Port
 from crazychoir.math3d import Vec
-from crazychoir.safety.collision.agreement import NO_WAY, Agreement, Other
-from crazychoir.safety.collision.detours import NEAR, Detours, missing
+from crazychoir.safety.collision.agreement import NO_WAY, NOWHERE, Agreement, Other
+from crazychoir.safety.collision.aim import NEAR, Aim
+from crazychoir.safety.collision.detours import Detours
 from crazychoir.safety.collision.filter import BODY, STANDING, USABLE
 from crazychoir.safety.collision.landing_place import nearest_free
 from crazychoir.safety.collision.meeting import Meeting
 from crazychoir.safety.collision.traffic import BORN, SLOW, SOON, Traffic
-from crazychoir.safety.collision.ways import braking, end, hardest, keeping_up, moving, seconds
+from crazychoir.safety.collision.ways import braking, end, flight, hardest, keeping_up, moving, seconds
 from crazychoir.safety.guard import Fence
 from crazychoir.swarm.tables import Collision
 from crazychoir.types import FullState, State
@@ -35,6 +36,8 @@ LEADS = 0.25
 """Of what is left to a goal that moves: ending so near to it, a way still leads there. Each new one begins slowly."""
 ON, OFF = 0.03, 0.05
 """m from what is wanted: as good as there; and too far to catch up without a flight of its own."""
+EVEN = 0.05
+"""m/s, by which it may be faster or slower than what is wanted, to fly that instead of its way."""
 GENTLE = 0.8
 """m/s2, with which it flies where others are: harder ways are flown less exactly."""
 URGENT = 1.6
@@ -89,10 +92,6 @@ class PlannedFlights:
         self._brakes = NO_WAY
         self.gives_way_to: int | None = None
         """Whom it would have met, had it flown as it was wanted to; None: nobody."""
-        self.restarts = 0
-        """How often it has lost its way."""
-        self.kinds = dict.fromkeys(("straight", "delayed", "split", "partly", "braked"), 0)
-        """How often it has chosen what."""
 
     def fly(
         self, state: State, wanted: FullState, future: Future, whole: float, now: float, lands: bool = False
@@ -117,7 +116,8 @@ class PlannedFlights:
         mine.tell(now)
         self._flew = now
         flown = moving(mine.way, now - mine.began)
-        self._kept = math.dist(flown[0:3], wanted.p) < ON
+        off = flown[0:6] - wanted.flat[0:6]
+        self._kept = bool(np.linalg.norm(off[0:3]) < ON and np.linalg.norm(off[3:6]) < EVEN)
         return wanted if self._kept else _reference(flown, wanted.yaw)
 
     def hears(self, state: State, now: float) -> bool:
@@ -170,7 +170,6 @@ class PlannedFlights:
             near = math.dist(state.p, wanted.p) < LOST
             mine.begin(braking(wanted.flat[0:12] if near else _motion(state), self.a_max), now)
         elif math.dist(state.p, moving(mine.way, now - mine.began)[0:3]) > LOST:
-            self.restarts += 1
             mine.begin(braking(_motion(state), self.a_max), now)
 
     def _look(self, now: float) -> None:
@@ -267,6 +266,7 @@ class PlannedFlights:
     def _decide(self, future: Future, whole: float, now: float, alone: bool) -> None:
         """Look for a better way than the one that is flown, and ask for it; alone: who wants to land, asks nobody."""
         mine = self.agreement
+        mine.awaits = NOWHERE
         if self._arrives(future, whole, now):
             mine.in_vain = 0.0
             return
@@ -301,7 +301,6 @@ class PlannedFlights:
             return
         way = braking(moving(mine.way, now - mine.began), self._brake)
         if others.first(way, now, now)[0] >= now + threat:
-            self.kinds["braked"] += 1
             self._brakes = way
             mine.begin(way, now)
 
@@ -314,14 +313,15 @@ class PlannedFlights:
         if self._keeps_up(future, whole, begins, now, others):
             return
         goal, moves = self._goal(future, whole, begins - now)
-        near = max(NEAR, LEADS * math.dist(start[0:3], goal)) if moves else NEAR
-        present = self.left(now) + missing(end(mine.way), goal, self.v_max, self.a_max, near)
+        aim = Aim(goal, self.v_max, self.a_max, mine.awaited(now), self._figures)
+        leads = moves and math.dist(end(mine.way), goal) <= max(NEAR, LEADS * math.dist(start[0:3], goal))
+        present = self.left(now) + (0.0 if leads else aim.missing(end(mine.way)))
+        mine.awaits = NOWHERE if moves or self.comes_to(goal) else goal
         if threat < IMMINENT:
             present = math.inf
         wait = begins - now
-        for option in self.detours.options(start, goal, present - BETTER - wait):
+        for option in self.detours.options(start, aim, present - BETTER - wait):
             if others.clear(option.way, begins, now):
-                self.kinds[option.kind] += 1
                 mine.propose(option.way, begins)
                 mine.settle(now)
                 return
@@ -333,9 +333,10 @@ class PlannedFlights:
         """Go on as wanted, if it is there and nobody is in the way."""
         mine, wait = self.agreement, begins - now
         start = moving(mine.way, begins - mine.began)
-        if math.dist(start[0:3], future(wait).p) > OFF:
+        behind = start - future(wait).flat[0:12]
+        if np.linalg.norm(behind[0:3]) > OFF:
             return False
-        ahead = max(whole - wait, PERIOD) if whole > 0.0 else AHEAD
+        ahead = max(whole - wait, self._catches_up(behind)) if whole > 0.0 else AHEAD
         then = future(wait + ahead)
         if self._ends(then):
             return True
@@ -350,6 +351,10 @@ class PlannedFlights:
             mine.propose(way, begins)
             mine.settle(now)
         return True
+
+    def _catches_up(self, behind: Vec) -> float:
+        """s that it takes to come from a motion (12,), relative to what is wanted, to that."""
+        return seconds(flight(behind, np.zeros(3), self.v_max, self.a_max))
 
     def _goal(self, future: Future, whole: float, wait: float) -> tuple[Vec, bool]:
         """(3,) m, where what is wanted ends; or would, if it braked, inside the fence; and whether that moves."""
