@@ -12,7 +12,8 @@ from crazychoir.bus.rules import Rule
 from crazychoir.bus.topics import PLAN, STATE
 from crazychoir.runtime.clock import SECOND
 from crazychoir.safety.collision.agreement import NO_WAY, NOWHERE
-from crazychoir.safety.collision.planned import ASKING, PERIOD, UNANSWERED, PlannedFlights
+from crazychoir.safety.collision.obstacles import UNANSWERED
+from crazychoir.safety.collision.planned import ASKING, PERIOD, PlannedFlights
 from crazychoir.safety.collision.traffic import Traffic
 from crazychoir.safety.collision.ways import end, flight, hardest, hold, moving, seconds
 from crazychoir.safety.guard import Fence
@@ -401,7 +402,7 @@ async def test_beside_is_clear_of_who_stands_and_of_who_flies(clock):
     _, drones = crowd(clock, ((0.0, 0.0, 1.0),), ((0.0, 0.0, 0.0),), ((0.5, 0.0, 1.0),))
     drones[1].flies = False
     await fly(clock, drones, 1.0)
-    place = drones[0].filter.beside(np.array([0.0, 0.0, 0.3]), FENCE)
+    place = drones[0].filter.obstacles.beside(np.array([0.0, 0.0, 0.3]), FENCE)
     assert place[2] == 0.3
     assert np.linalg.norm(place[0:2]) == pytest.approx(0.4)
     assert np.linalg.norm(place[0:2] - [0.5, 0.0]) >= 0.58
