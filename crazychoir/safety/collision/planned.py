@@ -110,7 +110,8 @@ class PlannedFlights:
         self._flew = now
         flown = moving(mine.way, now - mine.began)
         off = flown[0:6] - wanted.flat[0:6]
-        self._kept = bool(np.linalg.norm(off[0:3]) < ON and np.linalg.norm(off[3:6]) < EVEN)
+        even = whole == 0.0 or np.linalg.norm(off[3:6]) < EVEN  # what streams is caught up with, before a stranger too
+        self._kept = bool(even and np.linalg.norm(off[0:3]) < ON)
         return wanted if self._kept else _reference(flown, wanted.yaw)
 
     def hears(self, state: State, now: float) -> bool:

@@ -152,7 +152,7 @@ async def test_what_is_wanted_is_flown_only_as_long_as_it_is_as_fast_as_the_way(
     for speed, kept in ((0.02, True), (0.2, False)):
         wanted = FullState.at(A, [speed, 0.0, 0.0])
         drone.filter._next = math.inf
-        flown = drone.filter.fly(State.at(A), wanted, lambda later, wanted=wanted: wanted, 0.0, now)
+        flown = drone.filter.fly(State.at(A), wanted, lambda later, wanted=wanted: wanted, 1.0, now)
         assert (flown is wanted) is kept
         assert drone.filter.delayed is not kept
 
