@@ -235,7 +235,8 @@ class Plan(Wire, frozen=True, array_like=True, gc=False):
     way: (k, 25), see safety/collision/ways.py, (0, 25) on the ground;  since: s, it has been flown;  offer: the way
     that it wants to fly instead, (0, 25) if none;  due: s, until that would begin;  number: of the offer, in its upper
     bits the incarnation of who offers;  agreed: by drone, the number of its offer that may be flown as far as this one
-    is concerned, -1 for none; whoever is not in it is not known to fly.
+    is concerned, -1 for none; whoever is not in it is not known to fly;  awaits: (3,) m, world, where it wants to
+    rest, and cannot come to, (0,) if there is no such place.
     """
 
     way: Mat
@@ -244,6 +245,7 @@ class Plan(Wire, frozen=True, array_like=True, gc=False):
     due: float
     number: int
     agreed: dict[int, int]
+    awaits: Vec
 
 
 class Failure(Wire, frozen=True, array_like=True, gc=False):

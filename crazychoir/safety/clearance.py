@@ -136,10 +136,10 @@ class Clearance:
         planned = self.planned
         if planned is None or self.delayed_by is None or planned.left(now) > 0.0:
             return None
-        if now - self._kept_up < (LEAVES if planned.flies(self.delayed_by) else STAYS):
+        if now - self._kept_up < (STAYS if planned.obstacles.stands(self.delayed_by) else LEAVES):
             return None
         self._kept_up = now
-        return planned.beside(p, self.flights.fence)
+        return planned.obstacles.beside(p, self.flights.fence)
 
     @property
     def silent(self) -> str:

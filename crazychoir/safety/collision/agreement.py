@@ -13,7 +13,7 @@ import numpy as np
 
 from crazychoir.bus.local import ANY, Port
 from crazychoir.bus.topics import PLAN
-from crazychoir.math3d import Mat
+from crazychoir.math3d import Mat, Vec
 from crazychoir.runtime.clock import SECOND
 from crazychoir.runtime.mailbox import Call
 from crazychoir.safety.collision.filter import USABLE
@@ -25,6 +25,7 @@ REPEAT = 0.05
 RESTING = 0.2
 """s between two messages of one that is on the ground."""
 NO_WAY: Mat = np.zeros((0, PIECE))
+NOWHERE: Vec = np.zeros(0)
 NOTHING = -1
 NUMBERS = 2**20
 """Of offers, for one incarnation of an agent."""
@@ -35,7 +36,8 @@ class Other:
     """What is heard of another drone that plans.
 
     heard: s, when it said so;  began, begins: s, when its way began, when its offer would begin;  agreed: what it has
-    agreed to;  allowed: the number of its offer to which this drone has agreed;  pending: an offer to be looked at.
+    agreed to;  allowed: the number of its offer to which this drone has agreed;  pending: an offer to be looked at;
+    awaits: (3,) m, where it wants to rest, and cannot come to, or (0,).
     """
 
     id: int
@@ -48,6 +50,7 @@ class Other:
     agreed: dict[int, int] = field(default_factory=dict)
     allowed: int = NOTHING
     pending: bool = False
+    awaits: Vec = field(default_factory=lambda: NOWHERE)
     stands: bool = False
 
     @property
@@ -63,8 +66,9 @@ class Other:
 class Agreement:
     """The own way and offer, and those of the others.
 
-    way, began: what is flown, and since when, s;  offer, begins, number: what is asked for;  in_vain: s that it has
-    asked, or could not ask, without having its way since;  lacking: whose word it lacked last.
+    way, began: what is flown, and since when, s;  offer, begins, number: what is asked for;  awaits: (3,) m,
+    where it wants to rest, and cannot come to, or (0,);  in_vain: s that it has asked, or could not ask, without having
+    its way since;  lacking: whose word it lacked last.
     Numbers begin where no earlier agent of this drone has come to: what was agreed to for that one counts no more.
     """
 
@@ -73,6 +77,7 @@ class Agreement:
         self.others = {j: Other(j) for j in ids if j != port.address}
         self.way, self.began = NO_WAY, 0.0
         self.offer, self.begins, self.number = NO_WAY, 0.0, port.incarnation % 2**32 * NUMBERS
+        self.awaits = NOWHERE
         self.in_vain, self._asked = 0.0, 0.0
         self.lacking: int | None = None
         self._next, self._news = 0.0, False
@@ -83,9 +88,10 @@ class Agreement:
         j, plan = message
         other = self.others.get(j)
         heard = self.clock.now_ns() / SECOND - age
-        if other is None or heard < other.heard or not (_is_way(plan.way) and _is_way(plan.offer)):
+        sound = _is_way(plan.way) and _is_way(plan.offer) and _is_place(plan.awaits)
+        if other is None or heard < other.heard or not sound:
             return
-        other.heard, other.agreed = heard, plan.agreed
+        other.heard, other.agreed, other.awaits = heard, plan.agreed, plan.awaits
         other.way, other.began = plan.way, heard - plan.since
         other.pending = len(plan.offer) > 0 and plan.number != other.allowed
         other.offer, other.begins, other.number = plan.offer, heard + plan.due, plan.number
@@ -93,6 +99,10 @@ class Agreement:
     def flying(self) -> list[Other]:
         """Those in the air, as far as is heard."""
         return [other for other in self.others.values() if other.flies]
+
+    def awaited(self, now: float) -> tuple[Vec, ...]:
+        """The places (3,) m that others want to come to, and cannot."""
+        return tuple(other.awaits for other in self.flying() if len(other.awaits) and not other.silent(now))
 
     def begin(self, way: Mat, now: float) -> None:
         """Fly this from now on, without asking: at first, and when there is no other way."""
@@ -123,6 +133,7 @@ class Agreement:
         """Say that it does not fly."""
         if len(self.way):
             self.way, self.offer, self.in_vain, self._news = NO_WAY, NO_WAY, 0.0, True
+            self.awaits = NOWHERE
         self.tell(now)
 
     def agree(self, other: Other) -> None:
@@ -154,7 +165,7 @@ class Agreement:
             return
         self._next, self._news = now + (REPEAT if len(self.way) else RESTING), False
         agreed = {other.id: other.allowed for other in self.flying()}
-        plan = Plan(self.way, now - self.began, self.offer, self.begins - now, self.number, agreed)
+        plan = Plan(self.way, now - self.began, self.offer, self.begins - now, self.number, agreed, self.awaits)
         self.port.publish(PLAN, plan)
 
 
@@ -162,3 +173,8 @@ def _is_way(way: Mat) -> bool:
     """Whether it is a table of pieces, all numbers finite, no duration negative."""
     fits = way.ndim == 2 and way.shape[1] == PIECE and len(way) <= 8
     return fits and bool(np.isfinite(way).all() and (way[:, 0] >= 0.0).all())
+
+
+def _is_place(p: Vec) -> bool:
+    """Whether it is one, all numbers finite, or none."""
+    return p.shape in ((0,), (3,)) and bool(np.isfinite(p).all())

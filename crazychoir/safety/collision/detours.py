@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from crazychoir.math3d import E3, Mat, Vec
-from crazychoir.planning.point_to_point import PEAK_ACCELERATION, PEAK_SPEED
+from crazychoir.safety.collision.aim import NEAR, Aim
 from crazychoir.safety.collision.ways import braking, end, flight, hold, leaves, moving, seconds
-from crazychoir.safety.guard import EDGE, Fence
+from crazychoir.safety.guard import INSET, Fence
 
 DELAYS = (0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0)
 """s, after it has come to rest."""
@@ -21,33 +21,16 @@ DRAWN = 10
 """Waypoints that are drawn."""
 AROUND = np.array([0.9, 0.9, 1.0])
 """m beyond the straight way's box in which they are drawn."""
-UNENDED = 1.0
-"""s that a way costs that does not end at the goal; and more for what is left, REST times what it takes."""
-REST = 2.0
 TURN = 0.3
 """s that each further flight of a way costs beside its duration: it is not taken for nothing."""
-NEAR = 0.05
-"""m from the goal that counts as there."""
 
 
 @dataclass(frozen=True)
 class Option:
-    """A way, and what it costs, s; kind: "straight", "delayed", "split" or "partly"."""
+    """A way, and what it costs, s."""
 
     cost: float
     way: Mat
-    kind: str
-
-
-def missing(p: Vec, goal: Vec, v_max: float, a_max: float, near: float = NEAR) -> float:
-    """s that a way costs which ends at p (3,) m instead of at its goal: more than a flight from there takes.
-
-    near: m from the goal that counts as there.
-    """
-    gap = math.dist(p, goal)
-    if gap <= near:
-        return gap
-    return UNENDED + REST * max(PEAK_SPEED * gap / v_max, math.sqrt(PEAK_ACCELERATION * gap / a_max))
 
 
 class Detours:
@@ -59,41 +42,41 @@ class Detours:
     def __init__(self, v_max: float, a_max: float, fence: Fence, draw: np.random.Generator) -> None:
         self.v_max, self.a_max, self.fence, self.draw = v_max, a_max, fence, draw
 
-    def options(self, start: Vec, goal: Vec, most: float) -> list[Option]:
-        """All that cost less than `most` s, from a motion (12,) to rest at goal (3,) m, and stay inside the fence.
+    def options(self, start: Vec, aim: Aim, most: float) -> list[Option]:
+        """All that cost less than `most` s, from a motion (12,) to rest at a goal, and stay INSET inside the fence.
 
-        Its own sides lie further out where the drone cannot stop before them, or the goal is beyond.
+        Less so, or outside, where the drone cannot stop before, or the goal is there.
         """
-        places = np.array([start[0:3], goal, end(braking(start, self.a_max)), self.fence.low, self.fence.high])
-        low, high = places.min(axis=0), places.max(axis=0)
+        places = np.array([start[0:3], aim.goal, end(braking(start, self.a_max))])
+        low = np.minimum(places.min(axis=0), np.array(self.fence.low) + INSET)
+        high = np.maximum(places.max(axis=0), np.array(self.fence.high) - INSET)
         found = [
             option
-            for option in (*self._straight(start, goal), *self._by_waypoints(start, goal))
+            for option in (*self._straight(start, aim), *self._by_waypoints(start, aim))
             if option.cost < most and not leaves(option.way, low, high)
         ]  # fmt: skip
         return sorted(found, key=lambda option: option.cost)
 
-    def _option(self, kind: str, goal: Vec, *pieces: Mat) -> Option:
+    def _option(self, aim: Aim, *pieces: Mat) -> Option:
         way = pieces[0] if len(pieces) == 1 else np.concatenate(pieces)
-        short = missing(end(way), goal, self.v_max, self.a_max)
-        return Option(seconds(way) + short + TURN * (len(way) - 1), way, kind)
+        return Option(seconds(way) + aim.missing(end(way)) + TURN * (len(way) - 1), way)
 
-    def _straight(self, start: Vec, goal: Vec) -> Iterator[Option]:
+    def _straight(self, start: Vec, aim: Aim) -> Iterator[Option]:
         """At once, or after a while."""
-        yield self._option("straight", goal, flight(start, goal, self.v_max, self.a_max))
+        yield self._option(aim, flight(start, aim.goal, self.v_max, self.a_max))
         rest = braking(start, self.a_max)
         stopped = moving(rest, seconds(rest))
-        later = flight(stopped, goal, self.v_max, self.a_max)
+        later = flight(stopped, aim.goal, self.v_max, self.a_max)
         for delay in DELAYS:
-            yield self._option("delayed", goal, rest, hold(stopped[0:3], delay), later)
+            yield self._option(aim, rest, hold(stopped[0:3], delay), later)
 
-    def _by_waypoints(self, start: Vec, goal: Vec) -> Iterator[Option]:
+    def _by_waypoints(self, start: Vec, aim: Aim) -> Iterator[Option]:
         """Over a waypoint, or to it only."""
-        for point in self._waypoints(start[0:3], goal):
+        for point in self._waypoints(start[0:3], aim.goal):
             first = flight(start, point, self.v_max, self.a_max)
-            yield self._option("partly", goal, first)
+            yield self._option(aim, first)
             there = moving(first, seconds(first))
-            yield self._option("split", goal, first, flight(there, goal, self.v_max, self.a_max))
+            yield self._option(aim, first, flight(there, aim.goal, self.v_max, self.a_max))
 
     def _waypoints(self, p: Vec, goal: Vec) -> Iterator[Vec]:
         straight = goal - p
@@ -113,4 +96,4 @@ class Detours:
             yield self._inside(point)
 
     def _inside(self, p: Vec) -> Vec:
-        return self.fence.nearest(p, inset=EDGE)
+        return self.fence.nearest(p)

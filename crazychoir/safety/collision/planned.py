@@ -2,7 +2,7 @@
 
 Each such drone says what it will fly, to the end. It flies where it is wanted as long as that is clear of all that
 the others will fly; else it delays its flight, splits it by a waypoint, or goes part of it; see `agreement` for when it
-may.
+may. It says which place it cannot come to, and whoever rests there without being at its own goal goes elsewhere.
 """
 
 import math
@@ -12,13 +12,14 @@ import numpy as np
 
 from crazychoir.bus.local import Port
 from crazychoir.math3d import Vec
-from crazychoir.safety.collision.agreement import NO_WAY, Agreement, Other
-from crazychoir.safety.collision.detours import NEAR, Detours, missing
-from crazychoir.safety.collision.filter import BODY, STANDING, USABLE
-from crazychoir.safety.collision.landing_place import nearest_free
+from crazychoir.safety.collision.agreement import NO_WAY, NOWHERE, Agreement
+from crazychoir.safety.collision.aim import NEAR, Aim
+from crazychoir.safety.collision.detours import Detours
+from crazychoir.safety.collision.filter import BODY, USABLE
 from crazychoir.safety.collision.meeting import Meeting
-from crazychoir.safety.collision.traffic import BORN, SLOW, SOON, Traffic
-from crazychoir.safety.collision.ways import braking, end, hardest, keeping_up, moving, seconds
+from crazychoir.safety.collision.obstacles import UNANSWERED, Obstacles
+from crazychoir.safety.collision.traffic import Traffic
+from crazychoir.safety.collision.ways import braking, end, flight, hardest, keeping_up, moving, seconds
 from crazychoir.safety.guard import Fence
 from crazychoir.swarm.tables import Collision
 from crazychoir.types import FullState, State
@@ -35,6 +36,8 @@ LEADS = 0.25
 """Of what is left to a goal that moves: ending so near to it, a way still leads there. Each new one begins slowly."""
 ON, OFF = 0.03, 0.05
 """m from what is wanted: as good as there; and too far to catch up without a flight of its own."""
+EVEN = 0.05
+"""m/s, by which it may be faster or slower than what is wanted, to fly that instead of its way."""
 GENTLE = 0.8
 """m/s2, with which it flies where others are: harder ways are flown less exactly."""
 URGENT = 1.6
@@ -51,14 +54,8 @@ AWAY = 0.5
 """s without a flight, after which the next one begins anew."""
 LOWEST = 0.25
 """m above the ground, of waypoints."""
-RESTS = 0.3
-"""m/s, below which a low drone stands."""
 LONG = 60.0
 """s, after which every landing has ended."""
-FREE = 0.25
-"""m between one that comes down beside others and what it keeps clear of anyway."""
-UNANSWERED = 5.0
-"""s, for which one that lands waits for agreement: then it comes down as far as that is clear of what it knows."""
 Future = Callable[[float], FullState]
 """What is wanted so many s from now."""
 
@@ -78,21 +75,16 @@ class PlannedFlights:
     ) -> None:  # fmt: skip
         sx, sy, sz = settings.semi_axes
         self._brake, a_max = min(a_max, URGENT), min(a_max, GENTLE)
-        self.traffic, self.a_max, self.v_max, self._ground = traffic, a_max, v_max, ground
-        self._figures = np.array([sx / sy, sx / sz, 2.0 * sx + settings.margin + settings.slack, BODY])
+        self.traffic, self.a_max, self.v_max = traffic, a_max, v_max
+        figures = np.array([sx / sy, sx / sz, 2.0 * sx + settings.margin + settings.slack, BODY])
         self.agreement = Agreement(port, planners)
-        self._rows = {j: traffic.rows[k] for k, j in enumerate(traffic.ids)}
-        self._guessed = [j for j in traffic.ids if j not in self.agreement.others]
+        self.obstacles = Obstacles(figures, self.agreement, traffic, a_max, ground)
         self.detours = Detours(v_max, a_max, fence, np.random.default_rng(port.address))
         self._flew, self._next = -math.inf, 0.0
         self._kept = False
         self._brakes = NO_WAY
         self.gives_way_to: int | None = None
         """Whom it would have met, had it flown as it was wanted to; None: nobody."""
-        self.restarts = 0
-        """How often it has lost its way."""
-        self.kinds = dict.fromkeys(("straight", "delayed", "split", "partly", "braked"), 0)
-        """How often it has chosen what."""
 
     def fly(
         self, state: State, wanted: FullState, future: Future, whole: float, now: float, lands: bool = False
@@ -105,11 +97,11 @@ class PlannedFlights:
         mine = self.agreement
         self._begin(state, wanted, now)
         mine.settle(now)
-        self._look(now)
+        self.obstacles.look(now)
         if now >= self._next and len(mine.offer) == 0:
-            self._measure(state)
+            self.obstacles.measure(state)
             self._next = now + PERIOD
-            if lands and (j := self._who_stands_at(future(LONG).p)) is not None:
+            if lands and (j := self.obstacles.who_stands_at(future(LONG).p)) is not None:
                 self.gives_way_to = j
             else:
                 self._decide(future, whole, now, lands and self.unanswered)
@@ -117,7 +109,9 @@ class PlannedFlights:
         mine.tell(now)
         self._flew = now
         flown = moving(mine.way, now - mine.began)
-        self._kept = math.dist(flown[0:3], wanted.p) < ON
+        off = flown[0:6] - wanted.flat[0:6]
+        even = whole == 0.0 or np.linalg.norm(off[3:6]) < EVEN  # what streams is caught up with, before a stranger too
+        self._kept = bool(even and np.linalg.norm(off[0:3]) < ON)
         return wanted if self._kept else _reference(flown, wanted.yaw)
 
     def hears(self, state: State, now: float) -> bool:
@@ -139,7 +133,7 @@ class PlannedFlights:
         if now >= self._next:
             self.agreement.begin(braking(wanted.flat[0:12], self.a_max), now)
             self._next = now + PERIOD
-        self._look(now)
+        self.obstacles.look(now)
         self.agreement.tell(now)
         self._flew, self._kept = now, True
         return wanted
@@ -170,83 +164,7 @@ class PlannedFlights:
             near = math.dist(state.p, wanted.p) < LOST
             mine.begin(braking(wanted.flat[0:12] if near else _motion(state), self.a_max), now)
         elif math.dist(state.p, moving(mine.way, now - mine.began)[0:3]) > LOST:
-            self.restarts += 1
             mine.begin(braking(_motion(state), self.a_max), now)
-
-    def _look(self, now: float) -> None:
-        self.traffic.look(now)
-        for j, other in self.agreement.others.items():
-            other.stands = self._stands(j) and self._rows[j][BORN] > other.heard + USABLE
-
-    def _measure(self, state: State) -> None:
-        """How soon it could be near each of the others."""
-        rows = self.traffic.rows
-        apart = np.linalg.norm(rows[:, 0:3] - state.p, axis=1)
-        rows[:, SOON] = apart / (np.linalg.norm(rows[:, 3:6], axis=1) + np.linalg.norm(state.v) + SLOW)
-
-    def _who_stands_at(self, p: Vec) -> int | None:
-        """One that stands where another would come down, p (3,) m: that does not begin to, as it may sink further."""
-        for j, x in self._rows.items():
-            if math.hypot(x[0] - p[0], x[1] - p[1]) < BODY and self._stands(j):
-                return j
-        return None
-
-    def _stands(self, j: int) -> bool:
-        """Whether it stood on the floor when it was heard last."""
-        x = self._rows[j]
-        return bool(x[BORN] > -math.inf and x[2] < self._ground + STANDING and np.linalg.norm(x[3:6]) < RESTS)
-
-    def flies(self, j: int) -> bool:
-        """Whether drone j does not stand on the floor."""
-        return not self._stands(j)
-
-    def beside(self, p: Vec, fence: Fence) -> Vec | None:
-        """The place nearest to p (3,) m, as high, to come down beside all others; None: there is none near."""
-        spots = []
-        for j, x in self._rows.items():
-            if x[BORN] > -math.inf:
-                other = self.agreement.others.get(j)
-                at = end(other.way) if other is not None and other.flies else x[0:3]
-                spots.append((at[0], at[1], self._figures[3 if self._stands(j) else 2] + FREE))
-        return nearest_free(p, np.array(spots), fence)
-
-    # What the others do -----------------------------------------------------------------------------------------
-
-    def _others(self, now: float) -> Meeting:
-        """All that its own way must keep clear of."""
-        meeting = self._strangers()
-        for other in self.agreement.others.values():
-            self._add(meeting, other, now)
-        return meeting
-
-    def _strangers(self) -> Meeting:
-        """Those that say no way, and keep clear by themselves."""
-        meeting = Meeting(self._figures, self.a_max)
-        for j in self._guessed:
-            self._guess(meeting, j)
-        return meeting
-
-    def _add(self, meeting: Meeting, other: Other, now: float) -> None:
-        if not other.flies:
-            self._guess(meeting, other.id)
-            return
-        ways = [(other.way, other.began)]
-        if self.agreement.may_be_flown(other):
-            ways.append((other.offer, other.begins))
-        for way, began in ways:
-            if other.silent(now):
-                meeting.somewhere(other.id, way, began, other.heard)
-            else:
-                meeting.way(other.id, way, began)
-        if now - other.heard > UNANSWERED:
-            meeting.below(other.id, end(other.way))
-
-    def _guess(self, meeting: Meeting, j: int) -> None:
-        x = self._rows[j]
-        if self._stands(j):
-            meeting.stands(j, x[0:3])
-        elif x[BORN] > -math.inf:
-            meeting.guessed(j, x[0:3], x[3:6], x[BORN])
 
     def _answer(self, now: float) -> None:
         """Agree to the offers of drones with higher ids that do not meet what it flies, or may fly soon."""
@@ -254,7 +172,7 @@ class PlannedFlights:
         asking = [other for other in mine.others.values() if other.pending and other.id > mine.id]
         if not asking:
             return
-        own = Meeting(self._figures, self.a_max)
+        own = Meeting(self.obstacles.figures, self.a_max)
         own.way(mine.id, mine.way, mine.began)
         if len(mine.offer):
             own.way(mine.id, mine.offer, mine.begins)
@@ -262,23 +180,22 @@ class PlannedFlights:
             if own.clear(other.offer, other.begins, now):
                 mine.agree(other)
 
-    # What it does itself ----------------------------------------------------------------------------------------
-
     def _decide(self, future: Future, whole: float, now: float, alone: bool) -> None:
         """Look for a better way than the one that is flown, and ask for it; alone: who wants to land, asks nobody."""
         mine = self.agreement
+        mine.awaits = NOWHERE
         if self._arrives(future, whole, now):
             mine.in_vain = 0.0
             return
-        threat = self._strangers().first(mine.way, mine.began, now)[0] - now
+        threat = self.obstacles.strangers().first(mine.way, mine.began, now)[0] - now
         mute = mine.mute(now)
         if alone:
-            self._keeps_up(future, whole, now, now, self._others(now), alone)
+            self._keeps_up(future, whole, now, now, self.obstacles.all(now), alone)
         elif mute is None:
             self._choose(future, whole, now, threat)
         else:
             mine.waited(mute, PERIOD)
-            self._brake_before(threat, now, self._others(now))
+            self._brake_before(threat, now, self.obstacles.all(now))
 
     def _arrives(self, future: Future, whole: float, now: float) -> bool:
         """Whether its way is what is wanted, to its end."""
@@ -301,7 +218,6 @@ class PlannedFlights:
             return
         way = braking(moving(mine.way, now - mine.began), self._brake)
         if others.first(way, now, now)[0] >= now + threat:
-            self.kinds["braked"] += 1
             self._brakes = way
             mine.begin(way, now)
 
@@ -310,18 +226,19 @@ class PlannedFlights:
         mine = self.agreement
         begins = now + ASKING if mine.asks() else now
         start = moving(mine.way, begins - mine.began)
-        others = self._others(now)
+        others = self.obstacles.all(now)
         if self._keeps_up(future, whole, begins, now, others):
             return
         goal, moves = self._goal(future, whole, begins - now)
-        near = max(NEAR, LEADS * math.dist(start[0:3], goal)) if moves else NEAR
-        present = self.left(now) + missing(end(mine.way), goal, self.v_max, self.a_max, near)
+        aim = Aim(goal, self.v_max, self.a_max, mine.awaited(now), self.obstacles.figures)
+        leads = moves and math.dist(end(mine.way), goal) <= max(NEAR, LEADS * math.dist(start[0:3], goal))
+        present = self.left(now) + (0.0 if leads else aim.missing(end(mine.way)))
+        mine.awaits = NOWHERE if moves or self.comes_to(goal) else goal
         if threat < IMMINENT:
             present = math.inf
         wait = begins - now
-        for option in self.detours.options(start, goal, present - BETTER - wait):
+        for option in self.detours.options(start, aim, present - BETTER - wait):
             if others.clear(option.way, begins, now):
-                self.kinds[option.kind] += 1
                 mine.propose(option.way, begins)
                 mine.settle(now)
                 return
@@ -333,9 +250,10 @@ class PlannedFlights:
         """Go on as wanted, if it is there and nobody is in the way."""
         mine, wait = self.agreement, begins - now
         start = moving(mine.way, begins - mine.began)
-        if math.dist(start[0:3], future(wait).p) > OFF:
+        behind = start - future(wait).flat[0:12]
+        if np.linalg.norm(behind[0:3]) > OFF:
             return False
-        ahead = max(whole - wait, PERIOD) if whole > 0.0 else AHEAD
+        ahead = max(whole - wait, self._catches_up(behind)) if whole > 0.0 else AHEAD
         then = future(wait + ahead)
         if self._ends(then):
             return True
@@ -350,6 +268,10 @@ class PlannedFlights:
             mine.propose(way, begins)
             mine.settle(now)
         return True
+
+    def _catches_up(self, behind: Vec) -> float:
+        """s that it takes to come from a motion (12,), relative to what is wanted, to that."""
+        return seconds(flight(behind, np.zeros(3), self.v_max, self.a_max))
 
     def _goal(self, future: Future, whole: float, wait: float) -> tuple[Vec, bool]:
         """(3,) m, where what is wanted ends; or would, if it braked, inside the fence; and whether that moves."""

@@ -18,6 +18,8 @@ LOOK, ROUNDING = 0.1, 1e-3
 """s between two looks at where a way is, and m by which it may be elsewhere: 1 m/s2 makes 1.3 mm in between."""
 FAST, HARD = 1.05, 1.1
 """Of a limit, what sampled peaks may come to."""
+STEEP = 1.25
+"""Of a_max, from where on an acceleration is no peak of such a way."""
 SWING = 2.0
 """Of a_max, at least, the limit of who begins with more: it would become far too fast before it turned round gently."""
 
@@ -102,7 +104,9 @@ def _excess(piece: Vec, v_max: float, a_max: float, at: Vec) -> float:
 @kernel()
 def _limit(acceleration: float, a_max: float) -> float:
     """m/s2, for who begins with an acceleration."""
-    return a_max if acceleration <= HARD * a_max else max(acceleration, SWING * a_max)
+    if acceleration <= STEEP * a_max:
+        return max(a_max, acceleration / HARD)
+    return max(acceleration, SWING * a_max)
 
 
 @kernel(matrix)
@@ -136,7 +140,7 @@ def go_to(start: Vec, goal: Vec, v_max: float, a_max: float, piece: Vec) -> None
 
     As short as the limits allow: from rest T = max(35/16 d / v_max, sqrt(84 sqrt(5) / 25 d / a_max)); else the first of
     a growing row of durations whose samples do, or which miss them least, where a start that is itself too fast counts
-    as its own limit, and one that is too hard as well, or SWING a_max.
+    as its own limit, and one that is too hard as well, or SWING a_max from STEEP a_max on.
     """
     begin, end, at = start.copy(), np.zeros(12), np.zeros(12)
     begin[9:12], end[0:3] = 0.0, goal

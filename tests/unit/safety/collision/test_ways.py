@@ -188,3 +188,10 @@ def test_who_accelerates_comes_to_rest_without_flying_much_faster():
     flown = np.array([moving(way, t) for t in np.linspace(0.0, seconds(way), 200)])
     assert np.linalg.norm(flown[:, 3:6], axis=1).max() < 1.4
     assert np.linalg.norm(flown[:, 6:9], axis=1).max() < 1.8
+
+
+def test_who_begins_at_the_peak_of_another_way_flies_no_harder_one():
+    start = np.array([0.0, 0.0, 1.0, 0.4, 0.0, 0.0, 0.0, 0.9, 0.0, 0.0, 0.0, 0.0])
+    way = flight(start, np.array([1.0, 0.5, 1.0]), 1.0, 0.8)
+    flown = np.array([moving(way, t) for t in np.linspace(0.0, seconds(way), 200)])
+    assert np.linalg.norm(flown[:, 6:9], axis=1).max() < 1.0
