@@ -12,7 +12,7 @@ import numpy as np
 from msgspec import Meta
 
 from crazychoir import CFDistributedFeedback, SwarmConfig
-from crazychoir.errors import ConfigError
+from crazychoir.errors import ConfigError, Refused
 from crazychoir.guidance.mission_options import Duration, Length, Offset, given, require_none
 from crazychoir.recording.tracks import draw_tracks
 from crazychoir.swarm.tables import Height, Speed, Table
@@ -23,6 +23,8 @@ APART, SCALE = 0.34, (1.0, 1.0, 0.4)
 """m, and the scale of the standard [collision]: starts, and goals, are drawn as far apart as this by it."""
 ARRIVED = 0.05
 """m from its goal: it is there, once it stays so near."""
+CROWD = 30
+"""Drones that have been flown through one point at the same time; a hundred press each other there."""
 Pattern = Annotated[
     Literal["antipodal", "permutation"],
     Meta(
@@ -141,7 +143,7 @@ def scatter(config: SwarmConfig) -> SwarmConfig:
 
 
 def check(config: SwarmConfig, force: bool = False) -> list[str]:
-    """The options are those that there are, and all stay inside the fence."""
+    """The options are those that there are, all stay inside the fence, and no crowd wants through one point at once."""
     where = f"swarm {config.name}: mission_options"
     options = given(config, Options)
     require_none(config)
@@ -151,7 +153,12 @@ def check(config: SwarmConfig, force: bool = False) -> list[str]:
         for i, p in found.items():
             if np.any(p < config.fence.min) or np.any(p > config.fence.max):
                 raise ConfigError(f"{where}: {which} of drone {i}", p.round(2).tolist(), "inside [fence]", "Widen it.")
-    return []
+    if options.pattern != "antipodal" or len(config.ids) <= CROWD:
+        return []
+    crowd = f"{len(config.ids)} drones fly through one point at once; {CROWD} have been tried, and a hundred met there"
+    if not force:
+        raise Refused("crossing", f'{crowd}. Take pattern = "permutation", or force it.')
+    return [crowd]
 
 
 def goal(config: SwarmConfig) -> dict[int, Vec]:

@@ -158,7 +158,7 @@ class Pilot(Actor):
         self._braked = 0  # how often, in this flight
         self.at_fence = 0
         """Ticks in which it was held at the fence, for what guidance wanted is beyond it."""
-        self._beyond: Trajectory | None = None  # a flight to the fence, as the place that was wanted is beyond it
+        self._beyond = False  # whether it flies to the fence only, as the place that was wanted is beyond it
         self._takes_over = False
         self._idle, self._level = self.controls.sender.idle, self.controls.sender.steady(platform.weight)
         self._run: asyncio.Future[None] | None = None
@@ -296,7 +296,7 @@ class Pilot(Actor):
         goal = self.above(height)
         start = FullState.at(self.state.p, yaw=yaw_of(self.state.q))
         duration = self.flights.go_to(start, goal, start.yaw, 0.0, self.clock.now())
-        self._flown = start
+        self._flown, self._beyond = start, False
         self._lift_off = self.state.p[2] + LIFTED
         if self.started_at is None:
             self.started_at = start.p
@@ -339,8 +339,8 @@ class Pilot(Actor):
             seconds = self.flights.go_to(start, goal, start.yaw if yaw is None else yaw, duration, now)
         self._flown, self._reference, self._obeyed = start, None, NOMINAL
         self._change(Event.FLY)
-        if np.abs(wanted - goal).max() > 2.0 * EDGE:
-            self._beyond = self.flights.plan
+        self._beyond = bool(np.abs(wanted - goal).max() > 2.0 * EDGE)
+        if self._beyond:
             self._say("goal", f"{wanted.round(2).tolist()} is outside the fence: flies to {goal.round(2).tolist()}")
         return seconds
 
@@ -355,6 +355,7 @@ class Pilot(Actor):
         if self.guard.acts:
             return 0.0
         self._flown, self._reference, self._obeyed = trajectory.sample(0.0), None, NOMINAL
+        self._beyond = False
         self._change(Event.FLY)
         return self.flights.fly(trajectory, self.clock.now())
 
@@ -381,7 +382,7 @@ class Pilot(Actor):
         if isinstance(wanted, Goto):
             self._fly_goto(wanted)
         else:
-            self._reference, self._reference_ns = wanted, self.clock.now_ns()
+            self._reference, self._reference_ns, self._beyond = wanted, self.clock.now_ns(), False
             if self.mode is not FOLLOW:
                 self._change(Event.FLY)
         return True
@@ -538,9 +539,9 @@ class Pilot(Actor):
 
     def _held_at_fence(self, verdict: Verdict, now: float) -> bool:
         """Whether the safety table keeps it inside, or it is where a flight to a place outside had to end."""
-        if verdict.measure == "stop":
-            return self.mode is not LAND
-        return self._beyond is not None and self.flights.plan is self._beyond and self.flights.done(now)
+        if self.mode not in GUIDED or self.held:
+            return False
+        return verdict.measure == "stop" or (self._beyond and self.flights.done(now))
 
     def _give_up(self, reason: str) -> None:
         """Land, whatever its mission wants."""

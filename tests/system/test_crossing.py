@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from system.flights import fly
 
-from crazychoir.errors import ConfigError
+from crazychoir.errors import ConfigError, Refused
 from crazychoir.guidance.mission import load, look_before
 from crazychoir.safety.pilot import Mode
 
@@ -64,6 +64,15 @@ def test_goals_in_conflict_are_refused_before_the_flight():
     config = mission.swarm(None).replace(mission_options={"shape": shape}, collision={"method": "barrier"})
     with pytest.raises(ConfigError, match=r"drone 1 at .* drone 2 at .* conflict"):
         look_before(mission, config, force=True)
+
+
+def test_a_crowd_that_wants_through_one_point_is_refused_before_the_flight():
+    mission, config = crossing(31, 1, "barrier")
+    with pytest.raises(Refused, match="31 drones fly through one point"):
+        mission.check(config, False)
+    assert "31 drones" in mission.check(config, True)[0]
+    for drones, pattern in ((30, "antipodal"), (31, "permutation")):
+        assert mission.check(crossing(drones, 1, "barrier", pattern)[1], False) == []
 
 
 @pytest.mark.slow

@@ -100,7 +100,7 @@ class PlannedFlights:
         self.obstacles.look(now)
         if now >= self._next and len(mine.offer) == 0:
             self.obstacles.measure(state)
-            self._next = now + PERIOD
+            self._next, mine.awaits = now + PERIOD, NOWHERE
             if lands and (j := self.obstacles.who_stands_at(future(LONG).p)) is not None:
                 self.gives_way_to = j
             else:
@@ -132,7 +132,7 @@ class PlannedFlights:
         """What is wanted, whoever is in the way: for a drone that must come down, and cannot agree."""
         if now >= self._next:
             self.agreement.begin(braking(wanted.flat[0:12], self.a_max), now)
-            self._next = now + PERIOD
+            self._next, self.agreement.awaits = now + PERIOD, NOWHERE
         self.obstacles.look(now)
         self.agreement.tell(now)
         self._flew, self._kept = now, True
@@ -183,7 +183,6 @@ class PlannedFlights:
     def _decide(self, future: Future, whole: float, now: float, alone: bool) -> None:
         """Look for a better way than the one that is flown, and ask for it; alone: who wants to land, asks nobody."""
         mine = self.agreement
-        mine.awaits = NOWHERE
         if self._arrives(future, whole, now):
             mine.in_vain = 0.0
             return

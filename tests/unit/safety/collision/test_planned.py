@@ -134,6 +134,15 @@ async def test_who_is_where_it_wants_to_be_makes_no_room(clock):
 
 
 @virtual
+async def test_who_must_come_down_waits_for_no_place_any_more(clock):
+    _, (one, waits) = crowd(clock, (A,), (B, A))
+    await fly(clock, (one, waits), 8.0)
+    assert waits.filter.agreement.awaits == pytest.approx(A)
+    waits.filter.lands(FullState.at(waits.at), clock.now() + PERIOD)
+    assert len(waits.filter.agreement.awaits) == 0
+
+
+@virtual
 async def test_a_way_a_little_behind_what_is_wanted_catches_up_gently(clock):
     _, drones = crowd(clock, (A,))
     await fly(clock, drones, 0.5)
