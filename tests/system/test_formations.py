@@ -99,15 +99,17 @@ def test_the_originals_reach_their_equilibria_and_keep_clear(name):
 @pytest.mark.slow
 @pytest.mark.timeout(3600)
 @pytest.mark.parametrize(
-    ("name", "options"),
+    ("name", "uri", "options"),
     [
-        ("original_letter", {"kp": 0.6, "kv": 1.0, "duration": 200.0}),
-        ("original_grid", {"kp": 0.2, "kv": 1.0, "duration": 900.0}),
+        ("original_letter", "sim://", {"kp": 0.6, "kv": 1.0, "duration": 200.0}),
+        ("original_grid", "sim://double", {"kp": 0.2, "kv": 1.0, "duration": 600.0}),
     ],
 )
-def test_the_originals_reach_them_by_the_papers_law_too_in_minutes(name, options):
+def test_the_originals_reach_them_by_the_papers_law_too_in_minutes(name, uri, options):
     config = SwarmConfig.load(DEPLOY / f"{name}.toml")
-    config = config.replace(mission_options=config.mission_options | {"law": "paper"} | options)
+    drones = [{"id": d.id, "home": [*d.home[:2], 1.0 * (uri != "sim://")], "leader": d.leader, "uri": uri}
+              for d in config.drones]  # fmt: skip
+    config = config.replace(drones=drones, mission_options=config.mission_options | {"law": "paper"} | options)
     result = fly_fast(config, load(config.mission))
     assert result["success"], result["reasons"]
     assert result["formation_error_m"] <= 0.01
