@@ -169,7 +169,7 @@ def _filtered(
         old = 0.0 if stands else age  # who stands does not run away while it is not heard
         gap = d - width - 0.5 * f[UNSURE] * old * old * reach
         unsure, brake = f[UNSURE] * old * reach, f[BRAKE] * reach
-        if f[CELLS] > 0.0:
+        if f[CELLS] > 0.0 and other[SHARE] < 1.0:  # who gives way to nobody keeps to no side
             own = (scale[0] * v[0], scale[1] * v[1], scale[2] * v[2])
             b = cell(r, w, own, gap, 0.5 * unsure, brake, f[STIFF], f[GAMMA])
         else:
@@ -204,11 +204,12 @@ class CollisionFilter:
         min |u - u_n|^2   s.t.   n_ij . S u >= share b_ij  for each other drone j in range,  |u_c| <= most,  the fence
         |S (p_i - p_j)| >= D,   S = diag(1, s_x / s_y, s_x / s_z),   D = 2 s_x + margin
 
-    semi-axes s of the ellipsoid around each drone;  b_ij: of `barrier` or of `cell`;  u_n: what is wanted, turned to
-    the side where somebody is in the way. Places and velocities are those of `late`, so that the lag of the drones
-    counts. What cannot be had all is relaxed by least violation: the fence first, the nearest drone last, the floor
-    never. Drones that stand on the floor are balls of BODY m; who takes off does not see them. If one that may be near
-    has not been heard for USABLE s, or half of those that flew for SILENT s, it brakes, unless it lands.
+    semi-axes s of the ellipsoid around each drone;  b_ij: of `barrier`, or of `cell` with those that give way as well;
+    u_n: what is wanted, turned to the side where somebody is in the way. Places and velocities are those of `late`, so
+    that the lag of the drones counts. What cannot be had all is relaxed by least violation: the fence first, the
+    nearest drone last, the floor never. Drones that stand on the floor are balls of BODY m; who takes off does not see
+    them. If one that may be near has not been heard for USABLE s, or half of those that flew for SILENT s, it brakes,
+    unless it lands.
     settings: [collision];  fence: from the floor upwards;  a_max: m/s2, with which it brakes;  v_max: m/s, at which
     others fly at most;  ground: m.
     """

@@ -29,7 +29,7 @@ PERIOD = 0.1
 ASKING = 0.3
 """s before an offer begins, within which the others agree, or do not."""
 AHEAD = 0.8
-"""s, of what is wanted by somebody who does not say where it ends."""
+"""s, at least, of what is wanted by somebody who does not say where it ends."""
 BETTER = 0.3
 """s that another way must save."""
 LEADS = 0.25
@@ -252,7 +252,7 @@ class PlannedFlights:
         behind = start - future(wait).flat[0:12]
         if np.linalg.norm(behind[0:3]) > OFF:
             return False
-        ahead = max(whole - wait, self._catches_up(behind)) if whole > 0.0 else AHEAD
+        ahead = max(whole - wait if whole > 0.0 else AHEAD, self._catches_up(behind))
         then = future(wait + ahead)
         if self._ends(then):
             return True

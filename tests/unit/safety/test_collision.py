@@ -174,12 +174,28 @@ def test_an_old_state_keeps_it_farther_away():
     assert old[0] < fresh[0] - 0.3
 
 
-def test_who_gives_way_to_nobody_is_given_way_to_alone():
-    shared, alone = Sky(), Sky(alone=(1,))
+@pytest.mark.parametrize("method", METHODS)
+def test_who_gives_way_to_nobody_is_given_way_to_alone(method):
+    shared, alone = Sky(method), Sky(method, alone=(1,))
     for sky in (shared, alone):
         sky.hears(1, (0.9, 0.0, 1.0), (-0.5, 0.0, 0.0))
     half, whole = (s.wants(State.at((0.0, 0.0, 1.0), (0.5, 0.0, 0.0)), (2.0, 0.0, 1.0))[0] for s in (shared, alone))
     assert whole < half - 0.2
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("beside", [0.0, 0.1, 0.2])
+def test_who_is_flown_at_by_one_that_gives_way_to_nobody_gets_out_of_its_way(method, beside):
+    sky, p, v, near = Sky(method, alone=(1,)), np.array([0.0, beside, 1.0]), np.zeros(3), []
+    for k in range(500):
+        other = np.array([0.008 * k - 1.5, 0.0, 1.0])
+        sky.hears(1, other, (0.8, 0.0, 0.0))
+        a = sky.wants(State.at(p, v), (0.0, beside, 1.0))
+        v = v + 0.01 * (-GAINS[0] * (p - [0.0, beside, 1.0]) - GAINS[3] * v if a is None else a)
+        p = p + 0.01 * v
+        near.append(np.linalg.norm((p - other) * [1.0, 1.0, 0.4]))
+    assert min(near) > 0.3
+    assert p == pytest.approx([0.0, beside, 1.0], abs=0.05)
 
 
 @pytest.mark.parametrize("method", METHODS)

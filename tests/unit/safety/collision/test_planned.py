@@ -1,6 +1,7 @@
 """Drones that tell their ways: who may fly what, and what each chooses. Whole chains of messages, no flight."""
 
 import math
+from functools import partial
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from crazychoir.safety.collision.planned import ASKING, PERIOD, PlannedFlights
 from crazychoir.safety.collision.traffic import Traffic
 from crazychoir.safety.collision.ways import end, flight, hardest, hold, moving, seconds
 from crazychoir.safety.guard import Fence
+from crazychoir.safety.references import ahead
 from crazychoir.swarm.tables import Collision
 from crazychoir.types import FullState, Plan, State
 
@@ -151,6 +153,17 @@ async def test_a_way_a_little_behind_what_is_wanted_catches_up_gently(clock):
     way = drones[0].filter.agreement.way
     assert end(way) == pytest.approx(wanted.p)
     assert hardest(way) < 0.9
+
+
+@virtual
+async def test_a_stream_that_begins_at_full_speed_is_caught_up_with_gently(clock):
+    _, drones = crowd(clock, (A,))
+    await fly(clock, drones, 0.5)
+    stream, now = FullState.at(A, [0.8, 0.0, 0.0]), clock.now() + PERIOD
+    drones[0].filter.fly(State.at(A), stream, partial(ahead, stream), 0.0, now)
+    way = drones[0].filter.agreement.way
+    assert end(way)[0] > A[0] + 0.8
+    assert hardest(way) < 2.0, "a harder one is flown less exactly than the others take it to be"
 
 
 @virtual
