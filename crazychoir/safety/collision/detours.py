@@ -21,6 +21,8 @@ DRAWN = 10
 """Waypoints that are drawn."""
 AROUND = np.array([0.9, 0.9, 1.0])
 """m beyond the straight way's box in which they are drawn."""
+DIP = 0.15
+"""m below the lowest waypoint, at most, that a way may sink of a drone that cannot stop before: there is the floor."""
 TURN = 0.3
 """s that each further flight of a way costs beside its duration: it is not taken for nothing."""
 
@@ -45,10 +47,11 @@ class Detours:
     def options(self, start: Vec, aim: Aim, most: float) -> list[Option]:
         """All that cost less than `most` s, from a motion (12,) to rest at a goal, and stay INSET inside the fence.
 
-        Less so, or outside, where the drone cannot stop before, or the goal is there.
+        Less so, or outside, where the drone cannot stop before, or the goal is there; but no deeper than DIP.
         """
         places = np.array([start[0:3], aim.goal, end(braking(start, self.a_max))])
         low = np.minimum(places.min(axis=0), np.array(self.fence.low) + INSET)
+        low[2] = max(low[2], min(start[2], aim.goal[2], self.fence.low[2] - DIP))
         high = np.maximum(places.max(axis=0), np.array(self.fence.high) - INSET)
         found = [
             option

@@ -31,6 +31,14 @@ def test_no_way_leaves_the_fence_though_the_drone_flies_towards_it(z):
     assert min(map(lowest, found)) >= unavoidable - 0.005
 
 
+@pytest.mark.parametrize("speed", [0.8, 1.2])
+def test_no_way_goes_into_the_floor_though_the_drone_dives(speed):
+    start = DOWN.copy()
+    start[5] = -speed
+    assert end(braking(start, 0.8))[2] < 0.1
+    assert all(lowest(option) >= 0.1 - 0.005 for option in options(start, (2.5, 0.0, 1.0)))
+
+
 def test_ways_keep_off_the_sides_of_the_fence():
     start = np.array([-2.8, 0.0, 2.3, *np.zeros(9)])
     for option in options(start, (2.8, 0.0, 2.3)):
