@@ -12,6 +12,10 @@ DISCOVERY = 4.0
 """s to find the processes of a swarm, from the last one that was found."""
 STARTS = 30.0
 """s that a run of this machine gets until the first of them is there."""
+LOOK = 0.02
+"""s between two looks at who is there."""
+SOON = 2.0
+"""s after which it is said that somebody is waited for."""
 PROBE = 0.5
 """s within which a process of this machine takes a connection."""
 
@@ -60,6 +64,11 @@ def nobody(config: SwarmConfig, option: str | None) -> Refused:
         do = "start one with `crazychoir run ...`, or name it with --swarm FILE"
         return Refused("crazychoir", f"no swarm of yours runs here: {do}")
     return Refused(f"swarm {config.name}", f"no agent found {_at(config)}; is it running?")
+
+
+def starting(config: SwarmConfig, seconds: float) -> str:
+    """What is said while nobody is there yet, who gets so many s."""
+    return f"swarm {config.name} is starting: waiting for its drones, up to {seconds:g} s"
 
 
 def _at(config: SwarmConfig) -> str:
