@@ -181,6 +181,20 @@ def test_an_agent_that_hangs_is_not_waited_for_once_its_body_has_obeyed():
     assert seconds == pytest.approx(OBEYS, abs=0.2), "nothing has stopped it yet"
 
 
+def test_a_world_that_is_gone_is_not_waited_for_as_a_run_that_is_starting(caplog):
+    async def scene(swarm):
+        with_owner(swarm, bodies=())
+        swarm.window.patience = 30.0
+        for i in range(2):
+            swarm.comes(i)
+        return await swarm.window.emergency_stop(clear=False)
+
+    _, said, seconds = play(scene)
+    assert said == dict.fromkeys(range(2), (False, "acknowledged; its world's owner does not answer"))
+    assert seconds == pytest.approx(DISCOVERY, abs=0.2)
+    assert caplog.messages == ["swarm a: stopped: agents 0 to 1; waiting for the others"], "at once"
+
+
 def test_a_stop_waits_for_a_run_that_is_starting_with_words(caplog):
     async def scene(swarm):
         swarm.window.patience = 30.0
