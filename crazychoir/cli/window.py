@@ -111,6 +111,8 @@ class Window:
                 answer = await self.commander.request(i, verb, began + seconds - self.clock.now())
             except TimeoutError:
                 return False, (SILENT, f"no answer within {seconds:g} s; is its agent running?")
+            if answer.kind == ACCEPTED:  # what was left for the last time that it was asked says nothing to who waited
+                return False, (ACCEPTED, f"not done within {seconds:g} s")
             waits = answer.kind == REFUSED and str(answer.detail).startswith(NOT_READY)
             if not waits or self.clock.now() + RETRY >= asks:
                 return answer.kind == DONE, (answer.kind, str(answer.detail or ""))

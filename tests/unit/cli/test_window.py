@@ -24,6 +24,7 @@ class Swarm:
     verbs: list[tuple[int, str]] = field(default_factory=list)
     refuses: dict[int, float] = field(default_factory=dict)
     """Until when a drone is not ready."""
+    slow: float = 0.0
 
     def __post_init__(self):
         self.bus = Bus(self.clock)
@@ -38,9 +39,11 @@ class Swarm:
             CommandServer(self.bus.port(i), partial(self.execute, i), partial(self.stop, i))
 
     async def execute(self, i, verb, arguments):
+        """Obey, after `slow` s."""
         if self.clock.now() < self.refuses.get(i, 0.0):
             raise Refused(f"drone {i}", f"{NOT_READY}: waiting for the others")
         self.verbs.append((i, verb))
+        await self.clock.sleep(self.slow)
         return arguments or None
 
     def stop(self, i, on):
@@ -235,6 +238,18 @@ def test_who_does_not_get_ready_says_so_in_time():
     _, said, seconds = play(scene)
     assert said[1] == (False, ("refused", "it is not ready: waiting for the others"))
     assert seconds == pytest.approx(READY, abs=0.5)
+
+
+def test_what_is_not_done_in_time_names_the_time_that_was_given():
+    async def scene(swarm):
+        swarm.refuses, swarm.slow = {1: swarm.clock.now() + 2.7}, 60.0
+        for i in range(3):
+            swarm.comes(i)
+        return await swarm.window.order("land", None, 30.0)
+
+    _, said, seconds = play(scene)
+    assert said == dict.fromkeys(range(3), (False, ("accepted", "not done within 30 s"))), "drone 1 was asked again"
+    assert seconds == pytest.approx(30.0, abs=0.1)
 
 
 def test_drones_that_there_are_not_are_refused_before_anybody_is_asked():
