@@ -20,6 +20,11 @@ PROBE = 0.5
 """s within which a process of this machine takes a connection."""
 
 
+NOT_YET = (
+    "its run has not started them yet (a first run compiles its laws for a minute or two), or is ending; try again."
+)
+
+
 def running_swarm(option: str | None) -> SwarmConfig:
     """The swarm to look into: the run of that swarm file; else the swarm of the file itself, started by its agents.
 
@@ -58,7 +63,10 @@ def patience(config: SwarmConfig) -> float:
 
 def nobody(config: SwarmConfig, option: str | None) -> Refused:
     """The error of who finds no process of this swarm."""
-    if others := runs():
+    others = runs()
+    if any(run.swarm == config.name for run in others):
+        return Refused(f"swarm {config.name}", f"no agent found {_at(config)}: {NOT_YET}")
+    if others:
         return Refused(f"swarm {config.name}", f"no agent found {_at(config)}; is it running? {choose(others)}")
     if option is None and not Path(LOCAL_FILE).is_file():
         do = "start one with `crazychoir run ...`, or name it with --swarm FILE"
