@@ -18,8 +18,6 @@ SOON = 2.0
 """s after which it is said that somebody is waited for."""
 PROBE = 0.5
 """s within which a process of this machine takes a connection."""
-
-
 NOT_YET = (
     "its run has not started them yet (a first run compiles its laws for a minute or two), or is ending; try again."
 )
