@@ -3,14 +3,14 @@
 import asyncio
 import logging
 import math
-from typing import TYPE_CHECKING
+from typing import Protocol
 
+from crazychoir.bus.commands import Commander
 from crazychoir.bus.local import BODIES
 from crazychoir.cli.meant import DISCOVERY, LOOK, SOON, nobody, starting
+from crazychoir.runtime.clock import Clock
+from crazychoir.swarm.config import SwarmConfig
 from crazychoir.swarm.graph import span
-
-if TYPE_CHECKING:
-    from crazychoir.cli.window import Window
 
 ABSENT = "absent"
 OBEYS = 10.0
@@ -20,42 +20,57 @@ TELL = 0.5
 log = logging.getLogger(__name__)
 
 
+class Place(Protocol):
+    """What a stop needs of the place from which it is given: see Window."""
+
+    clock: Clock
+    config: SwarmConfig
+    commander: Commander
+    option: str | None
+    patience: float
+
+    @property
+    def drones(self) -> list[int]:
+        """Drones whose agents were found."""
+        ...
+
+
 class EmergencyStop:
     """A stop, or its clearing, that is sent to the agents of these drones, and to their bodies in an owned world.
 
     It ends when all have obeyed; DISCOVERY s after the last agent was found and the last body has obeyed; or, while
-    there is nobody, after the window's patience. An agent that was found gets OBEYS s, unless its body has obeyed.
+    there is nobody, after the patience of its place. An agent that was found gets OBEYS s, unless its body has obeyed.
     alone: see Commander.emergency_stop.
     """
 
-    def __init__(self, window: "Window", meant: tuple[int, ...], clear: bool, alone: bool) -> None:
-        self.window, self.meant, self.clear, self.alone = window, meant, clear, alone
-        self.owned = [i for i in window.config.owned if i in meant]
+    def __init__(self, place: Place, meant: tuple[int, ...], clear: bool, alone: bool) -> None:
+        self.place, self.meant, self.clear, self.alone = place, meant, clear, alone
+        self.owned = [i for i in place.config.owned if i in meant]
         self.found: dict[int, float] = {}  # s, when the agent of each drone was
         self.obeyed: dict[int, None] = {}
         self._told, self._tells, self._waited = 0, 0.0, False
 
     async def run(self) -> dict[int, tuple[bool, str]]:
         """By drone: whether it has obeyed, and what is known; raises Refused if there is nobody at all."""
-        window, targets = self.window, [*self.meant, *(BODIES + i for i in self.owned)]
-        order = window.commander.emergency_stop(targets, self.clear, math.inf, self.alone, self.obeyed)
+        place, targets = self.place, [*self.meant, *(BODIES + i for i in self.owned)]
+        order = place.commander.emergency_stop(targets, self.clear, math.inf, self.alone, self.obeyed)
         sending = asyncio.ensure_future(order)
         try:
             await self._wait(sending)
         finally:
             sending.cancel()
         if not self.found and not self.obeyed:
-            raise nobody(window.config, window.option)
+            raise nobody(place.config, place.option)
         return {i: self._said(i) for i in self.meant}
 
     async def _wait(self, sending: asyncio.Future[list[int]]) -> None:
-        window, clock, news = self.window, self.window.clock, 0
+        place, clock, news = self.place, self.place.clock, 0
         began = clock.now()
         # A world may be there without any agent, and nobody listens at their ports then.
-        ends, self._tells = began + max(window.patience, DISCOVERY if self.owned else 0.0), began + TELL
+        ends, self._tells = began + max(place.patience, DISCOVERY if self.owned else 0.0), began + TELL
         while not sending.done():
             now = clock.now()
-            self.found |= {i: now for i in window.drones if i not in self.found}
+            self.found |= {i: now for i in place.drones if i not in self.found}
             count = len(self.found) + len(self._bodies())
             if count > news:
                 news, ends = count, now + DISCOVERY
@@ -75,7 +90,7 @@ class EmergencyStop:
 
     def _tell(self, now: float, began: float) -> None:
         """Say who has obeyed so far, or that nobody is there yet."""
-        name, patience = self.window.config.name, self.window.patience
+        name, patience = self.place.config.name, self.place.patience
         if len(self.obeyed) > self._told and now >= self._tells:
             self._told, self._tells = len(self.obeyed), now + TELL
             ids = {"agents": [i for i in self.meant if i in self.obeyed], "bodies": self._bodies()}
@@ -84,7 +99,7 @@ class EmergencyStop:
             log.warning("swarm %s: %s: %s; waiting for the others", name, verb, who)
         elif not (self.found or self.obeyed or self._waited) and patience > DISCOVERY and now > began + SOON:
             self._waited = True
-            log.warning("%s", starting(self.window.config, patience))
+            log.warning("%s", starting(self.place.config, patience))
 
     def _said(self, i: int) -> tuple[bool, str]:
         obeys, body = i in self.obeyed, i not in self.owned or BODIES + i in self.obeyed
