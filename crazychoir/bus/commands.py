@@ -78,15 +78,17 @@ class Commander:
             self._accepted.pop(number, None)
 
     async def emergency_stop(
-        self, targets: list[int], clear: bool = False, deadline: float = 10.0, alone: bool = False
-    ) -> list[int]:
+        self, targets: list[int], clear: bool = False, deadline: float = 10.0, alone: bool = False,
+        answered: dict[int, None] | None = None,
+    ) -> list[int]:  # fmt: skip
         """Stop (or clear the stop of) all targets, resent until each acknowledges; returns those that did not.
 
-        alone: the stop is not one of the swarm: the motors of these stop, and it need not be cleared.
+        alone: the stop is not one of the swarm: the motors of these stop, and it need not be cleared;
+        answered: who has acknowledged, as it goes on.
         """
         self._count += 1
         number = self._count
-        answered = self._acknowledged[number] = {}
+        answered = self._acknowledged[number] = {} if answered is None else answered
         clock = self.port.bus.clock
         ends = clock.now() + deadline
         try:

@@ -12,8 +12,15 @@ DISCOVERY = 4.0
 """s to find the processes of a swarm, from the last one that was found."""
 STARTS = 30.0
 """s that a run of this machine gets until the first of them is there."""
+LOOK = 0.02
+"""s between two looks at who is there."""
+SOON = 2.0
+"""s after which it is said that somebody is waited for."""
 PROBE = 0.5
 """s within which a process of this machine takes a connection."""
+NOT_YET = (
+    "its run has not started them yet (a first run compiles its laws for a minute or two), or is ending; try again."
+)
 
 
 def running_swarm(option: str | None) -> SwarmConfig:
@@ -54,12 +61,20 @@ def patience(config: SwarmConfig) -> float:
 
 def nobody(config: SwarmConfig, option: str | None) -> Refused:
     """The error of who finds no process of this swarm."""
-    if others := runs():
+    others = runs()
+    if any(run.swarm == config.name for run in others):
+        return Refused(f"swarm {config.name}", f"no agent found {_at(config)}: {NOT_YET}")
+    if others:
         return Refused(f"swarm {config.name}", f"no agent found {_at(config)}; is it running? {choose(others)}")
     if option is None and not Path(LOCAL_FILE).is_file():
         do = "start one with `crazychoir run ...`, or name it with --swarm FILE"
         return Refused("crazychoir", f"no swarm of yours runs here: {do}")
     return Refused(f"swarm {config.name}", f"no agent found {_at(config)}; is it running?")
+
+
+def starting(config: SwarmConfig, seconds: float) -> str:
+    """What is said while nobody is there yet, who gets so many s."""
+    return f"swarm {config.name} is starting: waiting for its drones, up to {seconds:g} s"
 
 
 def _at(config: SwarmConfig) -> str:

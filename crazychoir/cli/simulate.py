@@ -131,7 +131,7 @@ class _Watch:
 
 def _team(file: Path, agents: int, graph: str, seed: int, directed: bool) -> "tuple[Graph, dict[int, Round]]":
     """The graph, and the agents that the file makes for it."""
-    from crazychoir.guidance.hooks import Hook
+    from crazychoir.guidance.hook import Hook
     from crazychoir.guidance.mission import from_file
     from crazychoir.swarm.graph import named
     from crazychoir.swarm.round import Round

@@ -6,10 +6,11 @@ from collections.abc import Awaitable, Callable, Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from crazychoir.bus.commands import ACCEPTED, DONE, NOT_READY, REFUSED, Answer, Commander
-from crazychoir.bus.local import BODIES, OBSERVER
+from crazychoir.bus.local import OBSERVER
 from crazychoir.bus.topics import Topic
 from crazychoir.bus.zenoh import ZenohLink
-from crazychoir.cli.meant import DISCOVERY, nobody, patience, running_swarm
+from crazychoir.cli.emergency import ABSENT, EmergencyStop
+from crazychoir.cli.meant import DISCOVERY, LOOK, SOON, nobody, patience, running_swarm, starting
 from crazychoir.errors import ConfigError
 from crazychoir.launch.network import attached, observer
 from crazychoir.runtime.clock import Clock, run_wall
@@ -19,10 +20,7 @@ from crazychoir.swarm.graph import span
 
 READY, RETRY = 15.0, 0.3
 """s for which drones that are not ready yet are asked again, and between two times."""
-LOOK = 0.02
-SOON = 2.0
-"""s after which it is said that somebody is waited for."""
-ABSENT, SILENT = "absent", "silent"
+SILENT = "silent"
 log = logging.getLogger(__name__)
 
 if TYPE_CHECKING:
@@ -72,7 +70,7 @@ class Window:
             if waited >= self.patience:
                 raise nobody(self.config, self.option)
             if waited > SOON and not said and self.patience > DISCOVERY:
-                log.warning("swarm %s is starting: waiting for its drones, up to %g s", self.config.name, self.patience)
+                log.warning("%s", starting(self.config, self.patience))
                 said = True
             await self.clock.sleep(LOOK)
 
@@ -113,6 +111,8 @@ class Window:
                 answer = await self.commander.request(i, verb, began + seconds - self.clock.now())
             except TimeoutError:
                 return False, (SILENT, f"no answer within {seconds:g} s; is its agent running?")
+            if answer.kind == ACCEPTED:  # what was left for the last time that it was asked says nothing to who waited
+                return False, (ACCEPTED, f"not done within {seconds:g} s")
             waits = answer.kind == REFUSED and str(answer.detail).startswith(NOT_READY)
             if not waits or self.clock.now() + RETRY >= asks:
                 return answer.kind == DONE, (answer.kind, str(answer.detail or ""))
@@ -123,24 +123,10 @@ class Window:
 
         So a drone falls whose agent is gone, or hangs: it has not obeyed, and it is said that its body has.
         A stop of some drones is theirs alone; one of the swarm keeps all on the ground until it is cleared.
+        Raises Refused if nobody is there, no agent and no body.
         """
         meant = tuple(self.config.ids if drones is None else drones)
-        owned, alone = [i for i in self.config.owned if i in meant], drones is not None and not clear
-        targets = [BODIES + i for i in owned]
-        seconds = max(DISCOVERY, self.patience)  # from now on: a world may be there without any agent
-        bodies = asyncio.ensure_future(self.commander.emergency_stop(targets, clear, seconds, alone))
-        try:
-            answers = await self._ask(lambda i: self._stop(i, clear, alone), meant)
-            missing = await bodies
-        finally:
-            bodies.cancel()
-        for i in owned:
-            obeyed, said = answers[i]
-            silent = BODIES + i in missing
-            if silent or not obeyed:
-                body = "its world's owner does not answer" if silent else "its body has obeyed"
-                answers[i] = (False, f"{said}; {body}")
-        return answers
+        return await EmergencyStop(self, meant, clear, alone=drones is not None and not clear).run()
 
     async def _request(self, i: int, verb: str, arguments: Mapping[str, Any]) -> tuple[bool, Any]:
         try:
@@ -152,10 +138,6 @@ class Window:
         if answer.kind == REFUSED:
             return False, f"refused: {answer.detail}"
         return True, "acknowledged" if answer.detail is None else answer.detail
-
-    async def _stop(self, i: int, clear: bool, alone: bool) -> tuple[bool, Any]:
-        missing = await self.commander.emergency_stop([i], clear=clear, alone=alone)
-        return not missing, "no acknowledgement" if missing else "acknowledged"
 
     async def _ask(
         self, ask: Callable[[int], Awaitable[tuple[bool, Any]]], drones: Iterable[int] | None = None

@@ -9,6 +9,7 @@ import numpy as np
 
 from crazychoir.control.position import HEADROOM
 from crazychoir.errors import ConfigError, Refused
+from crazychoir.guidance.hook import shown
 from crazychoir.guidance.member import PATIENCE, SETTLE, Interrupted, Member, touch_down
 from crazychoir.guidance.sensors import Readings
 from crazychoir.guidance.turns import CLOSE, TURN, aside, blocked, first_at
@@ -173,9 +174,12 @@ class CFGuidance:
         top = pilot.fence.high[2] - pilot.limits.ground
         if height is None or not pilot.controls.takes_off:
             return
-        if not (isinstance(height, SupportsFloat) and 0.0 <= float(height) <= top):
-            allowed = f"0 to {top:g} m above the ground, by the fence"
-            raise ConfigError(f"drone {self.id}: {where}", height, allowed, "Lower it, or raise fence.max.")
+        rise = _number(height)
+        if rise is None or not 0.0 <= rise <= top:
+            found, do = shown(height), "It must be one number, as float(...)."
+            if rise is not None:
+                found, do = f"{rise!r}", "Lower it, or raise fence.max."
+            raise ConfigError(f"drone {self.id}: {where}", found, f"0 to {top:g} m above the ground, by the fence", do)
 
     def foresee(self, member: Member) -> None:
         """Look ahead, before anybody flies: compile what takes long; raise ConfigError for what cannot be flown."""
@@ -323,3 +327,11 @@ class CFGuidance:
             await self.sleep(min(SETTLE, max(left, 1e-3)))
         if pilot.mode not in flying:
             raise Interrupted(f"drone {self.id}: {pilot.mode.value}: {pilot.note}")
+
+
+def _number(value: object) -> float | None:
+    """The number that it is, None if it is none: an array is none, even of one."""
+    try:
+        return float(value) if isinstance(value, SupportsFloat) and np.asarray(value).ndim == 0 else None
+    except (TypeError, ValueError, OverflowError):
+        return None

@@ -1,7 +1,6 @@
 """A law as a mission: CFDistributedFeedback, and what is said of a law that returns what cannot be flown."""
 
 import asyncio
-import contextlib
 import logging
 from abc import abstractmethod
 from collections.abc import Mapping
@@ -11,11 +10,12 @@ import numpy as np
 
 from crazychoir.bus.topics import STATE
 from crazychoir.control.gains import FORMATION, Gains
+from crazychoir.errors import ConfigError
 from crazychoir.guidance.base import CFGuidance
 from crazychoir.guidance.hearing import Hearing, Paired, VelocitySum
+from crazychoir.guidance.hook import Hook
 from crazychoir.guidance.member import Interrupted, Member, raisable
 from crazychoir.runtime.clock import SECOND, wake
-from crazychoir.runtime.hanging import HOOK, limited
 from crazychoir.runtime.mailbox import Call
 from crazychoir.safety.modes import Mode
 from crazychoir.types import Acceleration, FullState, Goto, Heard, Reference, State, Velocity
@@ -110,15 +110,26 @@ class CFDistributedFeedback(CFGuidance):
         return None
 
     def foresee(self, member: Member) -> None:
-        """Raise ConfigError for a take-off beyond the fence."""
-        self.member, height = member, None
+        """Raise ConfigError for a `height` that fails, or does not end, and for a take-off beyond the fence."""
+        self.member = member
         try:
-            # What it needs may come with `bind` only: it is asked again at the take-off.
-            with contextlib.suppress(Exception), limited(HOOK, f"drone {self.id}: height()"):
-                height = self.height()
-            self.require_height(height, "height()")
+            self.require_height(self._foreseen(), "height()")
         finally:
             del self.member
+
+    def _foreseen(self) -> float | None:
+        """Its height; None, too, if that needs what `bind` or the mission gives: it is asked again at the take-off."""
+        code = getattr(self.height, "__code__", None)
+        file = code.co_filename if code else type(self).__name__
+        hook = Hook(file, "height", self.height, (), "m above the ground, or None: that of the swarm file")
+        hook.check()
+        try:
+            height: float | None = hook()
+        except ConfigError as error:
+            if not isinstance(error.__cause__, AttributeError):
+                raise
+            return None
+        return height
 
     async def run_law(self) -> None:
         """Let `step` run for `duration` s; raises what `step` raises, and Interrupted when the pilot stops obeying."""

@@ -113,13 +113,15 @@ def summary(
     """
     started = config.ids if started is None else started
     report = mission.report(config, results) if started == config.ids and has(mission, "report") else {}
-    reached, off, said = bool(report.pop("success", True)), report.pop("reasons", {}), report.pop("reason", NO_REASONS)
+    reached, off, said = bool(report.pop("success", True)), report.pop("reasons", {}), report.pop("reason", None)
     held = hindrances(results)
     failed = failures(results, score.touching, started)
     absent = [i for i in started if i not in results]
-    reasons = {i: "; ".join([str(text), *held.get(i, [])]) for i, text in off.items()} | failed
+    reasons = {i: "; ".join([str(text), *held.get(i, [])]) for i, text in (off | failed).items()}
     reasons |= dict.fromkeys(absent, NO_RESULT)
-    of_all = [str(said), *(f"drone {i}: {', '.join(texts)}" for i, texts in held.items())]
+    if said is None and not (reached or reasons):
+        said = NO_REASONS
+    of_all = [str(said), *(f"drone {i}: {', '.join(texts)}" for i, texts in held.items() if i not in reasons)]
     separation = score.min_separation
     if idle(results):
         log.warning(NOBODY_MOVED)
@@ -139,7 +141,7 @@ def summary(
         "messages": score.messages(),
         "rounds": max((status.round for status in score.statuses.values()), default=0),
         "digest": None,
-        "reason": None if reached or reasons else "; ".join(of_all),
+        "reason": None if said is None else "; ".join(of_all),
         "reasons": reasons,
         "absent": absent,
         "flown_m": {i: round(length, 4) for i, length in score.flown.items()},

@@ -8,6 +8,7 @@ import pytest
 
 from crazychoir.bus.commands import NOT_READY, CommandServer
 from crazychoir.bus.local import BODIES, OBSERVER, Bus
+from crazychoir.cli.emergency import OBEYS
 from crazychoir.cli.window import DISCOVERY, READY, Window
 from crazychoir.errors import ConfigError, Refused
 from crazychoir.runtime.clock import run_virtual
@@ -23,6 +24,7 @@ class Swarm:
     verbs: list[tuple[int, str]] = field(default_factory=list)
     refuses: dict[int, float] = field(default_factory=dict)
     """Until when a drone is not ready."""
+    slow: float = 0.0
 
     def __post_init__(self):
         self.bus = Bus(self.clock)
@@ -37,9 +39,11 @@ class Swarm:
             CommandServer(self.bus.port(i), partial(self.execute, i), partial(self.stop, i))
 
     async def execute(self, i, verb, arguments):
+        """Obey, after `slow` s."""
         if self.clock.now() < self.refuses.get(i, 0.0):
             raise Refused(f"drone {i}", f"{NOT_READY}: waiting for the others")
         self.verbs.append((i, verb))
+        await self.clock.sleep(self.slow)
         return arguments or None
 
     def stop(self, i, on):
@@ -115,13 +119,9 @@ def test_who_refuses_says_why():
 
 @pytest.mark.parametrize("owner", [True, False])
 def test_bodies_in_the_world_of_an_owner_are_stopped_by_themselves(owner):
-    drones = [{"id": i, "home": [float(i), 0.0, 0.0]} for i in range(2)]
-
     async def scene(swarm):
-        swarm.window.config = SwarmConfig.of({"name": "a", "drones": drones, "world": {"owned": True}})
+        with_owner(swarm, (0, 1) if owner else ())
         swarm.comes(0)
-        for i in (0, 1) if owner else ():
-            CommandServer(swarm.bus.port(BODIES + i), swarm.execute, partial(swarm.stop, BODIES + i))
         return await swarm.window.emergency_stop(clear=False)
 
     swarm, said, _ = play(scene)
@@ -147,18 +147,70 @@ def test_without_anybody_there_is_no_swarm():
     assert seconds == pytest.approx(2.0 * DISCOVERY, abs=0.1)
 
 
-def test_bodies_are_stopped_though_no_agent_is_there():
+def with_owner(swarm, bodies=(0, 1)):
+    """The bodies of two drones are in the world of an owner, which answers for these."""
     drones = [{"id": i, "home": [float(i), 0.0, 0.0]} for i in range(2)]
+    swarm.window.config = SwarmConfig.of({"name": "a", "drones": drones, "world": {"owned": True}})
+    for i in bodies:
+        CommandServer(swarm.bus.port(BODIES + i), swarm.execute, partial(swarm.stop, BODIES + i))
 
+
+@pytest.mark.parametrize("patience", [0.0, DISCOVERY, 30.0])
+def test_what_the_bodies_have_answered_is_said_though_no_agent_is_there(patience, caplog):
     async def scene(swarm):
-        swarm.window.config = SwarmConfig.of({"name": "a", "drones": drones, "world": {"owned": True}})
-        for i in range(2):
-            CommandServer(swarm.bus.port(BODIES + i), swarm.execute, partial(swarm.stop, BODIES + i))
-        with pytest.raises(Refused):
-            await swarm.window.emergency_stop(clear=False)
+        with_owner(swarm)
+        swarm.window.patience = patience
+        return await swarm.window.emergency_stop(clear=False)
 
-    swarm, _, _ = play(scene)
+    swarm, said, seconds = play(scene)
+    assert said == dict.fromkeys(range(2), (False, "absent; its body has obeyed"))
     assert [on for i in range(2) for _, on in swarm.stops[BODIES + i]] == [True, True]
+    assert seconds == pytest.approx(DISCOVERY, abs=0.2), "agents get no longer, though a run may be starting"
+    assert caplog.messages == ["swarm a: stopped: bodies 0 to 1; waiting for the others"]
+
+
+def test_an_agent_that_hangs_is_not_waited_for_once_its_body_has_obeyed():
+    async def scene(swarm, bodies):
+        with_owner(swarm, bodies)
+        swarm.comes(0)
+        swarm.comes(1, deaf=True)
+        return await swarm.window.emergency_stop(clear=False)
+
+    _, said, seconds = play(partial(scene, bodies=(0, 1)))
+    assert said == {0: (True, "acknowledged"), 1: (False, "no acknowledgement; its body has obeyed")}
+    assert seconds == pytest.approx(DISCOVERY, abs=0.2)
+    _, said, seconds = play(partial(scene, bodies=(0,)))
+    assert said[1] == (False, "no acknowledgement; its world's owner does not answer")
+    assert seconds == pytest.approx(OBEYS, abs=0.2), "nothing has stopped it yet"
+
+
+def test_a_world_that_is_gone_is_not_waited_for_as_a_run_that_is_starting(caplog):
+    async def scene(swarm):
+        with_owner(swarm, bodies=())
+        swarm.window.patience = 30.0
+        for i in range(2):
+            swarm.comes(i)
+        return await swarm.window.emergency_stop(clear=False)
+
+    _, said, seconds = play(scene)
+    assert said == dict.fromkeys(range(2), (False, "acknowledged; its world's owner does not answer"))
+    assert seconds == pytest.approx(DISCOVERY, abs=0.2)
+    assert caplog.messages == ["swarm a: stopped: agents 0 to 1; waiting for the others"], "at once"
+
+
+def test_a_stop_waits_for_a_run_that_is_starting_with_words(caplog):
+    async def scene(swarm):
+        swarm.window.patience = 30.0
+        swarm.clock.call_at(int(18e9), partial(swarm.comes, 1))
+        return await swarm.window.emergency_stop(clear=True)
+
+    _, said, seconds = play(scene)
+    assert said == {0: (False, "absent"), 1: (True, "acknowledged"), 2: (False, "absent")}
+    assert seconds == pytest.approx(18.0 + DISCOVERY, abs=0.2)
+    assert caplog.messages == [
+        "swarm default is starting: waiting for its drones, up to 30 s",
+        "swarm default: cleared: agents 1; waiting for the others",
+    ]
 
 
 def test_an_order_waits_for_a_swarm_that_is_starting(caplog):
@@ -186,6 +238,18 @@ def test_who_does_not_get_ready_says_so_in_time():
     _, said, seconds = play(scene)
     assert said[1] == (False, ("refused", "it is not ready: waiting for the others"))
     assert seconds == pytest.approx(READY, abs=0.5)
+
+
+def test_what_is_not_done_in_time_names_the_time_that_was_given():
+    async def scene(swarm):
+        swarm.refuses, swarm.slow = {1: swarm.clock.now() + 2.7}, 60.0
+        for i in range(3):
+            swarm.comes(i)
+        return await swarm.window.order("land", None, 30.0)
+
+    _, said, seconds = play(scene)
+    assert said == dict.fromkeys(range(3), (False, ("accepted", "not done within 30 s"))), "drone 1 was asked again"
+    assert seconds == pytest.approx(30.0, abs=0.1)
 
 
 def test_drones_that_there_are_not_are_refused_before_anybody_is_asked():

@@ -145,7 +145,9 @@ async def test_a_rise_waits_while_an_operator_holds_the_drone_and_ends_at_the_fe
 @virtual
 async def test_a_height_beyond_the_fence_is_refused_on_the_ground(clock):
     async with in_the_world(clock) as (guidance, pilot):
-        for bad in (2.51, -0.1, np.nan, np.inf, "1"):
+        with pytest.raises(ConfigError, match=r"take_off\(\): found str '1'; .*one number"):
+            await guidance.take_off("1")
+        for bad in (2.51, -0.1, np.nan, np.inf):
             with pytest.raises(ConfigError, match=r"drone 0: take_off\(\): .*allowed: 0 to 2.5 m above .*fence.max"):
                 await guidance.take_off(bad)
         assert pilot.mode is Mode.GROUND

@@ -328,6 +328,47 @@ async def test_a_height_beyond_the_fence_is_refused_before_anybody_flies(clock):
         assert not hasattr(law, "member"), "its mission has not begun"
 
 
+def forever(law):
+    while True:
+        pass
+
+
+@pytest.mark.parametrize(
+    ("height", "said"),
+    [
+        (lambda law: 1.0 / 0.0, r"mission .*test_feedback\.py:\d+: height\(\): found ZeroDivisionError.*or None"),
+        (forever, r"height\(\): found no end within 0.3 s"),
+        (lambda law: np.array([0.5, 1.0]), r"drone 0: height\(\): found ndarray \(2,\); allowed: 0 to 2.5 m.*one num"),
+        (lambda law: np.ones(1), r"found ndarray \(1,\)"),
+        (lambda law: "high", r"found str 'high'"),
+        (lambda law: float("nan"), r"found nan"),
+    ],
+    ids=["raises", "hangs", "array", "array of one", "text", "nan"],
+)
+def test_a_height_that_fails_or_is_no_number_is_refused_before_anybody_flies(monkeypatch, height, said):
+    monkeypatch.setattr("crazychoir.guidance.hook.HOOK", 0.3)
+
+    @virtual
+    async def refused(clock):
+        law, member = High(height), Drone(clock, Told()).law.member
+        with pytest.raises(ConfigError, match=said):
+            law.foresee(member)
+        assert not hasattr(law, "member")
+
+    refused()
+
+
+@virtual
+async def test_a_height_may_be_a_number_of_numpy_and_must_be_a_method(clock):
+    member = Drone(clock, Told()).law.member
+    High(lambda law: np.float32(1.0)).foresee(member)
+    High(lambda law: np.array(1.0)).foresee(member)
+    law = High(None)
+    law.height = 1.0
+    with pytest.raises(ConfigError, match=r"height: found height = float 1.0; allowed: def height\(\)"):
+        law.foresee(member)
+
+
 @virtual
 async def test_a_pilot_that_lands_ends_the_law(clock):
     law = Told()

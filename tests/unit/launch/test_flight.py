@@ -94,6 +94,19 @@ def test_reasons_name_what_has_kept_a_drone_from_where_it_wanted_to_be():
     assert result["reason"] == f"{NO_REASONS}; {filtered}; drone 1: held at the fence for 3 s"
 
 
+def test_the_reason_of_a_report_stands_beside_those_of_drones_that_failed_and_these_say_what_held_them():
+    results = {
+        0: {"success": True, "kept_clear_s": 2.5},
+        1: {"success": False, "reason": "lost", "kept_clear_s": 4.0, "at_fence_s": 3.0},
+        2: {"success": True},
+    }
+    report = {"success": False, "reason": "too slow"}
+    result = result_of(results, mission=SimpleNamespace(report=lambda *_: dict(report)))
+    assert result["reasons"] == {1: "lost; the collision filter has flown it for 4 s; held at the fence for 3 s"}
+    assert result["reason"] == "too slow; drone 0: the collision filter has flown it for 2.5 s"
+    assert result_of(results)["reason"] is None, "nobody gave one of all"
+
+
 def test_drones_that_came_near_enough_to_touch_have_failed():
     every = {i: {"success": True} for i in range(3)}
     result = result_of(every, touching={(0, 2): 0.002})

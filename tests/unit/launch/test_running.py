@@ -88,6 +88,15 @@ def test_nobody_is_waited_for_who_cannot_be_there_and_a_run_that_starts_is(own_p
         assert "Name one: --swarm" in nobody(LAB, "lab.toml").reason
 
 
+def test_a_run_that_is_starting_is_not_absent_and_names_no_other(own_place):
+    with recorded(run_of(own_place, "lab-1", "lab.toml")), recorded(run_of(own_place, "demo-1")):
+        said = nobody(running_swarm("lab.toml"), "lab.toml").reason
+        assert "has not started them yet (a first run compiles its laws" in said
+        assert said.endswith("try again.")
+        assert "--swarm" not in said
+        assert "is it running" not in said
+
+
 def test_two_processes_of_one_swarm_are_one(own_place):
     run = run_of(own_place, "lab", "lab.toml")
     with recorded(run), recorded(Run("lab", "lab.toml", run.source, run.file)):

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import pytest
 
 from crazychoir.errors import ConfigError, Hung
-from crazychoir.guidance import hooks
+from crazychoir.guidance import hook as hooked
 from crazychoir.guidance.base import CFGuidance
 from crazychoir.guidance.feedback import CFDistributedFeedback
 from crazychoir.guidance.mission import load
@@ -135,7 +135,7 @@ def test_in_virtual_time_the_drone_of_code_that_hangs_or_raises_lands_and_the_ot
 
 @pytest.mark.parametrize("hook", ["guidance", "report", "import"])
 def test_a_hook_or_a_file_that_does_not_end_is_said_with_its_line(tmp_path, monkeypatch, hook):
-    monkeypatch.setattr(hooks, "HOOK", 0.2)
+    monkeypatch.setattr(hooked, "HOOK", 0.2)
     monkeypatch.setattr("crazychoir.guidance.mission.HOOK", 0.2)
     path = tmp_path / "mine.py"
     loop = "    while True:\n        pass\n"
