@@ -36,8 +36,6 @@ LEADS = 0.25
 """Of what is left to a goal that moves: ending so near to it, a way still leads there. Each new one begins slowly."""
 ON, OFF = 0.03, 0.05
 """m from what is wanted: as good as there; and too far to catch up without a flight of its own."""
-EVEN = 0.05
-"""m/s, by which it may be faster or slower than what is wanted, to fly that instead of its way."""
 GENTLE = 0.8
 """m/s2, with which it flies where others are: harder ways are flown less exactly."""
 URGENT = 1.6
@@ -109,9 +107,7 @@ class PlannedFlights:
         mine.tell(now)
         self._flew = now
         flown = moving(mine.way, now - mine.began)
-        off = flown[0:6] - wanted.flat[0:6]
-        even = whole == 0.0 or np.linalg.norm(off[3:6]) < EVEN  # what streams is caught up with, before a stranger too
-        self._kept = bool(even and np.linalg.norm(off[0:3]) < ON)
+        self._kept = math.dist(flown[0:3], wanted.p) < ON
         return wanted if self._kept else _reference(flown, wanted.yaw)
 
     def hears(self, state: State, now: float) -> bool:

@@ -167,19 +167,6 @@ async def test_a_stream_that_begins_at_full_speed_is_caught_up_with_gently(clock
 
 
 @virtual
-async def test_what_is_wanted_is_flown_only_as_long_as_it_is_as_fast_as_the_way(clock):
-    _, drones = crowd(clock, (A,))
-    await fly(clock, drones, 0.5)
-    drone, now = drones[0], clock.now()
-    for speed, kept in ((0.02, True), (0.2, False)):
-        wanted = FullState.at(A, [speed, 0.0, 0.0])
-        drone.filter._next = math.inf
-        flown = drone.filter.fly(State.at(A), wanted, lambda later, wanted=wanted: wanted, 1.0, now)
-        assert (flown is wanted) is kept
-        assert drone.filter.delayed is not kept
-
-
-@virtual
 async def test_six_that_swap_across_a_circle_arrive_though_messages_are_lost_in_bursts(clock):
     angles = np.pi / 3.0 * np.arange(6)
     spots = np.column_stack([1.5 * np.cos(angles), 1.5 * np.sin(angles), np.full(6, 1.0)])
