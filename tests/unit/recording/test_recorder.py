@@ -62,7 +62,7 @@ VALUES = {
     COMMAND: FPQR(np.arange(4.0)), TRUTH: State.at((7, 8, 9)), STATUS: Status("hovering", suspect=[1], cost=0.5),
     RESULT: {"success": True, "place": np.ones(3)}, LOG: "drone 1: a line",
     BODY: Body("crashed"), TELEMETRY: {"pm.vbat": [3.9, 0.05]},
-    PLAN: Plan(np.ones((1, 25)), 0.5, np.zeros((0, 25)), 0.0, 3, {0: 2}),
+    PLAN: Plan(np.ones((1, 25)), 0.5, np.zeros((0, 25)), 0.0, 3, {0: 2}, np.zeros(0)),
 }  # fmt: skip
 
 
@@ -91,7 +91,7 @@ def test_every_observable_topic_arrives_as_it_was_sent(tmp_path, observer):
     assert by_topic["body"]["harm"] == "crashed"
     assert by_topic["telemetry"]["json"] == '{"pm.vbat": [3.9, 0.05]}'
     plan = json.loads(by_topic["plan"]["json"])
-    assert (plan["way"], plan["offer"], plan["agreed"]) == ([[1.0] * 25], [], {"0": 2})
+    assert (plan["way"], plan["offer"], plan["agreed"], plan["awaits"]) == ([[1.0] * 25], [], {"0": 2}, [])
 
 
 def test_ages_make_times_of_birth(tmp_path):
