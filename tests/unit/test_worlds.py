@@ -341,7 +341,7 @@ def test_the_cameras_of_a_world_see_its_drones_tilted_as_the_swarm_file_says():
     config = SwarmConfig.of({"name": "a", "drones": [drone], "mocap": mocap})
 
     async def main(clock):
-        agent = Agent(clock, config, SimpleNamespace(guidance=lambda i, config: None), (0,))
+        agent = Agent(clock, config, SimpleNamespace(guidance=lambda i, config: Stays()), (0,))
         (owner,) = agent.owners
         told = []
         owner.world.see = lambda i, pose: told.append(pose)
