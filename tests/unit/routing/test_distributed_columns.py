@@ -310,7 +310,7 @@ def test_disclosed_names_all_that_introductions_tell(graph):
     assert "route lengths or times" in solution.disclosed
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", [*(pytest.param(s, marks=pytest.mark.slow) for s in range(3)), 3])
 def test_a_large_team_proves_a_bound_by_halves_or_names_its_relaxation(graph, seed):
     """With most_listed = 0 every team is large. The bound by halves is that of the gossip: both are the relaxation."""
     instance, links = random_instance(4, 7, seed, capable=0.8, route_length_limit=27.0), graph("ring", 4)
