@@ -157,7 +157,7 @@ def check(config: SwarmConfig, force: bool = False) -> list[str]:
         return []
     crowd = f"{len(config.ids)} drones fly through one point at once; {CROWD} have been tried, and a hundred met there"
     if not force:
-        raise Refused("crossing", f'{crowd}. Take pattern = "permutation", or force it.')
+        raise Refused("crossing", f'{crowd}. Take pattern = "permutation" in [mission_options], or --force.')
     return [crowd]
 
 

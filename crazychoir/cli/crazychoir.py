@@ -58,7 +58,7 @@ def run(
     loss: Annotated[float | None, typer.Option(help="Share of messages between drones that is lost.")] = None,
     seed: Annotated[int | None, typer.Option(help="Seed, instead of the swarm file's.")] = None,
     swarm: Annotated[str | None, typer.Option(help="Swarm file for a mission.")] = None,
-    force: Annotated[bool, typer.Option(help="Fly a formation that is very slow.")] = False,
+    force: Annotated[bool, typer.Option(help="Fly what the mission warns of: slow formations, crowds.")] = False,
     wait: Annotated[
         bool, typer.Option("--wait", help="Wait for an operator: `crazychoir take-off`, then `start`.")
     ] = False,

@@ -211,8 +211,8 @@ def summary_table(run: dict[str, Any]) -> Table:
         if run.get(key) is not None:
             table.add_row(key, form.format(run[key] if not isinstance(run[key], dict) else _pairs(run[key])))
     for key in run.get("report", ()):
-        if key not in dict(shown) and not isinstance(run[key], list | tuple):
-            table.add_row(key, Text(_pairs(run[key]) if isinstance(run[key], dict) else _short(run[key])))
+        if key not in dict(shown) and (text := _figures(run[key])):
+            table.add_row(key, Text(text))
     if run.get("recording"):
         table.add_row("recording", Text(_recording(run["recording"])))
     if run.get("reason"):
@@ -233,6 +233,17 @@ def _recording(recording: dict[str, Any]) -> str:
     lost, error = recording["lost"], recording["error"]
     text = f"{recording['file']}: {recording['messages']} messages"
     return text + (f", {lost} lost" if lost else "") + (f"; ended early: {error}" if error else "")
+
+
+def _figures(value: Any) -> str:
+    """What a mission reports, on one line: empty where it is a list of more than figures, which only JSON has."""
+    value = value.tolist() if hasattr(value, "tolist") else value
+    if isinstance(value, dict):
+        return _pairs(value)
+    if not isinstance(value, list | tuple):
+        return _short(value)
+    plain = all(isinstance(one, bool | int | float | str) for one in value)
+    return ", ".join(_short(one) for one in value) if plain else ""
 
 
 def _pairs(values: dict[Any, Any]) -> str:

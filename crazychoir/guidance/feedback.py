@@ -2,6 +2,8 @@
 
 import asyncio
 import logging
+import math
+import sys
 from abc import abstractmethod
 from collections.abc import Mapping
 from typing import Any
@@ -110,7 +112,15 @@ class CFDistributedFeedback(CFGuidance):
         return None
 
     def foresee(self, member: Member) -> None:
-        """Raise ConfigError for a `height` that fails, or does not end, and for a take-off beyond the fence."""
+        """Raise ConfigError for a `height` that fails, or does not end, and for a take-off beyond the fence.
+
+        And for a `rate` and a `duration` that are no numbers above 0; a law may last for ever.
+        """
+        for name, most in (("rate", sys.float_info.max), ("duration", math.inf)):
+            value = getattr(self, name)
+            if not (isinstance(value, int | float | np.number) and 0.0 < value <= most):
+                where = f"drone {member.id}: {type(self).__name__}.{name}"
+                raise ConfigError(where, value, f"a number of {'Hz' if name == 'rate' else 's'} above 0")
         self.member = member
         try:
             self.require_height(self._foreseen(), "height()")

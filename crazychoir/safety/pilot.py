@@ -48,7 +48,7 @@ from crazychoir.safety.modes import (
     after,
     refusal,
 )
-from crazychoir.safety.references import ahead, flyable
+from crazychoir.safety.references import ahead, flyable, unflyable
 from crazychoir.swarm.tables import Flight
 from crazychoir.types import (
     STILL,
@@ -377,7 +377,7 @@ class Pilot(Actor):
             self._say("sender", why)
             return False
         if wanted is None:
-            self._say("reference", f"{type(reference).__name__} is no finite reference of its shape: not flown")
+            self._say("reference", f"{type(reference).__name__} is {unflyable(reference)}: not flown")
             return False
         if isinstance(wanted, Goto):
             self._fly_goto(wanted)

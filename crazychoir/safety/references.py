@@ -1,10 +1,11 @@
 """References that a pilot is asked to follow: which of them it can fly, and where they will be."""
 
 import math
+from typing import get_args
 
 import numpy as np
 
-from crazychoir.types import FullState, Goto, Velocity
+from crazychoir.types import FullState, Goto, Reference, Velocity
 
 
 def flyable(reference: object) -> bool:
@@ -28,3 +29,10 @@ def ahead(reference: FullState, later: float) -> FullState:
     """Where a reference will be `later` s from now if it goes on as it does."""
     p, v, a = reference.p, reference.v, reference.a
     return FullState.at(p + later * v + 0.5 * later**2 * a, v + later * a, a, yaw=reference.yaw)
+
+
+def unflyable(reference: object) -> str:
+    """What one is that is not flyable."""
+    if isinstance(reference, Reference):
+        return "no finite reference of its shape"
+    return f"none of {', '.join(kind.__name__ for kind in get_args(Reference))}"

@@ -115,6 +115,15 @@ def test_a_run_says_which_drones_it_started_when_not_all():
     assert "2, 3" in row
 
 
+def test_what_a_mission_reports_is_shown_if_it_is_figures_in_a_row_too():
+    report = {"radii": [0.5, 0.51], "gaps": SimpleNamespace(tolist=lambda: [89.98]), "plan": [{"task": 3}], "left": []}
+    text = printed(show.summary_table(RUN | report | {"report": list(report)}))
+    assert "0.5, 0.51" in text
+    assert "89.98" in text
+    assert "plan " not in text
+    assert "left " not in text
+
+
 def test_a_run_is_named_by_its_mission_and_the_swarm_that_has_a_file():
     there = RUN | {"mission": "/home/who/law.py"}
     assert "law.py: success" in printed(show.summary_table(there))

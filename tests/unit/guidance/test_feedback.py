@@ -1,6 +1,7 @@
 """CFDistributedFeedback: when `step` runs, what it gets, and what becomes of its errors; in virtual time."""
 
 import asyncio
+import math
 
 import numpy as np
 import pytest
@@ -354,6 +355,22 @@ def test_a_height_that_fails_or_is_no_number_is_refused_before_anybody_flies(mon
         with pytest.raises(ConfigError, match=said):
             law.foresee(member)
         assert not hasattr(law, "member")
+
+    refused()
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [("rate", 0), ("rate", "fast"), ("rate", math.inf), ("duration", -1.0), ("duration", math.nan)]
+)
+def test_a_rate_or_a_duration_that_is_no_number_above_0_is_refused_before_anybody_flies(name, value):
+    @virtual
+    async def refused(clock):
+        law, member = High(lambda law: 1.0), Drone(clock, Told()).law.member
+        law.duration = math.inf
+        law.foresee(member)
+        setattr(law, name, value)
+        with pytest.raises(ConfigError, match=rf"drone 0: High\.{name}.* above 0"):
+            law.foresee(member)
 
     refused()
 
