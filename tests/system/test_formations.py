@@ -10,7 +10,9 @@ from crazychoir.errors import Refused
 from crazychoir.guidance.bearing import bearing_laplacian
 from crazychoir.guidance.mission import load
 from crazychoir.launch.flight import fly_fast
+from crazychoir.safety.pilot import Pilot
 from crazychoir.swarm.config import SwarmConfig
+from crazychoir.types import Pose
 
 pytestmark = pytest.mark.system
 DEPLOY = Path(__file__).parents[2] / "deploy"
@@ -55,6 +57,25 @@ def test_eleven_take_the_places_of_a_letter():
     result = flown("bearing_formation", 11)
     assert result["success"], result["reasons"]
     assert result["settling_s"] <= 6.0
+
+
+def test_thirty_keep_their_places_though_frames_come_late_by_other_times(monkeypatch):
+    """As in real time: what a drone takes its velocity for must be what its neighbours hear, or all bob together."""
+    draw, frame, posed = np.random.default_rng(1), {}, Pilot._posed
+
+    def late(pilot, pose, age):
+        now = pilot.clock.now_ns()
+        if now not in frame:
+            frame.clear()
+            frame[now] = abs(draw.normal(0.0, 0.006))
+        posed(pilot, None if pose is None else Pose(pose.flat, frame[now]), frame[now])
+
+    monkeypatch.setattr(Pilot, "_posed", late)
+    config = load("bearing_formation").swarm(30)
+    result = flown("bearing_formation", 30, mission_options=config.mission_options | {"duration": 7.0})
+    assert result["success"], result["reasons"]
+    assert result["formation_error_m"] < 0.003
+    assert result["settling_s"] < 2.0
 
 
 def similarity(a, b):
