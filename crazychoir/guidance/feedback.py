@@ -38,8 +38,8 @@ class CFDistributedFeedback(CFGuidance):
     rate: Hz, at most that of the poses;  duration: s of the law, after everybody hovers;  gains: of the control that
     flies its Accelerations;  rest: s that it hovers before: what its control learns of thrust and trim while it hovers
     is all that it knows while it flies Accelerations;  paired: whether it hears neighbours as Paired does: place and
-    velocity of the tick in which their acceleration was commanded, held with it while nothing comes; its own velocity is
-    then what its neighbours hear: differences would be amplified by a large graph.
+    velocity of the tick in which their acceleration was commanded, held with it while nothing comes; its own velocity
+    is then what its neighbours hear: differences would be amplified by a large graph.
     """
 
     rate = 100.0
