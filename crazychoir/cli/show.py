@@ -6,6 +6,7 @@ import logging
 import os
 import sys
 import time
+import traceback
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, NoReturn, Self, TypeVar
@@ -36,6 +37,25 @@ PICTURES = (".png", ".pdf", ".svg")
 """Kinds of pictures that are drawn."""
 
 
+class TracesOnce(logging.Filter):
+    """Thirty drones whose law fails in the same line say so each; how it came there is shown once."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._shown: set[tuple[object, ...]] = set()
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        """Every record passes, without its traceback if that was shown."""
+        error = record.exc_info[1] if record.exc_info else None
+        if error is not None:
+            at = traceback.extract_tb(error.__traceback__)[-1:]
+            key = (type(error), *((place.filename, place.lineno) for place in at))
+            if key in self._shown:
+                record.exc_info = record.exc_text = None
+            self._shown.add(key)
+        return True
+
+
 def set_up_logging(level: int = logging.WARNING) -> None:
     """Logs go to standard error."""
     if sys.stderr.isatty():
@@ -44,6 +64,7 @@ def set_up_logging(level: int = logging.WARNING) -> None:
         handler: logging.Handler = RichHandler(console=STDERR, show_path=False, rich_tracebacks=False)
     else:
         handler = logging.StreamHandler()
+    handler.addFilter(TracesOnce())
     logging.basicConfig(level=level, format="%(message)s", handlers=[handler], force=True)
 
 
