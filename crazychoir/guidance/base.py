@@ -16,7 +16,7 @@ from crazychoir.guidance.turns import CLOSE, TURN, aside, blocked, first_at
 from crazychoir.optimization.checks import require_graph
 from crazychoir.planning.feasibility import Limits, check
 from crazychoir.planning.trajectory import Trajectory
-from crazychoir.safety.modes import Mode
+from crazychoir.safety.modes import HELD, Mode
 from crazychoir.swarm.communicator import Communicator
 from crazychoir.swarm.graph import Graph
 from crazychoir.swarm.round import Round
@@ -243,7 +243,7 @@ class CFGuidance:
             if hindered > 2 and first_at(pilot, np.asarray(p)) < self.id:
                 await self._wait_aside(np.asarray(p))
         place = np.round(np.asarray(p), 2).tolist()
-        why = "held by its operator" if pilot.held else pilot.note or "no reason"
+        why = HELD if pilot.held else pilot.note or "no reason"
         raise Interrupted(f"drone {self.id}: does not reach {place}, still {pilot.gap(p):.2f} m from it: {why}")
 
     async def _wait_aside(self, p: Vec) -> None:
@@ -273,7 +273,7 @@ class CFGuidance:
         seconds = pilot.fly(trajectory)
         await self._while(seconds, Mode.FOLLOW)
         if seconds == 0.0 or pilot.gap(end.p) > ARRIVED:
-            why = "held by its operator" if pilot.held else pilot.note
+            why = HELD if pilot.held else pilot.note
             raise Interrupted(f"drone {self.id}: its trajectory of {trajectory.duration:.1f} s was not flown: {why}")
 
     def _require_feasible(self, trajectory: Trajectory) -> None:

@@ -9,6 +9,7 @@ from crazychoir.bus.presence import Presence
 from crazychoir.guidance.base import CFGuidance
 from crazychoir.guidance.sensors import Sensors
 from crazychoir.runtime.supervisor import Supervisor
+from crazychoir.safety.modes import HELD
 from crazychoir.safety.pilot import Pilot
 from crazychoir.swarm.communicator import Communicator
 from crazychoir.swarm.roster import Barrier
@@ -54,5 +55,5 @@ class Drone:
             gone=monitor.those(Presence.LOST),
             process=self.port.bus.process,
             host=self.port.bus.host,
-            note=self.waits or self.pilot.note,
+            note=self.waits or "; ".join(text for text in (HELD if self.pilot.held else "", self.pilot.note) if text),
         )

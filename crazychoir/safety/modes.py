@@ -37,6 +37,8 @@ DOWN = (GROUND, CUT)
 GUIDED = (FOLLOW, HOVER, TAKEOFF)
 COMMANDS = (Event.TAKE_OFF, Event.START, Event.HOLD, Event.GO, Event.LAND, Event.HOME, Event.STOP)
 """What an operator may command."""
+HELD = "held by its operator"
+"""Said of a drone that stays where it is until it is let go."""
 
 _STANDS, _LANDS = "it is on the ground", "it is landing"
 _RETURNS = "it is returning: its mission is over"

@@ -39,6 +39,7 @@ from crazychoir.safety.modes import (
     FOLLOW,
     GROUND,
     GUIDED,
+    HELD,
     HOVER,
     LAND,
     RETURN,
@@ -286,7 +287,7 @@ class Pilot(Actor):
             self._say("rise", f"a take-off to {height} m: not flown")
             return 0.0
         if self.held:
-            self._say("held", "held by its operator: no take-off until it is let go")
+            self._say("held", f"{HELD}: no take-off until it is let go")
             return 0.0
         if refusal(self.mode, Event.TAKE_OFF) or self.state is None:
             return 0.0

@@ -162,6 +162,7 @@ def test_hold_freezes_and_go_frees():
         await operator.clock.sleep(0.7)
         assert operator.modes() == [Mode.FOLLOW] * 3
         assert await operator.order("hold", 0) == (DONE, "held")
+        assert [drone.status().note for drone in operator.agent.drones.values()] == ["held by its operator", "", ""]
         await operator.clock.sleep(5.0)
         assert operator.pilot(0).state.p[1] < 1.0
         assert operator.pilot(1).state.p[1] == pytest.approx(1.5, abs=0.05)
