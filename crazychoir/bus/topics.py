@@ -87,12 +87,15 @@ ACK = Topic(19, "ack", None, 0, NEVER_STALE, 0, Class.ROUNDS, wire="edge")
 REQUEST = Topic(24, "request", None, 0, NEVER_STALE, 0, Class.ROUNDS, impaired=False, wire="edge")
 ANSWER = Topic(25, "answer", None, 0, NEVER_STALE, 0, Class.ROUNDS, impaired=False, wire="edge")
 ESTOP = Topic(26, "estop", None, 0, NEVER_STALE, 0, Class.ESTOP, impaired=False, wire="edge")
+# Between any two drones: whose states one of them lacks, and what the other has of them.
+SOUGHT = Topic(13, "sought", None, 0, NEVER_STALE, 0, Class.CONTROL, wire="edge")
+HEARSAY = Topic(14, "hearsay", None, 0, NEVER_STALE, 0, Class.CONTROL, wire="edge")
 # Between processes.
 HELLO = Topic(32, "hello", None, 1, NEVER_STALE, 0, Class.ROUNDS, impaired=False, wire="process")
 
 TOPICS = (
     POSE, STATE, REFERENCE, COMMAND, TRUTH, STATUS, RESULT, LOG, BODY, TELEMETRY, CUT, PLAN,
-    ROUND, HEARTBEAT, ROSTER, ACK, REQUEST, ANSWER, ESTOP, HELLO,
+    ROUND, HEARTBEAT, ROSTER, ACK, REQUEST, ANSWER, ESTOP, SOUGHT, HEARSAY, HELLO,
 )  # fmt: skip
 BY_NAME = {topic.name: topic for topic in TOPICS}
 BY_NUMBER = {topic.number: topic for topic in TOPICS}

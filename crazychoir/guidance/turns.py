@@ -5,8 +5,8 @@ import math
 import numpy as np
 
 from crazychoir.math3d import Vec
-from crazychoir.safety.collision.filter import STANDING, USABLE
-from crazychoir.safety.collision.traffic import BORN
+from crazychoir.safety.collision.filter import STANDING
+from crazychoir.safety.collision.traffic import BORN, USABLE
 from crazychoir.safety.guard import EDGE, Fence
 from crazychoir.safety.pilot import Pilot
 

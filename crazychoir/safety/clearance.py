@@ -56,7 +56,7 @@ class Clearance:
         collision = self.filter
         if collision is None:
             return None
-        collision.traffic.look(now)
+        collision.look(now)
         if isinstance(reference, FullState):
             safe = collision.full_state(state, reference.flat, gains, now, lands=lands)
         else:
@@ -122,7 +122,8 @@ class Clearance:
         return flown
 
     def rest(self, now: float) -> None:
-        """It is on the ground."""
+        """It is on the ground: whether it is cut off is asked anew when it flies."""
+        self._cut_off = math.inf
         if self.planned is not None:
             self.planned.rest(now)
 

@@ -16,7 +16,7 @@ from crazychoir.bus.topics import PLAN
 from crazychoir.math3d import Mat, Vec
 from crazychoir.runtime.clock import SECOND
 from crazychoir.runtime.mailbox import Call
-from crazychoir.safety.collision.filter import USABLE
+from crazychoir.safety.collision.traffic import USABLE
 from crazychoir.safety.collision.ways import PIECE
 from crazychoir.types import Plan
 

@@ -8,9 +8,21 @@ from crazychoir.math3d import Triple, Vec, clip, dot, kernel, memory, real, tabl
 from crazychoir.safety.collision.barrier import approach, barrier, part
 from crazychoir.safety.collision.cells import cell
 from crazychoir.safety.collision.deadlock import turned
+from crazychoir.safety.collision.hearsay import Hearsay
 from crazychoir.safety.collision.motion import late, length, scaled, shrunk
 from crazychoir.safety.collision.projection import nearest
-from crazychoir.safety.collision.traffic import BORN, BORNE, SHARE, SLOW, SOON, Traffic
+from crazychoir.safety.collision.traffic import (
+    BORN,
+    BORNE,
+    GONE,
+    HEARD,
+    SHARE,
+    SILENT,
+    SLOW,
+    SOON,
+    USABLE,
+    Traffic,
+)
 from crazychoir.safety.guard import Fence
 from crazychoir.swarm.tables import Collision
 from crazychoir.types import State
@@ -21,16 +33,10 @@ STANDING = 0.08
 """m above the ground, below which a drone stands on the floor, or as good as."""
 BODY, BESIDE = 0.15, 0.2
 """m, between the centres of two drones one of which stands on the floor: 0.137 m would touch; and for who lands."""
-USABLE = 0.6
-"""s: a state that is older is no use."""
 NEAR = 0.5
 """m, between the ellipsoids of this drone and of one that it does not hear, below which it brakes."""
 LASTS = 0.15
 """s, for which a drone is taken to go on commanding what it did: two that foresee more of each other flee for ever."""
-SILENT = 1.5
-"""s, after which a drone that flew counts as not heard by who asks whether it is cut off."""
-GONE = 10.0
-"""s: a drone that is not heard for so long has come down, see clearance.DEAF: it is cut off itself, or has failed."""
 HIDES = 2.0
 """s, for which one that is not heard flies on at most, before it brakes for want of the others' states."""
 HOLDS = 0.2
@@ -145,8 +151,8 @@ def _filtered(
             other[SOON] = other[BORNE] = math.inf
             continue
         if not stands:
-            heard += age < SILENT
-            silent += age >= SILENT
+            heard += now - other[HEARD] < SILENT
+            silent += now - other[HEARD] >= SILENT
         apart = length((f[SX] * (x[0] - other[0]), f[SY] * (x[1] - other[1]), f[SZ] * (x[2] - other[2])))
         speeds = length((x[3], x[4], x[5])) + length((other[3], other[4], other[5]))
         other[SOON] = (apart - 2.0 * f[WIDTH]) / (speeds + SLOW)
@@ -218,7 +224,7 @@ class CollisionFilter:
         self, settings: Collision, traffic: Traffic, fence: Fence, a_max: float, v_max: float, ground: float
     ) -> None:  # fmt: skip
         sx, sy, sz = settings.semi_axes
-        self.traffic = traffic
+        self.traffic, self.hearsay = traffic, Hearsay(traffic)
         self._figures = np.array([
             settings.lag, settings.delay, 1.0, sx / sy, sx / sz, 2.0 * sx + settings.margin, settings.brake,
             settings.gamma, 1.5 * a_max, a_max, settings.turn, settings.range, settings.unsure, ground, v_max,
@@ -227,6 +233,11 @@ class CollisionFilter:
         self._box = np.array([*fence.low, *fence.high]) + np.repeat([1.0, -1.0], 3) * settings.margin
         self._planes, self._near, self._out = np.zeros((6 + MOST + 6, 4)), np.zeros((MOST, 2)), np.zeros(9)
         self._accelerates = np.zeros(14)
+
+    def look(self, now: float) -> None:
+        """See to it that it hears those that are near, now and then."""
+        if self.traffic.look(now):
+            self.hearsay.seek(now)
 
     def full_state(self, state: State, reference: Vec, gains: Vec, now: float, lands: bool = False) -> Vec | None:
         """The acceleration (3,) for who flies the reference (14,) by these gains; None: as he would."""

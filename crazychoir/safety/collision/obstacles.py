@@ -6,10 +6,10 @@ import numpy as np
 
 from crazychoir.math3d import Vec
 from crazychoir.safety.collision.agreement import Agreement, Other
-from crazychoir.safety.collision.filter import BODY, STANDING, USABLE
+from crazychoir.safety.collision.filter import BODY, STANDING
 from crazychoir.safety.collision.landing_place import nearest_free
 from crazychoir.safety.collision.meeting import Meeting
-from crazychoir.safety.collision.traffic import BORN, SLOW, SOON, Traffic
+from crazychoir.safety.collision.traffic import BORN, SLOW, SOON, USABLE, Traffic
 from crazychoir.safety.collision.ways import end
 from crazychoir.safety.guard import Fence
 from crazychoir.types import State

@@ -15,10 +15,11 @@ from crazychoir.math3d import Vec
 from crazychoir.safety.collision.agreement import NO_WAY, NOWHERE, Agreement
 from crazychoir.safety.collision.aim import NEAR, Aim
 from crazychoir.safety.collision.detours import Detours
-from crazychoir.safety.collision.filter import BODY, USABLE
+from crazychoir.safety.collision.filter import BODY
+from crazychoir.safety.collision.hearsay import Hearsay
 from crazychoir.safety.collision.meeting import Meeting
 from crazychoir.safety.collision.obstacles import UNANSWERED, Obstacles
-from crazychoir.safety.collision.traffic import Traffic
+from crazychoir.safety.collision.traffic import USABLE, Traffic
 from crazychoir.safety.collision.ways import braking, end, flight, hardest, keeping_up, moving, seconds
 from crazychoir.safety.guard import Fence
 from crazychoir.swarm.tables import Collision
@@ -76,6 +77,7 @@ class PlannedFlights:
         self.traffic, self.a_max, self.v_max = traffic, a_max, v_max
         figures = np.array([sx / sy, sx / sz, 2.0 * sx + settings.margin + settings.slack, BODY])
         self.agreement = Agreement(port, planners)
+        self.hearsay = Hearsay(traffic)  # it answers; who is not heard by it is asked for its way
         self.obstacles = Obstacles(figures, self.agreement, traffic, a_max, ground)
         self.detours = Detours(v_max, a_max, fence, np.random.default_rng(port.address))
         self._flew, self._next = -math.inf, 0.0

@@ -9,12 +9,21 @@ from crazychoir.bus.local import ANY, Port
 from crazychoir.bus.topics import STATE
 from crazychoir.runtime.clock import SECOND
 from crazychoir.runtime.mailbox import Call
-from crazychoir.types import State
+from crazychoir.types import State, Vec
 
-BORN, SHARE, SOON, BORNE, COLUMNS = 16, 17, 18, 19, 20
+BORN, SHARE, SOON, BORNE, HEARD, COLUMNS = 16, 17, 18, 19, 20, 21
 """Columns after the state (13,) and the acceleration (3,): s, when it was so; 1 if it gives way to nobody, else 0.5;
-s, after which both could be near each other; s, the age of its state beyond which one brakes for want of a newer one.
+s, after which both could be near each other; s, the age of its state beyond which one brakes for want of a newer one;
+s, when it was so that it itself has said it: of others it may be heard later.
 """
+USABLE = 0.6
+"""s: a state that is older is no use."""
+SILENT = 1.5
+"""s, after which a drone that flew counts as not heard by who asks whether it is cut off."""
+GONE = 10.0
+"""s: a drone of which nobody hears for so long has come down, see Hearsay: it is cut off itself, or has failed."""
+FAR, FASTEST = 1e6, 100.0
+"""m, m/s2: a state with larger numbers is none."""
 SLOW = 0.3
 """m/s, by which two drones may be faster at once than they are."""
 SELDOM, OFTEN, TOTAL = 2.0, 20.0, 100.0
@@ -41,6 +50,7 @@ class Traffic:
         self.rows = np.zeros((len(self.ids), COLUMNS))
         self._parts = {j: (row, row[0:13], row[13:16]) for j, row in zip(self.ids, self.rows, strict=True)}
         self.rows[:, 9], self.rows[:, BORN], self.rows[:, SOON] = 1.0, -np.inf, np.inf
+        self.rows[:, HEARD] = -np.inf
         self.rows[:, BORNE] = np.inf
         self.rows[:, SHARE] = [1.0 if j in alone else 0.5 for j in self.ids]
         self._pace = np.zeros(len(self.ids))
@@ -49,21 +59,38 @@ class Traffic:
             rate = min(max(TOTAL / len(self.ids), SELDOM), OFTEN)
             port.bus.subscribe(STATE, ANY, port.address, Call(self.clock, self.hear, "traffic"), rate)
 
+    def now(self) -> float:
+        """s, by the clock of the ages."""
+        return self.clock.now_ns() / SECOND
+
     def hear(self, message: tuple[int, State], age: float) -> None:
-        """Keep a state of a drone, `age` s old, unless a newer one is there or it is not finite."""
+        """Keep a state that a drone has said, `age` s ago, unless a newer one is there or it is none."""
+        row = self._keep(message, age)
+        if row is not None:
+            row[HEARD] = row[BORN]
+
+    def told(self, message: tuple[int, State], age: float) -> None:
+        """Keep a state of a drone that another one has told."""
+        self._keep(message, age)
+
+    def _keep(self, message: tuple[int, State], age: float) -> Vec | None:
         j, state = message
         found = self._parts.get(j)
-        if found is None:
-            return
+        if found is None or not (
+            math.hypot(*state.flat.tolist()) < FAR and math.hypot(*state.a.tolist()) < FASTEST
+        ):
+            return None
         row, flat, a = found
-        born = self.clock.now_ns() / SECOND - age
-        if born >= row[BORN] and math.isfinite(sum(state.flat.tolist())):
-            flat[:], a[:], row[BORN] = state.flat, state.a, born
+        born = self.now() - age
+        if born < row[BORN]:
+            return None
+        flat[:], a[:], row[BORN] = state.flat, state.a, born
+        return row
 
-    def look(self, now: float) -> None:
-        """Say the own state more often to who is near, now and then."""
+    def look(self, now: float) -> bool:
+        """Say the own state more often to who is near, now and then: whether it has looked."""
         if now < self._looks:
-            return
+            return False
         self._looks = now + LOOK
         soon, borne, pace = self.rows[:, SOON], self.rows[:, BORNE], np.zeros(len(self.ids))
         for reached, tiers in ((soon, RATES), (borne, PATIENCE)):
@@ -72,3 +99,4 @@ class Traffic:
         for k in np.flatnonzero(pace != self._pace).tolist():
             self.port.pace(STATE, self.ids[k], float(pace[k]))
         self._pace = pace
+        return True

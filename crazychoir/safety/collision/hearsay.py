@@ -1,0 +1,79 @@
+"""What the others hear of a drone that this one does not hear: it asks them, and tells what it hears itself."""
+
+from typing import Any
+
+import numpy as np
+
+from crazychoir.bus.codec import decode, encode
+from crazychoir.bus.topics import HEARSAY, SOUGHT, Topic
+from crazychoir.errors import CodecError
+from crazychoir.safety.collision.traffic import BORN, BORNE, GONE, HEARD, SILENT, USABLE, Traffic
+from crazychoir.types import State
+
+ASKS = 0.25
+"""s, of the age of a state, before which nobody is asked for a newer one."""
+AHEAD, LAST = 1.0, 2.0
+"""s before it would brake for want of a state, and before it would count its drone as gone, from when on it asks."""
+NEAREST = 2
+"""Of those that it hears, so many that are nearest to whom it seeks are asked each time, and one more in turn."""
+
+
+class Hearsay:
+    """Asks and answers for a Traffic; what is told counts as heard, but for who asks whether it is cut off.
+
+    Where one link fails, others hear both its ends. Two drones that fly and do not hear each other always have such a
+    third one, unless one of them hears less than half of the others, which lands (DEAF): of F that fly, both hear at
+    least (F - 1) / 2 among F - 2. So who is told nothing may count on it that the other comes down.
+    """
+
+    def __init__(self, traffic: Traffic) -> None:
+        self.traffic, self.port = traffic, traffic.port
+        self._sent = self._turn = 0
+        self.port.handlers[SOUGHT.number] = self._asked
+        self.port.handlers[HEARSAY.number] = self._told
+
+    def seek(self, now: float) -> None:
+        """Ask for those whose newer state is needed soon."""
+        rows, ids = self.traffic.rows, self.traffic.ids
+        age = now - rows[:, BORN]
+        needed = np.minimum(np.maximum(ASKS, rows[:, BORNE] - AHEAD), GONE - LAST)
+        sought = np.flatnonzero((age > needed) & (age < GONE) & np.isfinite(rows[:, BORNE]))
+        heard = np.flatnonzero(now - rows[:, HEARD] < SILENT)
+        if not sought.size or not heard.size:
+            return
+        asked: dict[int, list[int]] = {}
+        for s in sought.tolist():
+            far = np.linalg.norm(rows[heard, 0:3] - rows[s, 0:3], axis=1)
+            self._turn += 1
+            chosen = {*np.argsort(far, kind="stable")[:NEAREST].tolist(), self._turn % len(heard)}
+            for k in sorted(chosen):
+                asked.setdefault(ids[int(heard[k])], []).append(ids[s])
+        for k, those in asked.items():
+            self._send(SOUGHT, k, [j for j in those if j != k])
+
+    def _send(self, topic: Topic, to: int, value: list[Any]) -> None:
+        if value:
+            self._sent += 1
+            self.port.send(topic, (to,), encode(value), self._sent)
+
+    def _asked(self, source: int, payload: bytes, number: int, channel: str, flags: int, age: float) -> None:
+        traffic = self.traffic
+        try:
+            those = [traffic.ids.index(j) for j in decode(payload) if j in traffic.ids]
+        except (CodecError, TypeError):
+            self.port.counters.malformed += 1
+            return
+        now, told = traffic.now(), []
+        for row, j in ((traffic.rows[k], traffic.ids[k]) for k in those):
+            if now - row[HEARD] < USABLE and row[HEARD] == row[BORN]:
+                told.append([j, State(row[0:13].copy(), 0.0, row[13:16].copy()), now - float(row[BORN])])
+        self._send(HEARSAY, source, told)
+
+    def _told(self, source: int, payload: bytes, number: int, channel: str, flags: int, age: float) -> None:
+        try:
+            for j, state, old in decode(payload):
+                if not (isinstance(state, State) and isinstance(old, float) and old >= 0.0):
+                    raise TypeError
+                self.traffic.told((j, state), age + old)
+        except (CodecError, TypeError, ValueError):
+            self.port.counters.malformed += 1
