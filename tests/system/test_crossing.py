@@ -22,17 +22,23 @@ def crossing(n, seed, method, pattern="antipodal", **options):
 
 
 def flown(mission, config):
-    """m, the least scaled distance of any two that fly, and s of the law after which all stayed at their goals."""
+    """m, the least scaled distance of any two that fly; s of its law after which the last one stayed at its goal.
+
+    It is infinite if one is not there at the end of its law.
+    """
     flights = fly(config, mission)
     n = min(len(flight.t) for flight in flights.values())
     p = np.stack([flight.p[:n] for flight in flights.values()], axis=1)
     up = np.stack([flight.p[:n, 2] > 0.1 for flight in flights.values()], axis=1)
-    law = np.all([flight.during(Mode.FOLLOW)[:n] for flight in flights.values()], axis=0)
-    goals = np.array([mission.goal(config)[i] for i in flights])
-    away = np.any(np.linalg.norm(p - goals, axis=2) > WITHIN, axis=1)
-    arrived = 0.01 * float(np.sum(law[: np.flatnonzero(law & away)[-1] + 1]))
     assert all(flight.result["success"] for flight in flights.values()), [f.result for f in flights.values()]
-    return least(p, up), arrived
+    return least(p, up), max(arrival(flight, mission.goal(config)[i]) for i, flight in flights.items())
+
+
+def arrival(flight, goal):
+    """s of a drone's law after which it stayed within WITHIN of its goal to the law's end; infinite if it did not."""
+    law = np.flatnonzero(flight.during(Mode.FOLLOW))
+    away = np.flatnonzero(np.linalg.norm(flight.p[law] - goal, axis=1) > WITHIN)
+    return np.inf if away[-1] == len(law) - 1 else float(flight.t[law[away[-1] + 1]] - flight.t[law[0]])
 
 
 def least(p, up):
@@ -54,8 +60,13 @@ def test_two_head_on_and_four_antipodal_pass_each_other(method):
 
 
 def test_without_the_filter_they_meet():
-    distance, _ = flown(*crossing(2, 1, "off", radius=1.2, low=0.8, high=1.2, jitter=0.02, duration=5.0))
+    distance, arrived = flown(*crossing(2, 1, "off", radius=1.2, low=0.8, high=1.2, jitter=0.02, duration=5.0))
     assert distance < MEET
+    assert arrived < 5.0
+
+
+def test_who_is_not_at_its_goal_when_its_law_ends_has_not_arrived():
+    assert flown(*crossing(4, 1, "barrier", radius=1.2, low=0.8, high=1.2, jitter=0.02, duration=2.0))[1] == np.inf
 
 
 def test_goals_in_conflict_are_refused_before_the_flight():
