@@ -3,7 +3,6 @@
 import asyncio
 import logging
 import math
-import sys
 from abc import abstractmethod
 from collections.abc import Mapping
 from typing import Any
@@ -25,6 +24,10 @@ from crazychoir.types import Acceleration, FullState, Goto, Heard, Reference, St
 log = logging.getLogger(__name__)
 LAW = "feedback law"
 """The task that a status names while a CFDistributedFeedback runs."""
+SLOWEST, FASTEST = 1e-3, 1000.0
+"""Hz, of a law."""
+FOR_EVER = 1e9
+"""s, of a law that does not end: timers count in nanoseconds."""
 TAKEOFF, LAW_MODES = Mode.TAKEOFF, (Mode.HOVER, Mode.FOLLOW)
 
 
@@ -115,13 +118,14 @@ class CFDistributedFeedback(CFGuidance):
     def foresee(self, member: Member) -> None:
         """Raise ConfigError for a `height` that fails, or does not end, and for a take-off beyond the fence.
 
-        And for a `rate` and a `duration` that are no numbers above 0; a law may last for ever.
+        And for a `rate` and a `duration` that are no such numbers; a law may last for ever.
         """
-        for name, most in (("rate", sys.float_info.max), ("duration", math.inf)):
+        for name, least, most, unit in (("rate", SLOWEST, FASTEST, "Hz"), ("duration", 0.0, math.inf, "s")):
             value = getattr(self, name)
-            if not (isinstance(value, int | float | np.number) and 0.0 < value <= most):
+            if not (isinstance(value, int | float | np.number) and value > 0.0 and least <= value <= most):
                 where = f"drone {member.id}: {type(self).__name__}.{name}"
-                raise ConfigError(where, value, f"a number of {'Hz' if name == 'rate' else 's'} above 0")
+                allowed = f"{least:g} to {most:g}" if least else "above 0"
+                raise ConfigError(where, value, f"a number of {unit}, {allowed}")
         self.member = member
         try:
             self.require_height(self._foreseen(), "height()")
@@ -151,7 +155,8 @@ class CFDistributedFeedback(CFGuidance):
         for hearing in self._hearings.values():
             hearing.forget()
         self._law = asyncio.get_running_loop().create_future()
-        end = clock.call_at(self._due_ns + round(self.duration * SECOND), wake, self._law, drone=self.id)
+        seconds = min(float(self.duration), FOR_EVER)
+        end = clock.call_at(self._due_ns + round(seconds * SECOND), wake, self._law, drone=self.id)
         try:
             await self._law
         finally:
@@ -169,11 +174,12 @@ class CFDistributedFeedback(CFGuidance):
         law = self._law
         if law is None or law.done():
             return
-        pilot, late_ns = self.member.pilot, self.member.clock.now_ns() - self._due_ns
-        if late_ns < -pilot.period_ns // 2 or pilot.mode is TAKEOFF:
-            return
-        self._due_ns += max(1, late_ns // self._period_ns + 1) * self._period_ns
+        pilot = self.member.pilot
         try:
+            late_ns = self.member.clock.now_ns() - self._due_ns
+            if late_ns < -pilot.period_ns // 2 or pilot.mode is TAKEOFF:
+                return
+            self._due_ns += max(1, late_ns // self._period_ns + 1) * self._period_ns
             if pilot.mode not in LAW_MODES:
                 raise Interrupted(f"drone {self.id}: {pilot.mode.value}: {pilot.note}{self._deaf()}")
             reference = self._stepped(self._me)

@@ -17,8 +17,8 @@ class Stages:
     """What the drones of a process still have to do in this pass of the loop: append to stages, then call `due`.
 
     say: publish the own state;  decide: let a law find a reference, appended when it hears of that state;  act: send
-    a command. Poses are seen before, as they come. Each piece of work handles its own errors: one that escapes ends
-    the stage for all.
+    a command. Poses are seen before, as they come. Each piece of work handles its own errors; the first that escapes
+    is raised when all is done.
     """
 
     def __init__(self, clock: Clock) -> None:
@@ -37,12 +37,21 @@ class Stages:
     def run(self) -> None:
         """All that is to do, stage by stage; what a stage adds to a later one is done too."""
         self._due = False
+        failed: list[Exception] = []
         say, self.say = self.say, []
-        for work in say:
-            work()
+        _do(say, failed)
         decide, self.decide = self.decide, []
-        for work in decide:
-            work()
+        _do(decide, failed)
         act, self.act = self.act, []
-        for work in act:
+        _do(act, failed)
+        if failed:
+            raise failed[0]
+
+
+def _do(stage: list[Work], failed: list[Exception]) -> None:
+    """All of a stage, whatever fails: no drone goes without its command for another one's error."""
+    for work in stage:
+        try:
             work()
+        except Exception as error:  # noqa: BLE001 - the first is raised at the end
+            failed.append(error)

@@ -360,19 +360,38 @@ def test_a_height_that_fails_or_is_no_number_is_refused_before_anybody_flies(mon
 
 
 @pytest.mark.parametrize(
-    ("name", "value"), [("rate", 0), ("rate", "fast"), ("rate", math.inf), ("duration", -1.0), ("duration", math.nan)]
+    ("name", "value", "allowed"),
+    [
+        *(("rate", value, "Hz, 0.001 to 1000") for value in (0, "fast", 1e-300, 3e9, math.inf)),
+        *(("duration", value, "s, above 0") for value in (-1.0, 0.0, math.nan)),
+    ],
 )
-def test_a_rate_or_a_duration_that_is_no_number_above_0_is_refused_before_anybody_flies(name, value):
+def test_a_rate_or_a_duration_that_is_no_such_number_is_refused_before_anybody_flies(name, value, allowed):
     @virtual
     async def refused(clock):
         law, member = High(lambda law: 1.0), Drone(clock, Told()).law.member
         law.duration = math.inf
         law.foresee(member)
         setattr(law, name, value)
-        with pytest.raises(ConfigError, match=rf"drone 0: High\.{name}.* above 0"):
+        with pytest.raises(ConfigError, match=rf"drone 0: High\.{name}.*a number of {allowed}"):
             law.foresee(member)
 
     refused()
+
+
+@pytest.mark.parametrize("duration", [math.inf, 1e300, np.float32(1e30)])
+def test_a_law_may_last_for_ever(duration):
+    @virtual
+    async def flown_for_ever(clock):
+        law = Told()
+        law.duration = duration
+        drone, ending = await flown(clock, law, seconds=5.0)
+        assert not ending.done()
+        drone.pilot.land("enough")
+        await drone.fly(0.1)
+        assert isinstance(await ending, Interrupted)
+
+    flown_for_ever()
 
 
 @virtual

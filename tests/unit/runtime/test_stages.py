@@ -2,6 +2,7 @@
 
 import asyncio
 
+import pytest
 from virtual_time import virtual
 
 from crazychoir.runtime.stages import Stages
@@ -46,3 +47,19 @@ async def test_what_is_added_to_a_stage_that_is_over_is_done_in_the_next_pass(cl
     stages.due()
     await clock.sleep(0.01)
     assert done == [0.0]
+
+
+@virtual
+async def test_an_error_that_escapes_keeps_nobody_from_acting_and_is_raised(clock):
+    stages, done = Stages(clock), []
+
+    def fails(what):
+        raise ValueError(what)
+
+    stages.decide += [lambda: fails("first"), lambda: done.append("decide"), lambda: fails("second")]
+    stages.act.append(lambda: done.append("act"))
+    with pytest.raises(ValueError, match="first"):
+        stages.run()
+    assert done == ["decide", "act"]
+    stages.run()
+    assert done == ["decide", "act"]
