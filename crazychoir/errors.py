@@ -17,6 +17,8 @@
     └── Livelock(RuntimeError)             virtual time: the clock stands still
 """
 
+import sysconfig
+import traceback
 from collections.abc import Iterable, Mapping
 
 
@@ -148,3 +150,13 @@ class Deadlock(CrazyChoirError, RuntimeError):
 
 class Livelock(CrazyChoirError, RuntimeError):
     """Virtual time: very many loop passes without the clock moving."""
+
+
+_LIBRARIES = tuple({sysconfig.get_path(name) for name in ("stdlib", "purelib", "platlib")})
+
+
+def raised_at(error: BaseException) -> traceback.FrameSummary:
+    """Where it was raised, as far as libraries are not to blame: the last line of code that is not installed."""
+    places = traceback.extract_tb(error.__traceback__)
+    own = [place for place in places if not place.filename.startswith((*_LIBRARIES, "<"))]
+    return (own or places)[-1]

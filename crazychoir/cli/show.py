@@ -37,23 +37,21 @@ PICTURES = (".png", ".pdf", ".svg")
 """Kinds of pictures that are drawn."""
 
 
-class TracesOnce(logging.Filter):
-    """Thirty drones whose law fails in the same line say so each; how it came there is shown once."""
+class TracesOnce(logging.Formatter):
+    """Thirty drones whose law fails in the same way say so each; how it came there is shown once."""
 
     def __init__(self) -> None:
-        super().__init__()
+        super().__init__("%(message)s")
         self._shown: set[tuple[object, ...]] = set()
 
-    def filter(self, record: logging.LogRecord) -> bool:
-        """Every record passes, without its traceback if that was shown."""
-        error = record.exc_info[1] if record.exc_info else None
-        if error is not None:
-            at = traceback.extract_tb(error.__traceback__)[-1:]
-            key = (type(error), *((place.filename, place.lineno) for place in at))
-            if key in self._shown:
-                record.exc_info = record.exc_text = None
-            self._shown.add(key)
-        return True
+    def formatException(self, ei: Any) -> str:
+        """The traceback, or nothing if one of the same lines was shown."""
+        places = traceback.extract_tb(ei[2])
+        key = (ei[0], *((place.filename, place.lineno) for place in places))
+        if key in self._shown:
+            return ""
+        self._shown.add(key)
+        return super().formatException(ei)
 
 
 def set_up_logging(level: int = logging.WARNING) -> None:
@@ -64,8 +62,8 @@ def set_up_logging(level: int = logging.WARNING) -> None:
         handler: logging.Handler = RichHandler(console=STDERR, show_path=False, rich_tracebacks=False)
     else:
         handler = logging.StreamHandler()
-    handler.addFilter(TracesOnce())
-    logging.basicConfig(level=level, format="%(message)s", handlers=[handler], force=True)
+    handler.setFormatter(TracesOnce())
+    logging.basicConfig(level=level, handlers=[handler], force=True)
 
 
 @contextlib.contextmanager

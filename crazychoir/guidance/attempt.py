@@ -1,12 +1,11 @@
 """Work of a whole team that may fail at some robots, and that all end alike, to go on another way together."""
 
-import traceback
 from collections.abc import Mapping
 from itertools import count
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
-from crazychoir.errors import CodecError, CrazyChoirError, Hung
+from crazychoir.errors import CodecError, CrazyChoirError, Hung, raised_at
 from crazychoir.optimization.program import Exchange
 
 T = TypeVar("T")
@@ -70,5 +69,5 @@ def _told(error: Exception) -> str:
     text = f"{type(error).__name__}: {error}"
     if isinstance(error, CrazyChoirError):
         return text
-    place = traceback.extract_tb(error.__traceback__)[-1]
+    place = raised_at(error)
     return f"{text} ({Path(place.filename).name}:{place.lineno})"

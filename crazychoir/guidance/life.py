@@ -2,13 +2,12 @@
 
 import asyncio
 import logging
-import traceback
 from collections.abc import Awaitable, Coroutine
 from typing import Any
 
 from crazychoir.bus.codec import decode, encode
 from crazychoir.bus.topics import LOG, RESULT, STATUS
-from crazychoir.errors import AgentFailed, CodecError, CrazyChoirError, Hung, Refused
+from crazychoir.errors import AgentFailed, CodecError, CrazyChoirError, Hung, Refused, raised_at
 from crazychoir.guidance.drone import Drone
 from crazychoir.guidance.member import Member, raisable, touch_down
 from crazychoir.guidance.turns import blocked
@@ -188,7 +187,7 @@ class GuidanceActor(Actor):
 
     def _broken(self, error: BaseException) -> str:
         """The mission's own code has failed: the pilot hovers, then lands; the observers hear why."""
-        at = traceback.extract_tb(error.__traceback__)[-1]
+        at = raised_at(error)
         cause = f"{type(error).__name__}: {error} ({at.filename}:{at.lineno} {at.name})"
         text = f"drone {self.drone.id}: guidance failed: {cause}"
         log.error("%s", text, exc_info=error)

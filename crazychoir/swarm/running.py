@@ -2,13 +2,12 @@
 
 import contextlib
 import random
-import traceback
 from collections.abc import AsyncIterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from crazychoir.errors import AgentFailed, ChannelEnded, CodecError, ConfigError, CrazyChoirError, PeerLost
+from crazychoir.errors import AgentFailed, ChannelEnded, CodecError, ConfigError, CrazyChoirError, PeerLost, raised_at
 from crazychoir.swarm.communicator import LAST_WORDS, Communicator, Policy
 from crazychoir.swarm.graph import GraphSequence
 from crazychoir.swarm.round import Round
@@ -218,7 +217,7 @@ class _Ended(Exception):
         reason = f"{type(error).__name__}: {error}"
         if isinstance(error, CrazyChoirError):
             return cls(AgentFailed(i, reason), error)
-        place = traceback.extract_tb(error.__traceback__)[-1]
+        place = raised_at(error)
         failed = AgentFailed(i, f"{reason} ({Path(place.filename).name}:{place.lineno}){_heard(heard)}")
         failed.__cause__ = error
         return cls(failed, failed)

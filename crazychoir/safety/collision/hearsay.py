@@ -65,7 +65,7 @@ class Hearsay:
             return
         now, told = traffic.now(), []
         for row, j in ((traffic.rows[k], traffic.ids[k]) for k in those):
-            if now - row[HEARD] < USABLE and row[HEARD] == row[BORN]:
+            if now - row[BORN] < USABLE:
                 told.append([j, State(row[0:13].copy(), 0.0, row[13:16].copy()), now - float(row[BORN])])
         self._send(HEARSAY, source, told)
 
