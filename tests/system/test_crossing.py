@@ -6,6 +6,7 @@ from system.flights import fly
 
 from crazychoir.errors import ConfigError, Refused
 from crazychoir.guidance.mission import load, look_before
+from crazychoir.runtime.actor import Actor
 from crazychoir.safety.pilot import Mode
 
 pytestmark = pytest.mark.system
@@ -21,12 +22,12 @@ def crossing(n, seed, method, pattern="antipodal", **options):
     return mission, mission.scatter(config.replace(mission_options=options))
 
 
-def flown(mission, config):
+def flown(mission, config, prepare=lambda agent: None):
     """m, the least scaled distance of any two that fly; s of its law after which the last one stayed at its goal.
 
     It is infinite if one is not there at the end of its law.
     """
-    flights = fly(config, mission)
+    flights = fly(config, mission, prepare)
     n = min(len(flight.t) for flight in flights.values())
     p = np.stack([flight.p[:n] for flight in flights.values()], axis=1)
     up = np.stack([flight.p[:n, 2] > 0.1 for flight in flights.values()], axis=1)
@@ -67,6 +68,29 @@ def test_without_the_filter_they_meet():
 
 def test_who_is_not_at_its_goal_when_its_law_ends_has_not_arrived():
     assert flown(*crossing(4, 1, "barrier", radius=1.2, low=0.8, high=1.2, jitter=0.02, duration=2.0))[1] == np.inf
+
+
+class Cut(Actor):
+    """The link between 0 and 2 fails as soon as both fly their law."""
+
+    name = "cut"
+
+    def __init__(self, agent):
+        self.agent = agent
+
+    async def run(self):
+        while not all(self.agent.drones[i].pilot.mode is Mode.FOLLOW for i in (0, 2)):
+            await self.agent.clock.sleep(0.1)
+        self.agent.bus.impairment.update({"edge": [0, 2], "loss": 1.0})
+
+
+@pytest.mark.parametrize("method", ["barrier", pytest.param("cells", marks=pytest.mark.slow)])
+def test_two_whose_link_fails_are_told_of_each_other_by_the_rest(method):
+    """0 flies at 2 and neither hears the other; 1 and 3, that cross their way, hear both."""
+    mission, config = crossing(4, 1, method, radius=2.0, low=0.8, high=1.2, jitter=0.02, duration=10.0)
+    distance, arrived = flown(mission, config, lambda agent: agent.services.append(Cut(agent)))
+    assert distance > MEET
+    assert arrived < 10.0
 
 
 def test_goals_in_conflict_are_refused_before_the_flight():

@@ -12,8 +12,10 @@ from crazychoir.types import State
 
 ASKS = 0.25
 """s, of the age of a state, before which nobody is asked for a newer one."""
-AHEAD, LAST = 1.0, 2.0
-"""s before it would brake for want of a state, and before it would count its drone as gone, from when on it asks."""
+AHEAD = 1.0
+"""s before it would brake for want of a state, from when on it asks."""
+SELDOM = 10
+"""Times that it asks, once for those that were never heard, or are gone."""
 NEAREST = 2
 """Of those that it hears, so many that are nearest to whom it seeks are asked each time, and one more in turn."""
 
@@ -28,7 +30,7 @@ class Hearsay:
 
     def __init__(self, traffic: Traffic) -> None:
         self.traffic, self.port = traffic, traffic.port
-        self._sent = self._turn = 0
+        self._sent = self._turn = self._asks = 0
         self.port.handlers[SOUGHT.number] = self._asked
         self.port.handlers[HEARSAY.number] = self._told
 
@@ -36,8 +38,9 @@ class Hearsay:
         """Ask for those whose newer state is needed soon."""
         rows, ids = self.traffic.rows, self.traffic.ids
         age = now - rows[:, BORN]
-        needed = np.minimum(np.maximum(ASKS, rows[:, BORNE] - AHEAD), GONE - LAST)
-        sought = np.flatnonzero((age > needed) & (age < GONE) & np.isfinite(rows[:, BORNE]))
+        there, needed = age < GONE, np.maximum(ASKS, rows[:, BORNE] - AHEAD)
+        self._asks += 1
+        sought = np.flatnonzero((there & (age > needed)) | (~there & (self._asks % SELDOM == 0)))
         heard = np.flatnonzero(now - rows[:, HEARD] < SILENT)
         if not sought.size or not heard.size:
             return

@@ -17,14 +17,17 @@ from crazychoir.platforms import PAPER
 from crazychoir.runtime.clock import run_virtual
 from crazychoir.runtime.mailbox import Call, DropOldest
 from crazychoir.runtime.supervisor import Supervisor
+from crazychoir.safety.clearance import DEAF
+from crazychoir.safety.collision.filter import CollisionFilter
+from crazychoir.safety.collision.traffic import SILENT, Traffic
 from crazychoir.safety.guard import INSET, Action, Fence
 from crazychoir.safety.limits import ReferenceLimits
 from crazychoir.safety.modes import Mode
 from crazychoir.safety.pilot import GIVE_UP_HOVER, TOUCHDOWN_LATE, Pilot
 from crazychoir.simulation.integrator import CFIntegrator
 from crazychoir.simulation.links import SimulatedLink
-from crazychoir.swarm.tables import Flight
-from crazychoir.types import Acceleration, FullState, Goto, Pose
+from crazychoir.swarm.tables import Collision, Flight
+from crazychoir.types import Acceleration, FullState, Goto, Pose, State
 
 TICK = 0.01
 
@@ -1133,3 +1136,31 @@ async def test_nobody_who_brings_a_pose_hears_of_a_failed_tick_but_of_an_end_of_
         with pytest.raises(error):
             drone.bus.stages.run()
     await drone.end()
+
+
+@virtual
+async def test_who_landed_as_it_heard_nobody_flies_again_when_it_hears_them(clock):
+    drone, others = Flown(clock), (1, 2)
+    for j in others:
+        drone.bus.port(j)
+    traffic = Traffic(drone.bus.ports[0], (0, *others))
+    room = Fence.box((-3.0, -3.0, 0.0), (3.0, 3.0, 2.5))
+    drone.pilot = Pilot(
+        drone.bus.ports[0], SimulatedLink(drone.world, 0), Flight(takeoff_height=0.3), room,
+        collision=CollisionFilter(Collision(), traffic, room, 2.0, 1.0, 0.0),
+    )  # fmt: skip
+
+    def heard():
+        for j in others:
+            traffic.hear((j, State.at((2.0, 6.0 - 4.0 * j, 1.0))), 0.0)
+
+    await drone.fly(0.05, each=heard)
+    await drone.fly(drone.pilot.take_off() + 0.5, each=heard)
+    assert drone.pilot.mode is Mode.HOVER
+    await drone.fly(SILENT + DEAF + 2.0)
+    assert drone.pilot.mode is Mode.GROUND
+    assert "hears no more than half" in drone.pilot.note
+    await drone.fly(1.0, each=heard)
+    await drone.fly(drone.pilot.take_off() + 0.5, each=heard)
+    assert drone.pilot.mode is Mode.HOVER
+    assert drone.p[2] == pytest.approx(0.3, abs=0.02)
