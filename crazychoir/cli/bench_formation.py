@@ -18,6 +18,8 @@ from crazychoir.swarm.config import SwarmConfig
 LOSSY = {"loss": 0.2, "delay": 0.02}
 GRID_GAINS = {"kp": 2.0, "kv": 2.5}
 """1/s2, 1/s: of the paper's law on the grid, whose drones have up to eight neighbours."""
+SCATTER: dict[int, list[float]] = {4: [1.0, 1.0, 1.0], 30: [0.2, 0.2, 0.2]}
+"""m an axis, by which starts are moved at most."""
 FLIGHT = {"takeoff_height": 1.2, "speed_limit": 3.0, "acceleration_limit": 4.0, "landing_speed": 1.0}
 
 
@@ -33,7 +35,9 @@ class Case:
     def config(self, mission: Mission, seed: int) -> SwarmConfig:
         """The mission's own swarm, of Crazyflies with motors, scattered by this seed."""
         config = mission.swarm(self.drones)
-        given = GRID_GAINS if self.law == "paper" and self.drones == 30 else {}
+        given: dict[str, Any] = {"scatter": SCATTER[self.drones]}
+        if self.law == "paper" and self.drones == 30:
+            given |= GRID_GAINS
         drones = [
             {"id": d.id, "home": d.home, "leader": d.leader, "uri": "sim://motors", "platform": "cf21"}
             for d in config.drones

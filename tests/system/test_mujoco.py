@@ -1,10 +1,12 @@
 """Whole drones in MuJoCo, flown by the real agents in virtual time by every sender; recorded, and drawn off-screen."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
+from system.commands import run
 
 from crazychoir.errors import ConfigError
 from crazychoir.simulation.mujoco.film import _context
@@ -134,3 +136,16 @@ def test_what_cannot_be_drawn_is_refused(here, flown, folder, words, said):
     ended = here("crazychoir", "render", folder / "hop.mcap", *words)
     assert ended.code == 2
     assert said in " ".join(ended.err.split()), ended.err
+
+
+@pytest.mark.slow
+@pytest.mark.real_time
+@pytest.mark.timeout(300)
+def test_thirty_form_up_in_real_time_over_two_processes():
+    """With contacts, and all that the collision filters say to each other."""
+    result = run(Path(__file__).parents[2] / "deploy" / "mujoco30.toml", "--processes", "2", seconds=200.0)
+    assert result["success"], result["reasons"]
+    assert result["real_time_factor"] == pytest.approx(1.0, abs=0.01)
+    assert result["formation_error_m"] < 0.005
+    assert result["settling_s"] < 4.0
+    assert result["min_separation_m"] > 0.3

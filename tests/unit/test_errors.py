@@ -1,0 +1,23 @@
+"""Where an error was raised, for those who read of it."""
+
+import json
+
+import numpy as np
+import pytest
+
+from crazychoir.errors import raised_at
+
+
+@pytest.mark.parametrize("law", [lambda: np.linalg.inv(np.zeros((2, 2))), lambda: json.loads("{"), lambda: 1 / 0])
+def test_libraries_are_not_to_blame(law):
+    with pytest.raises(Exception, match=r".") as caught:
+        law()
+    at = raised_at(caught.value)
+    assert (at.filename, at.name) == (__file__, "<lambda>")
+
+
+def test_where_only_libraries_are_it_is_the_last_line():
+    with pytest.raises(ValueError, match="Expecting") as caught:
+        json.loads("{")
+    caught.value.__traceback__ = caught.value.__traceback__.tb_next
+    assert raised_at(caught.value).filename.endswith("decoder.py")
