@@ -1,9 +1,15 @@
-"""Drones that are in each other's way go round each other, all the same way."""
+"""Drones that are in each other's way go round each other, all the same way; who does not get on, the other way."""
+
+import math
 
 from crazychoir.math3d import Triple, Vec, dot, kernel
 
 HARDEST = 4.0
 """m/s2, of what is turned at most."""
+STUCK, MOVED, THERE = 4.0, 0.3, 0.3
+"""s, and m: who has not moved farther in that time does not get on, unless it is so near where it wants to be."""
+FREE = 1.0
+"""s, without having given way, after which it goes round others as all do."""
 
 
 @kernel()
@@ -23,3 +29,26 @@ def turned(u: Triple, planes: Vec, first: int, last: int, turn: float) -> Triple
             x -= turn * min(lack, HARDEST) * planes[k, 1]
             y += turn * min(lack, HARDEST) * planes[k, 0]
     return (u[0] + x, u[1] + y, u[2])
+
+
+class Side:
+    """Which way one drone goes round others: against the clock, as all do, unless it does not get on.
+
+    Between two that stay where they are that way may be a pocket: then it tries the other way, until it is free.
+    """
+
+    def __init__(self) -> None:
+        self.sign = 1.0
+        self._at: list[float] | None = None
+        self._since, self._gave_way = 0.0, -math.inf
+
+    def gives_way(self, p: Vec, goal: Vec, now: float) -> None:
+        """It gives way at p, and wants to be at goal, (3,) m each."""
+        if now > self._gave_way + FREE:
+            self.sign, self._at = 1.0, None
+        self._gave_way = now
+        here = p.tolist()
+        if self._at is None or math.dist(here, self._at) > MOVED or math.dist(here, goal.tolist()) < THERE:
+            self._at, self._since = here, now
+        elif now > self._since + STUCK:
+            self.sign, self._since = -self.sign, now

@@ -7,7 +7,7 @@ import numpy as np
 from crazychoir.math3d import Triple, Vec, clip, dot, kernel, memory, real, table, vector
 from crazychoir.safety.collision.barrier import approach, barrier, part
 from crazychoir.safety.collision.cells import cell
-from crazychoir.safety.collision.deadlock import turned
+from crazychoir.safety.collision.deadlock import Side, turned
 from crazychoir.safety.collision.hearsay import Hearsay
 from crazychoir.safety.collision.motion import late, length, scaled, shrunk
 from crazychoir.safety.collision.projection import nearest
@@ -232,7 +232,7 @@ class CollisionFilter:
         ])  # fmt: skip
         self._box = np.array([*fence.low, *fence.high]) + np.repeat([1.0, -1.0], 3) * settings.margin
         self._planes, self._near, self._out = np.zeros((6 + MOST + 6, 4)), np.zeros((MOST, 2)), np.zeros(9)
-        self._accelerates = np.zeros(14)
+        self._accelerates, self._turn, self.side = np.zeros(14), settings.turn, Side()
 
     def look(self, now: float) -> None:
         """See to it that it hears those that are near, now and then."""
@@ -241,12 +241,15 @@ class CollisionFilter:
 
     def full_state(self, state: State, reference: Vec, gains: Vec, now: float, lands: bool = False) -> Vec | None:
         """The acceleration (3,) for who flies the reference (14,) by these gains; None: as he would."""
-        self._figures[WAITS] = 0.0 if lands else 1.0
-        return self._run(state, reference, gains, 1.0, now)
+        self._figures[WAITS], self._figures[TURN] = 0.0 if lands else 1.0, self._turn * self.side.sign
+        safe = self._run(state, reference, gains, 1.0, now)
+        if safe is not None:
+            self.side.gives_way(state.p, reference[0:3], now)
+        return safe
 
     def acceleration(self, state: State, a: Vec, gains: Vec, now: float) -> Vec | None:
         """The same for who flies an acceleration (3,)."""
-        self._accelerates[6:9], self._figures[WAITS] = a, 1.0
+        self._accelerates[6:9], self._figures[WAITS], self._figures[TURN] = a, 1.0, self._turn
         return self._run(state, self._accelerates, gains, 0.0, now)
 
     def _run(self, state: State, reference: Vec, gains: Vec, follow: float, now: float) -> Vec | None:
