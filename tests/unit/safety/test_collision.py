@@ -198,6 +198,23 @@ def test_who_is_flown_at_by_one_that_gives_way_to_nobody_gets_out_of_its_way(met
     assert p == pytest.approx([0.0, beside, 1.0], abs=0.05)
 
 
+def test_out_of_a_pocket_between_two_that_stay_it_goes_the_other_way_round():
+    """Against the clock round the nearer one leads between both, where there is no room."""
+    sky, p, v = Sky(others=2), np.array([0.6, 0.15, 1.0]), np.zeros(3)
+    goal = np.array([-0.35, -0.85, 1.0])
+    tried = []
+    for k in range(1500):
+        for j, other in ((1, (-0.2, -0.26, 0.9)), (2, (-0.16, 0.29, 1.0))):
+            sky.traffic.hear((j, State.at(other)), -0.01 * k)
+        a = sky.wants(State.at(p, v), goal, now=0.01 * k)
+        a = np.clip(-GAINS[0] * (p - goal) - GAINS[3] * v, -2.0, 2.0) if a is None else a
+        v = v + 0.01 * a
+        p = p + 0.01 * v
+        tried.append(sky.filter.side.sign)
+    assert p == pytest.approx(goal, abs=0.02)
+    assert min(tried) == -1.0, "a pocket it was"
+
+
 @pytest.mark.parametrize("method", METHODS)
 def test_between_too_many_it_keeps_above_the_floor(method):
     sky = Sky(method, others=3)
