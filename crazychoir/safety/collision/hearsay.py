@@ -60,23 +60,30 @@ class Hearsay:
             self.port.send(topic, (to,), encode(value), self._sent)
 
     def _asked(self, source: int, payload: bytes, number: int, channel: str, flags: int, age: float) -> None:
-        traffic = self.traffic
-        try:
-            those = [traffic.ids.index(j) for j in decode(payload) if j in traffic.ids]
-        except (CodecError, TypeError):
-            self.port.counters.malformed += 1
-            return
+        traffic, those = self.traffic, self._opened(payload)
         now, told = traffic.now(), []
-        for row, j in ((traffic.rows[k], traffic.ids[k]) for k in those):
-            if now - row[BORN] < USABLE:
+        for j in those if all(type(j) is int for j in those) else self._none():
+            row = traffic.row(j)
+            if row is not None and now - row[BORN] < USABLE:
                 told.append([j, State(row[0:13].copy(), 0.0, row[13:16].copy()), now - float(row[BORN])])
         self._send(HEARSAY, source, told)
 
     def _told(self, source: int, payload: bytes, number: int, channel: str, flags: int, age: float) -> None:
+        for item in self._opened(payload):
+            match item:
+                case [int(j), State() as state, float(old)] if 0.0 <= old < GONE:
+                    self.traffic.told((j, state), age + old)
+                case _:
+                    self._none()
+
+    def _opened(self, payload: bytes) -> list[Any]:
+        """What a message lists; nothing, and it is counted, if it is none, or longer than there are drones."""
         try:
-            for j, state, old in decode(payload):
-                if not (isinstance(state, State) and isinstance(old, float) and old >= 0.0):
-                    raise TypeError
-                self.traffic.told((j, state), age + old)
-        except (CodecError, TypeError, ValueError):
-            self.port.counters.malformed += 1
+            value = decode(payload)
+        except CodecError:
+            return self._none()
+        return value if isinstance(value, list) and len(value) <= len(self.traffic.ids) else self._none()
+
+    def _none(self) -> list[Any]:
+        self.port.counters.malformed += 1
+        return []

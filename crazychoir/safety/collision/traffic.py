@@ -63,6 +63,11 @@ class Traffic:
         """s, by the clock of the ages."""
         return self.clock.now_ns() / SECOND
 
+    def row(self, j: int) -> Vec | None:
+        """What is known of drone j, all columns; None for one that is not among the others."""
+        found = self._parts.get(j)
+        return None if found is None else found[0]
+
     def hear(self, message: tuple[int, State], age: float) -> None:
         """Keep a state that a drone has said, `age` s ago, unless a newer one is there or it is none."""
         row = self._keep(message, age)

@@ -171,7 +171,7 @@ def test_who_stood_on_the_floor_is_asked_for_seldom_in_the_end():
     assert 0 < len(team.asked) - asked <= 2 * 5
 
 
-GARBAGE = [b"", b"\xff", encode(None), encode(3.0)]
+GARBAGE = [b"", b"\xff", encode(None), encode(3.0), encode({1: 2}), encode([1] * 99), encode([np.zeros(3)])]
 
 
 @pytest.mark.parametrize(
@@ -179,6 +179,8 @@ GARBAGE = [b"", b"\xff", encode(None), encode(3.0)]
     [
         *((topic, payload) for topic in (SOUGHT, HEARSAY) for payload in GARBAGE),
         *((HEARSAY, encode([said])) for said in (["a", 1, 2], [1, 2], [1, State.at(HERE), -1.0], [1, HERE, 0.1])),
+        *((HEARSAY, encode([[np.zeros(3), State.at(HERE), old]])) for old in (0.1, np.inf)),
+        *((SOUGHT, encode([said])) for said in ("1", True, 1.0, [1])),
     ],
 )
 def test_what_is_no_message_is_counted_and_changes_nothing(topic, payload):
