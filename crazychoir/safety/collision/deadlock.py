@@ -37,8 +37,10 @@ class Side:
     Between two that stay where they are that way may be a pocket: then it tries the other way, until it is free.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, drone: int = 0) -> None:
         self.sign = 1.0
+        self.patience = STUCK + 0.2 * (drone % 8)
+        """s, other ones for each: two that turned at once would stay in each other's way."""
         self._at: list[float] | None = None
         self._since, self._gave_way = 0.0, -math.inf
 
@@ -50,5 +52,5 @@ class Side:
         here = p.tolist()
         if self._at is None or math.dist(here, self._at) > MOVED or math.dist(here, goal.tolist()) < THERE:
             self._at, self._since = here, now
-        elif now > self._since + STUCK:
+        elif now > self._since + self.patience:
             self.sign, self._since = -self.sign, now

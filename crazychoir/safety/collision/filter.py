@@ -232,7 +232,7 @@ class CollisionFilter:
         ])  # fmt: skip
         self._box = np.array([*fence.low, *fence.high]) + np.repeat([1.0, -1.0], 3) * settings.margin
         self._planes, self._near, self._out = np.zeros((6 + MOST + 6, 4)), np.zeros((MOST, 2)), np.zeros(9)
-        self._accelerates, self._turn, self.side = np.zeros(14), settings.turn, Side()
+        self._accelerates, self._turn, self.side = np.zeros(14), settings.turn, Side(traffic.port.address)
 
     def look(self, now: float) -> None:
         """See to it that it hears those that are near, now and then."""

@@ -14,8 +14,8 @@ ASKS = 0.25
 """s, of the age of a state, before which nobody is asked for a newer one."""
 AHEAD = 1.0
 """s before it would brake for want of a state, from when on it asks."""
-SELDOM = 10
-"""Times that it asks, once for those that were never heard, or are gone."""
+RARELY, SELDOM = 5, 10
+"""Times that it looks, once for those of whom nobody has told for AHEAD s, and for those never heard, or gone."""
 NEAREST = 2
 """Of those that it hears, so many that are nearest to whom it seeks are asked each time, and one more in turn."""
 
@@ -23,36 +23,39 @@ NEAREST = 2
 class Hearsay:
     """Asks and answers for a Traffic; what is told counts as heard, but for who asks whether it is cut off.
 
-    Where one link fails, others hear both its ends. Two drones that fly and do not hear each other always have such a
-    third one, unless one of them hears less than half of the others, which lands (DEAF): of F that fly, both hear at
-    least (F - 1) / 2 among F - 2. So who is told nothing may count on it that the other comes down.
+    Where one link fails, others hear both its ends. Two that do not hear each other have such a third one, unless
+    one of them hears less than half of the others, which lands (DEAF): of F that fly, as both know, both hear at least
+    (F - 1) / 2 among F - 2. So who is told nothing may count on it that the other comes down. Of those that were last
+    seen on the floor nobody knows whether they fly: a network that splits before the take-off is for
+    the roster to notice.
     """
 
     def __init__(self, traffic: Traffic) -> None:
         self.traffic, self.port = traffic, traffic.port
-        self._sent = self._turn = self._asks = 0
+        self._sent = self._asks = 0
+        self._turns = np.zeros(len(traffic.ids), dtype=int)
         self.port.handlers[SOUGHT.number] = self._asked
         self.port.handlers[HEARSAY.number] = self._told
 
     def seek(self, now: float) -> None:
-        """Ask for those whose newer state is needed soon."""
+        """Ask for those whose newer state is needed soon; less often for whom a second of asking has not helped."""
         rows, ids = self.traffic.rows, self.traffic.ids
-        age = now - rows[:, BORN]
+        age, self._asks = now - rows[:, BORN], self._asks + 1
         there, needed = age < GONE, np.maximum(ASKS, rows[:, BORNE] - AHEAD)
-        self._asks += 1
-        sought = np.flatnonzero((there & (age > needed)) | (~there & (self._asks % SELDOM == 0)))
+        every = np.where(there, np.where(age < needed + AHEAD, 1, RARELY), SELDOM)
+        sought = np.flatnonzero((~there | (age > needed)) & (self._asks % every == 0))
         heard = np.flatnonzero(now - rows[:, HEARD] < SILENT)
-        if not sought.size or not heard.size:
-            return
         asked: dict[int, list[int]] = {}
         for s in sought.tolist():
-            far = np.linalg.norm(rows[heard, 0:3] - rows[s, 0:3], axis=1)
-            self._turn += 1
-            chosen = {*np.argsort(far, kind="stable")[:NEAREST].tolist(), self._turn % len(heard)}
-            for k in sorted(chosen):
-                asked.setdefault(ids[int(heard[k])], []).append(ids[s])
+            others = heard[heard != s]
+            if others.size:
+                far = np.linalg.norm(rows[others, 0:3] - rows[s, 0:3], axis=1)
+                self._turns[s] += 1
+                chosen = {*np.argsort(far, kind="stable")[:NEAREST].tolist(), int(self._turns[s]) % others.size}
+                for k in sorted(chosen):
+                    asked.setdefault(ids[int(others[k])], []).append(ids[s])
         for k, those in asked.items():
-            self._send(SOUGHT, k, [j for j in those if j != k])
+            self._send(SOUGHT, k, those)
 
     def _send(self, topic: Topic, to: int, value: list[Any]) -> None:
         if value:

@@ -72,24 +72,22 @@ class Traffic:
         """Keep a state that a drone has said, `age` s ago, unless a newer one is there or it is none."""
         row = self._keep(message, age)
         if row is not None:
-            row[HEARD] = row[BORN]
+            row[HEARD] = max(row[HEARD], self.now() - age)
 
     def told(self, message: tuple[int, State], age: float) -> None:
         """Keep a state of a drone that another one has told."""
         self._keep(message, age)
 
     def _keep(self, message: tuple[int, State], age: float) -> Vec | None:
+        """The row of a drone whose state this is; None if it is none, or of nobody."""
         j, state = message
         found = self._parts.get(j)
-        if found is None or not (
-            math.hypot(*state.flat.tolist()) < FAR and math.hypot(*state.a.tolist()) < FASTEST
-        ):
+        if found is None or not (math.hypot(*state.flat.tolist()) < FAR and math.hypot(*state.a.tolist()) < FASTEST):
             return None
         row, flat, a = found
         born = self.now() - age
-        if born < row[BORN]:
-            return None
-        flat[:], a[:], row[BORN] = state.flat, state.a, born
+        if born >= row[BORN]:
+            flat[:], a[:], row[BORN] = state.flat, state.a, born
         return row
 
     def look(self, now: float) -> bool:
