@@ -28,7 +28,8 @@ pytestmark = [pytest.mark.system, pytest.mark.timeout(300), pytest.mark.usefixtu
 DATA = Path(__file__).parents[1] / "data"
 LOST_AFTER = 3.0
 LEASE = 1.0
-SAFE_PUT = 0.002
+SAFE_PUT = 0.05
+"""s: one that waited for the process that stands still would take until it is lost; a busy machine takes some ms."""
 STANDING = '''
 """Every drone takes off, stands for a while, and lands; some go wrong in their 50th step."""
 

@@ -50,6 +50,12 @@ class Swarm:
         self.stops.setdefault(i, []).append((self.clock.now(), on))
 
 
+@pytest.fixture(autouse=True)
+def no_other_runs(monkeypatch, tmp_path):
+    """What runs on this machine meanwhile is nobody's business here."""
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+
+
 def play(scene):
     """Run `scene(swarm)`; returns the swarm, what came of it, and the seconds that it took."""
 
