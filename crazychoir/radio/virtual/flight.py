@@ -150,13 +150,13 @@ def _info(on: Onboard) -> bytes:
 
 RADIANS = math.pi / 180.0
 OBEY: dict[str, Callable[..., Any]] = {
-    "rpyt": lambda on, roll, pitch, yaw, thrust: on.rpyt_raw(roll, pitch, yaw, thrust) and None,
-    "stop": lambda on: on.stop_setpoint() and None,
+    "rpyt": lambda on, roll, pitch, yaw, thrust: on.rpyt_raw(roll, pitch, yaw, thrust),
+    "stop": lambda on: on.stop_setpoint(),
     "full_state": _full_state,
-    "velocity_world": lambda on, vx, vy, vz, rate: on.velocity((vx, vy, vz), RADIANS * rate) and None,
-    "z_distance": lambda on, roll, pitch, rate, z: on.z_distance(RADIANS * roll, -RADIANS * pitch, RADIANS * rate, z) and None,
-    "hover": lambda on, vx, vy, rate, z: on.hover(vx, vy, RADIANS * rate, z) and None,
-    "position": lambda on, x, y, z, yaw: on.position((x, y, z), RADIANS * yaw) and None,
+    "velocity_world": lambda on, vx, vy, vz, rate: on.velocity((vx, vy, vz), RADIANS * rate),
+    "z_distance": lambda on, roll, pitch, rate, z: on.z_distance(RADIANS * roll, -RADIANS * pitch, RADIANS * rate, z),
+    "hover": lambda on, vx, vy, rate, z: on.hover(vx, vy, RADIANS * rate, z),
+    "position": lambda on, x, y, z, yaw: on.position((x, y, z), RADIANS * yaw),
     "notify_setpoint_stop": lambda on, remain: on.notify_setpoint_stop(),
     "group_mask": lambda on, group: 0,
     "planner_stop": _stop_planner,

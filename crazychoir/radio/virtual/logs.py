@@ -13,7 +13,8 @@ CREATE_V1, APPEND_V1, DELETE, START, STOP, RESET, CREATE, APPEND, START_V2 = ran
 OK, ENOENT, E2BIG, ENOEXEC, ENOMEM, EEXIST = 0, 2, 7, 8, 12, 17
 BLOCKS, VARIABLES, SIZE = 16, 128, 26
 """At most: blocks, variables in all of them, bytes of the values of one."""
-LETTER = {LOG_TYPES[kind]: letter for kind, letter in LETTERS.items()}
+LETTER = {LOG_TYPES[kind]: letter for kind, letter in LETTERS.items()} | {8: "e"}
+"""By type; the last is a float of 16 bits, as which a client may ask for a variable."""
 Read = Callable[[str], float]
 
 
@@ -106,8 +107,8 @@ class Logs:
 
 def value_of(letter: str, value: float) -> bytes:
     """A value as it travels: whole numbers at the ends of their range stay there."""
-    if letter == "f":
-        return struct.pack("<f", value)
+    if letter in "ef":
+        return struct.pack("<" + letter, value)
     bits = 8 * struct.calcsize(letter)
     low, high = (-(1 << bits - 1), (1 << bits - 1) - 1) if letter.islower() else (0, (1 << bits) - 1)
     return int(min(max(int(value), low), high)).to_bytes(bits // 8, "little", signed=letter.islower())
