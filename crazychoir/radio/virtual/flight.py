@@ -9,13 +9,11 @@ import numpy as np
 from crazychoir.errors import CodecError
 from crazychoir.radio.compressed import quaternion
 from crazychoir.radio.crtp import (
-    COMMANDER,
     FORMS,
     HIGH_LEVEL,
     LOCALIZATION,
     PLATFORM,
     PROTOCOL,
-    SETPOINT,
     SUPERVISOR,
     Form,
     Packet,
