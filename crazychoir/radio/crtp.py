@@ -1,0 +1,123 @@
+"""CRTP packets without any I/O: what a server of virtual drones, senders and tests all read and write.
+
+One datagram is one packet: a byte of port and channel, then at most 30 bytes. Numbers are little-endian, not aligned.
+Sources: Bitcraze's CRTP documentation; protocol version 12 as the firmware of 2026 speaks it, measured.
+"""
+
+import struct
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Final, NamedTuple
+
+from crazychoir.errors import CodecError
+
+PROTOCOL: Final = 12
+"""Version of what the ports below understand."""
+MOST: Final = 30
+"""Bytes behind the header."""
+CONSOLE, PARAM, COMMANDER, MEMORY, LOG, LOCALIZATION, SETPOINT = 0, 2, 3, 4, 5, 6, 7
+HIGH_LEVEL, SUPERVISOR, PLATFORM, LINK = 8, 9, 13, 15
+_RESERVED = 0b1100
+"""Bits of the header that safelink counts in; cflib sets them in each packet that it sends or gets."""
+
+
+class Packet(NamedTuple):
+    """port: 0 to 15;  channel: 0 to 3;  data: at most MOST bytes."""
+
+    port: int
+    channel: int
+    data: bytes = b""
+
+    def framed(self) -> bytes:
+        """As it travels."""
+        return bytes([self.port << 4 | _RESERVED | self.channel]) + self.data
+
+
+def parse(datagram: bytes) -> Packet:
+    """The packet of a datagram; CodecError for an empty one and for one that no radio carries."""
+    if not 1 <= len(datagram) <= 1 + MOST:
+        raise CodecError(f"CRTP packet: {len(datagram)} bytes; allowed: 1 to {1 + MOST}.")
+    return Packet(datagram[0] >> 4, datagram[0] & 0b11, bytes(datagram[1:]))
+
+
+@dataclass(frozen=True)
+class Form:
+    """One kind of packet: where it goes, the bytes that tell it from others, and its fields.
+
+    fields: name and struct's letter each, as in "roll:f pitch:f", after the head, nothing between them.
+    """
+
+    name: str
+    port: int
+    channel: int
+    head: bytes
+    fields: str
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Of the fields, in their order."""
+        return tuple(field.split(":")[0] for field in self.fields.split())
+
+    @cached_property
+    def layout(self) -> struct.Struct:
+        """Of the fields."""
+        return struct.Struct("<" + "".join(field.split(":")[1] for field in self.fields.split()))
+
+    def packet(self, *values: Any) -> Packet:
+        """The packet with these values, in the order of the fields; CodecError for one that does not fit."""
+        try:
+            return Packet(self.port, self.channel, self.head + self.layout.pack(*values))
+        except struct.error as error:
+            raise CodecError(f"CRTP {self.name}: {error}; its fields: {self.fields}.") from error
+
+    def values(self, packet: Packet) -> tuple[Any, ...]:
+        """The values of the fields; CodecError for a packet of another length, at which a firmware would reset."""
+        body = packet.data[len(self.head) :]
+        if len(body) != self.layout.size:
+            found, allowed = len(packet.data), len(self.head) + self.layout.size
+            raise CodecError(f"CRTP {self.name}: {found} bytes; allowed: {allowed}, {self.fields}.")
+        return self.layout.unpack(body)
+
+
+def _forms(*rows: tuple[str, int, int, bytes, str]) -> dict[str, Form]:
+    return {row[0]: Form(*row) for row in rows}
+
+
+FORMS: Final = _forms(
+    # Set-points: deg and deg/s; RPYT's pitch is positive nose up and its yaw rate is turned around, both nowhere else.
+    ("rpyt", COMMANDER, 0, b"", "roll:f pitch:f yaw:f thrust:H"),
+    ("stop", SETPOINT, 0, b"\x00", ""),
+    ("altitude_hold", SETPOINT, 0, b"\x04", "roll:f pitch:f yaw_rate:f vz:f"),
+    ("full_state", SETPOINT, 0, b"\x06", "x:h y:h z:h vx:h vy:h vz:h ax:h ay:h az:h q:I p:h q_rate:h r:h"),
+    ("velocity_world", SETPOINT, 0, b"\x08", "vx:f vy:f vz:f yaw_rate:f"),
+    ("z_distance", SETPOINT, 0, b"\x09", "roll:f pitch:f yaw_rate:f z:f"),
+    ("hover", SETPOINT, 0, b"\x0a", "vx:f vy:f yaw_rate:f z:f"),
+    ("position", SETPOINT, 0, b"\x07", "x:f y:f z:f yaw:f"),
+    ("manual", SETPOINT, 0, b"\x0b", "roll:f pitch:f yaw_rate:f thrust:H rates:B"),
+    ("notify_setpoint_stop", SETPOINT, 1, b"\x00", "remain_ms:I"),
+    # The planner on board: m, rad, s; `group` is a mask, 0 is all.
+    ("group_mask", HIGH_LEVEL, 0, b"\x00", "group:B"),
+    ("planner_stop", HIGH_LEVEL, 0, b"\x03", "group:B"),
+    ("define_trajectory", HIGH_LEVEL, 0, b"\x06", "id:B location:B type:B offset:I pieces:B"),
+    ("take_off", HIGH_LEVEL, 0, b"\x07", "group:B height:f yaw:f keep_yaw:? duration:f"),
+    ("land", HIGH_LEVEL, 0, b"\x08", "group:B height:f yaw:f keep_yaw:? duration:f"),
+    ("take_off_with_velocity", HIGH_LEVEL, 0, b"\x09", "group:B height:f relative:? yaw:f keep_yaw:? speed:f"),
+    ("land_with_velocity", HIGH_LEVEL, 0, b"\x0a", "group:B height:f relative:? yaw:f keep_yaw:? speed:f"),
+    ("spiral", HIGH_LEVEL, 0, b"\x0b", "group:B sideways:B clockwise:B angle:f r0:f r1:f climb:f duration:f"),
+    ("go_to", HIGH_LEVEL, 0, b"\x0c", "group:B relative:B linear:B x:f y:f z:f yaw:f duration:f"),
+    ("start_trajectory", HIGH_LEVEL, 0, b"\x0d", "group:B relative:B relative_yaw:B reversed:B id:B timescale:f"),
+    # What is measured outside: m, quaternions [x, y, z, w].
+    ("external_position", LOCALIZATION, 0, b"", "x:f y:f z:f"),
+    ("emergency_stop", LOCALIZATION, 1, b"\x03", ""),
+    ("emergency_stop_watchdog", LOCALIZATION, 1, b"\x04", ""),
+    ("external_pose", LOCALIZATION, 1, b"\x08", "x:f y:f z:f qx:f qy:f qz:f qw:f"),
+    # The supervisor.
+    ("arm", SUPERVISOR, 1, b"\x01", "on:?"),
+    ("recover", SUPERVISOR, 1, b"\x02", ""),
+    ("supervisor_stop", SUPERVISOR, 1, b"\x03", ""),
+    ("supervisor_watchdog", SUPERVISOR, 1, b"\x04", ""),
+    ("supervisor_info", SUPERVISOR, 0, b"\x0c", ""),
+    ("platform_arm", PLATFORM, 0, b"\x01", "on:?"),
+    ("platform_recover", PLATFORM, 0, b"\x02", ""),
+)
+"""By name. Logs, parameters and memories, whose packets have lists in them, are read where they are served."""
