@@ -8,17 +8,22 @@ from typing import Any, Self
 
 import msgspec
 
-from crazychoir.bus.local import BODIES
-from crazychoir.bus.topics import Topic
+from crazychoir.bus.local import BODIES, EYES
+from crazychoir.bus.topics import POSE, TRUTH, Topic
 from crazychoir.errors import ConfigError
 from crazychoir.swarm.checks import REPLAY, check, graph_of, owned
 from crazychoir.swarm.graph import Graph, span
+from crazychoir.swarm.radios import dongles, reached
 from crazychoir.swarm.reading import parse, read, require_plain
 from crazychoir.swarm.tables import Control, Drone, Swarm, Table
 
 LOCAL = "127.0.0.1"
 WORLD = -1
 """The process of the world's owner, among processes that are known by their lowest drone."""
+MOCAP = -2
+"""That of motion capture."""
+DONGLES = -3
+"""That of the owner of dongle 0; of dongle K: DONGLES - K."""
 SPACING = 0.6
 MARGIN = 4.0
 FILES = ("instance", "drawing")
@@ -138,9 +143,12 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
         return self._listens(self.drone(i).host, self.process(i))
 
     def endpoints(self) -> dict[int, str]:
-        """The endpoint of each process, by its lowest drone; that of the world's owner first, if there is one."""
-        world = {WORLD: self._listens(self.world.host, WORLD)} if self.owned else {}
-        return world | {group[0]: self.endpoint(group[0]) for group in self.groups()}
+        """The endpoint of each process, by its lowest drone; those of owners first: of dongles, cameras, the world."""
+        owners = {DONGLES - k: self.dongle_host(k) for k in reversed(self.dongles)}
+        owners |= {MOCAP: self.mocap.host} if self.seen else {}
+        owners |= {WORLD: self.world.host} if self.owned else {}
+        listens = {process: self._listens(host, process) for process, host in owners.items()}
+        return listens | {group[0]: self.endpoint(group[0]) for group in self.groups()}
 
     def _listens(self, host: str | None, process: int) -> str:
         address = LOCAL if host is None else self.hosts[host]
@@ -151,9 +159,39 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
         """The drones whose bodies are, in real time, in the process of the world's owner; increasing."""
         return owned(self)
 
+    @property
+    def reached(self) -> tuple[int, ...]:
+        """The drones that a radio reaches, udp:// or radio://; increasing."""
+        return reached(self)
+
+    @property
+    def seen(self) -> tuple[int, ...]:
+        """The drones whose poses come from the process of motion capture; increasing."""
+        return tuple(i for i in self.reached if self.drone(i).pose == "mocap")
+
+    @property
+    def elsewhere(self) -> tuple[int, ...]:
+        """The drones whose bodies, in real time, are reached by another process than their agent's; increasing."""
+        return tuple(sorted((*self.owned, *self.reached)))
+
+    @property
+    def dongles(self) -> dict[int, tuple[int, ...]]:
+        """The drones of each dongle, by its number; both increasing."""
+        return dongles(self)
+
+    def dongle_host(self, number: int) -> str | None:
+        """The host of a dongle's owner."""
+        return next((row.host for row in self.radio.dongles if row.dongle == number), None)
+
+    def body_name(self, i: int) -> str:
+        """What motion capture calls drone i."""
+        return self.drone(i).body or f"cf{i}"
+
     def source(self, topic: Topic, i: int) -> int:
-        """The address that says a topic of drone i in real time: the drone's, or its body's."""
-        return BODIES + i if topic.of_body and i in self.owned else i
+        """The address that says a topic of drone i in real time: the drone's, its body's, or that of the cameras."""
+        if not topic.of_body or i not in self.elsewhere:
+            return i
+        return EYES + i if topic in (POSE, TRUTH) and i in self.seen else BODIES + i
 
     def impairment(self) -> dict[str, Any]:
         """[network] as plain values, only what is written; the groups of a partition name every drone."""
