@@ -1,4 +1,4 @@
-"""What lies between a client and a virtual drone: a shared dongle's time, losses, delays, silence. All can change in flight."""
+"""What lies between a client and a virtual drone: a shared dongle's time, losses, delays, silence; all may change."""
 
 import random
 from collections.abc import Callable

@@ -28,7 +28,7 @@ MILLI = 1e-3
 
 
 class Flight:
-    """Takes set-points, plans, poses and requests; `number`: the last byte of its address, by which poses are packed."""
+    """Takes set-points, plans, poses and requests; number: the last byte of its address, by which poses are packed."""
 
     def __init__(self, onboard: Onboard, number: int, firmware: str = "virtual", device: str = "CF21") -> None:
         self.onboard, self.number, self.firmware, self.device = onboard, number, firmware, device
@@ -87,8 +87,9 @@ def _full_state(on: Onboard, *values: float) -> None:
     on.full_state(np.array([*milli[:9], *quaternion(int(values[9])), *milli[9:]]))
 
 
-def _spiral(on: Onboard, group: int, sideways: int, clockwise: int, *rest: float) -> int:
-    return on.spiral(*rest, sideways=bool(sideways), clockwise=bool(clockwise))
+def _spiral(on: Onboard, group: int, sideways: int, clockwise: int, *arc: float) -> int:
+    angle, r0, r1, climb, duration = arc
+    return on.spiral(angle, r0, r1, climb, duration, bool(sideways), bool(clockwise))
 
 
 def _take_off(on: Onboard, group: int, height: float, yaw: float, keep: bool, duration: float) -> int:
@@ -115,8 +116,9 @@ def _speed(on: Onboard, speed: float, default: str) -> float:
     return speed if speed > 0.0 else on.get(default)
 
 
-def _go_to(on: Onboard, group: int, relative: int, linear: int, x: float, y: float, z: float, *rest: float) -> int:
-    return on.go_to((x, y, z), *rest, relative=bool(relative), linear=bool(linear))
+def _go_to(on: Onboard, group: int, relative: int, linear: int, *goal: float) -> int:
+    x, y, z, yaw, duration = goal
+    return on.go_to((x, y, z), yaw, duration, bool(relative), bool(linear))
 
 
 def _start(on: Onboard, group: int, relative: int, rel_yaw: int, reverse: int, slot: int, timescale: float) -> int:

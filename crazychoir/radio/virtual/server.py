@@ -4,15 +4,17 @@ import asyncio
 import socket
 from collections.abc import Sequence
 from functools import partial
-from typing import cast
+from typing import Any, cast
 
 from crazychoir.errors import CodecError, ConfigError
 from crazychoir.radio.crtp import LINK, Packet, parse
 from crazychoir.radio.virtual.air import Air, Dongle
+from crazychoir.radio.virtual.bodies import world_of
 from crazychoir.radio.virtual.drone import VirtualCrazyflie
 from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import SECOND, Clock
 from crazychoir.simulation.crazyflies import CrazyflieWorld
+from crazychoir.swarm.config import default_swarm
 
 PROBE = b"\xff"
 """What a scan sends: whatever comes back says that somebody is there. Who scans is no client yet."""
@@ -112,8 +114,8 @@ class VirtualServer(Actor):
                 at.bind((self.host, self.port + k))
             except OSError as error:
                 at.close()
-                where = f"virtual Crazyflies: UDP port {self.port + k} of {self.host}"
-                raise ConfigError(where, str(error.strerror), "a port that is free", "Choose another --port.") from error
+                where, do = f"virtual Crazyflies: UDP port {self.port + k} of {self.host}", "Choose another --port."
+                raise ConfigError(where, str(error.strerror), "a port that is free", do) from error
             await loop.create_datagram_endpoint(lambda found=found: found, sock=at)  # type: ignore[misc]
 
     async def run(self) -> None:
@@ -130,3 +132,18 @@ class VirtualServer(Actor):
         """Close the ports."""
         for found in self.ports.values():
             found.close()
+
+    def report(self) -> dict[str, Any]:
+        """What became of each drone."""
+        return {
+            "success": True,
+            "seconds": self.world.time,
+            "crashed": self.world.crashed,
+            "lost": {i: found.air.lost for i, found in self.ports.items()},
+        }
+
+
+def grid(clock: Clock, n: int, port: int, seed: int = 0) -> VirtualServer:
+    """n drones on a square grid on the floor."""
+    config = default_swarm(n)
+    return VirtualServer(clock, world_of(config, config.drones, seed), port, seed=seed)

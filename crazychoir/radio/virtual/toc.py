@@ -19,7 +19,8 @@ LOG_TYPES = {
     "uint8_t": 1, "uint16_t": 2, "uint32_t": 3, "int8_t": 4, "int16_t": 5, "int32_t": 6, "float": 7,
 }  # fmt: skip
 PARAM_TYPES = {
-    "uint8_t": 0x08, "uint16_t": 0x09, "uint32_t": 0x0A, "int8_t": 0x00, "int16_t": 0x01, "int32_t": 0x02, "float": 0x06,
+    "uint8_t": 0x08, "uint16_t": 0x09, "uint32_t": 0x0A, "int8_t": 0x00, "int16_t": 0x01, "int32_t": 0x02,
+    "float": 0x06,
 }  # fmt: skip
 EXTENDED, READ_ONLY = 0x10, 0x40
 """Bits of a parameter's type: more is to be asked for, which is whether it is persistent; it cannot be written."""
