@@ -139,7 +139,6 @@ class Connection:
         if self._writer is not None:
             self._writer.join(ENDS)
         link, cf.link = cf.link, None
-        cf.link_statistics._stop_event.set()
         if link is not None:
             link.close()
         cf.incoming.stop()
@@ -197,6 +196,8 @@ class Connection:
 
     async def log(self, name: str, variables: Iterable[str], period: float, data: Data, seconds: float) -> None:
         """Let the drone say variables every `period` s, a multiple of 0.01; LinkFailed if it does not in time."""
+        if self._writer is None:
+            raise LinkFailed(self.uri, f"log {name}: its link is not open")
         config = LogConfig(name, round(1000.0 * period))
         for variable in variables:
             config.add_variable(variable)

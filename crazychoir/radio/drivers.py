@@ -1,6 +1,7 @@
 """cflib's drivers, made ready once a process: UDP as a link that may lose packets, and that closes at once."""
 
 import contextlib
+import logging
 import socket
 from functools import cache
 from typing import Any
@@ -45,6 +46,7 @@ def _ignored(message: str) -> None:
 @cache
 def ready() -> None:
     """Let cflib know its drivers, ours in place of its UDP driver; once a process, as cflib adds them at each call."""
+    logging.getLogger("cflib").setLevel(logging.CRITICAL)  # what fails is said once, by who has asked for it
     cflib.crtp.init_drivers()
     drivers = cflib.crtp.CLASSES
     drivers[drivers.index(UdpDriver)] = LossyUdpDriver
