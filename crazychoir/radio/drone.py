@@ -211,7 +211,7 @@ class RadioDrone(Actor):
         elif now_ns < self._due_ns:
             return
         else:
-            period_ns = round(SECOND / self.rate)
+            period_ns = round(SECOND / (self.rate or LOOKS))
             self._due_ns = max(self._due_ns + period_ns, now_ns - period_ns // 2)
         if self._platform.firmware.needs_arming and not stops:
             self._arm()
@@ -221,7 +221,7 @@ class RadioDrone(Actor):
         connection = self.connection
         assert connection is not None  # noqa: S101 - callers have looked
         try:
-            packets = self.handler.packets(command) if not isinstance(command, XYZ) else self.handler.planned(command)
+            packets = self.handler.packets(command)
         except CodecError as error:
             self.malformed += 1
             self._say("malformed", f"not sent: {error}")

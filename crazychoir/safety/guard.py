@@ -210,7 +210,9 @@ class Guard:
         age, reach = (0.0, 0.0) if reference_age is None else (reference_age, self._reach)
         stop = -math.inf if state is None else _outside(state.flat, self._low if low else self._flying, reach)
         well = pose_age <= self._least_pose and age <= self._least_reference and stop <= self._least_stop
-        return ALL_WELL if well and self._told_well and not self._acting else self._judge(now, self._measured(state, pose_age, age, stop))
+        if well and self._told_well and not self._acting:
+            return ALL_WELL
+        return self._judge(now, self._measured(state, pose_age, age, stop))
 
     def tell(self, measure: str, value: float) -> None:
         """A measure of TOLD now."""
