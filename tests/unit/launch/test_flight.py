@@ -192,7 +192,8 @@ def test_owners_of_cameras_and_dongles_start_with_the_drones_of_their_host():
         for i, host in enumerate(("lab", "desk", "lab"))
     ]
     raw = {"name": "a", "drones": drones, "hosts": {"lab": "10.0.0.1", "desk": "10.0.0.2"}}
-    raw |= {"mocap": {"host": "desk"}, "radio": {"dongles": [{"dongle": 0, "host": "lab"}, {"dongle": 1, "host": "desk"}]}}
+    rows = [{"dongle": 0, "host": "lab"}, {"dongle": 1, "host": "desk"}]
+    raw |= {"mocap": {"host": "desk"}, "radio": {"dongles": rows}}
     config = SwarmConfig.of(raw)
     names = {here: [owner.name for owner in owners(config, here)] for here in ((0, 1, 2), (0,), (2,), (1,))}
     assert names == {

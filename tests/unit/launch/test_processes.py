@@ -140,7 +140,7 @@ async def test_without_their_world_agents_end_that_do_not_by_themselves(tmp_path
     monkeypatch.setattr(processes, "ORPHANED", orphaned)
     await run_children([(0,)], tmp_path / "s.json", default_swarm(1), [], said.append, owners=[WORLD_OWNER])
     assert children[0].returncode == 3
-    assert f"world: its owner ended with code {code}: its drones see nothing and stop" in said
+    assert f"world: its owner ended with code {code}: its drones stop" in said
 
 
 async def test_a_signal_is_passed_on_as_what_it_is(tmp_path, monkeypatch):

@@ -182,7 +182,8 @@ CASES = {
     "no port for the world": (
         "base_port = 1024\nworld.owned = true",
         "",
-        "x.toml: base_port = 1024: owners of worlds and radios listen down to base_port - 1; ports begin at 1024. Raise it.",
+        "x.toml: base_port = 1024: owners of worlds and radios listen down to base_port - 1; ports begin at 1024. "
+        "Raise it.",
     ),
     "outside the fence": (
         "fence.max = [4, 0.9, 3]",
