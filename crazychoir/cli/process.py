@@ -6,7 +6,7 @@ import random
 import signal
 import socket
 from dataclasses import asdict
-from typing import Any
+from typing import Any, Protocol
 
 from crazychoir.agent import Agent
 from crazychoir.bus.hello import VERSION
@@ -14,9 +14,10 @@ from crazychoir.bus.public import PublicCopies
 from crazychoir.bus.zenoh import ZenohLink
 from crazychoir.errors import Refused
 from crazychoir.guidance.mission import Mission
+from crazychoir.radio.owner import RadioProcess, owned
 from crazychoir.runtime.clock import SECOND, Clock, run_wall
 from crazychoir.runtime.watchdog import Watchdog
-from crazychoir.swarm.config import WORLD, SwarmConfig
+from crazychoir.swarm.config import DONGLES, MOCAP, WORLD, SwarmConfig
 from crazychoir.worlds import WorldProcess
 
 log = logging.getLogger(__name__)
@@ -105,7 +106,42 @@ def run_world(config: SwarmConfig, listen: str | None) -> dict[str, Any]:
     return run_wall(main)
 
 
-def _end_on_signals(clock: Clock, world: WorldProcess) -> None:
+def run_radios(config: SwarmConfig, dongle: int, listen: str | None) -> dict[str, Any]:
+    """Own a dongle and its links in real time, over Zenoh; returns how they were. Raises Refused if it is owned."""
+
+    async def main(clock: Clock) -> dict[str, Any]:
+        incarnation = random.SystemRandom().getrandbits(62)
+        process = f"dongle{dongle}-{incarnation & 0xFFFFFFFF:08x}"
+        host = config.dongle_host(dongle) or socket.gethostname().split(".")[0]
+        radios = RadioProcess(clock, config, dongle, process, host, incarnation)
+        endpoints = config.endpoints()
+        link = ZenohLink(
+            radios.bus, config.name, listen=[listen or endpoints[DONGLES - dongle]],
+            connect=[endpoints[MOCAP]] if MOCAP in endpoints else [], incarnation=incarnation, version=VERSION,
+            lease=config.lease, on_refused=radios.refuse,
+        )  # fmt: skip
+        link.open()
+        _end_on_signals(clock, radios)
+        await radios.serve(link)
+        return radios.report() | {"network": asdict(link.counters)}
+
+    with owned(config, dongle):
+        return run_wall(main)
+
+
+class Owner(Protocol):
+    """What signals end."""
+
+    def end(self, reason: str) -> None:
+        """As soon as nobody flies."""
+        ...
+
+    def abort(self, reason: str) -> None:
+        """Now."""
+        ...
+
+
+def _end_on_signals(clock: Clock, world: Owner) -> None:
     """The first signal lets those land who fly; a second of an operator within 2 s ends it where it is."""
     loop = asyncio.get_running_loop()
     times: list[int] = []
