@@ -1,7 +1,5 @@
 """crazychoir virtual: Crazyflies that are not there, for programs that speak to real ones."""
 
-import asyncio
-import signal
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -12,13 +10,9 @@ from crazychoir.cli.show import STDERR, STDOUT, Progress, fail, set_up_logging, 
 from crazychoir.errors import ConfigError, CrazyChoirError
 
 if TYPE_CHECKING:
-    from crazychoir.radio.virtual.server import VirtualServer
     from crazychoir.radio.virtual.setup import Hall
-    from crazychoir.runtime.clock import Clock
 
 FIRST_PORT = 19850
-LOOKS = 4.0
-"""Hz, of the live table."""
 app = typer.Typer(help="Virtual Crazyflies on UDP, which any cflib program may fly, and what goes wrong with them.")
 PortOption = Annotated[int, typer.Option(min=1025, max=65000, help="UDP port of the first drone; poses: one below.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
@@ -48,6 +42,7 @@ def virtual(
     if context.invoked_subcommand is not None:
         return
     set_up_logging()
+    from crazychoir.cli.serving import serve
     from crazychoir.radio.virtual.drone import RELEASE  # kernels: 1 s that --help does not need
     from crazychoir.radio.virtual.setup import known_decks, of_swarm, on_a_grid
     from crazychoir.runtime.clock import run_wall
@@ -62,7 +57,8 @@ def virtual(
         else:
             hall = of_swarm(SwarmConfig.load(swarm), decks, release)
         shared = _shared(hall, dongles, per_dongle, capacity) if swarm or dongles or per_dongle else []
-        report = run_wall(lambda clock: _serve(clock, hall, shared, seed, release, as_json))
+        with Progress(_table, enabled=not as_json and STDERR.is_terminal) as progress:
+            report = run_wall(lambda clock: serve(clock, hall, shared, seed, release, progress))
     except CrazyChoirError as error:
         fail(error, as_json)
     if as_json:
@@ -80,42 +76,6 @@ def _shared(hall: "Hall", text: str | None, each: int | None, capacity: float | 
     if text is not None and each is not None:
         raise ConfigError("--dongles and --per-dongle", "both", "one of them")
     return [(group, capacity or own) for group, own in groups(hall, text, each)]
-
-
-async def _serve(
-    clock: "Clock", hall: "Hall", shared: Shared, seed: int, release: str, as_json: bool
-) -> dict[str, Any]:
-    from crazychoir.radio.virtual.air import Dongle
-    from crazychoir.radio.virtual.server import VirtualServer
-    from crazychoir.runtime.supervisor import Supervisor
-
-    radios = [Dongle(clock, group, capacity) for group, capacity in shared]
-    server = VirtualServer(clock, hall.world(seed, release), hall.seats, hall.poses, radios, seed)
-    server.listen()
-    failures: list[str] = []
-    supervisor = Supervisor(clock, "virtual", lambda actor, error, again: failures.append(str(error)))
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        asyncio.get_running_loop().add_signal_handler(number, supervisor.stop)
-    STDERR.print(_where(hall), markup=False, highlight=False, soft_wrap=True)
-    with Progress(_table, enabled=not as_json and STDERR.is_terminal) as progress:
-        shows = asyncio.create_task(_show(clock, server, progress))
-        try:
-            await supervisor.run([server])
-        finally:
-            shows.cancel()
-    report = server.report()
-    return report | ({"success": False, "error": failures[0]} if failures else {})
-
-
-def _where(hall: "Hall") -> str:
-    uris = [f"udp://{seat.at[0]}:{seat.at[1]}" for seat in hall.seats]
-    shown = uris[0] if len(uris) == 1 else f"{uris[0]} to {uris[-1]}"
-    return f"virtual Crazyflies: {shown}; poses at udp://{hall.poses[0]}:{hall.poses[1]}; Ctrl-C ends"
-
-
-async def _show(clock: "Clock", server: "VirtualServer", progress: "Progress[dict[int, Any]]") -> None:
-    async for _ in clock.ticks(LOOKS):
-        progress({i: server.state(i) for i in server.ports})
 
 
 def _table(states: dict[int, Any]) -> Table:

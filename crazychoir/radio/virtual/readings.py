@@ -1,15 +1,16 @@
 """Log variables that no firmware model has: of the battery, the radio, decks and sensors; and those in other units."""
 
 import math
-from collections.abc import Callable
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Sequence
+from typing import Protocol
 
 from crazychoir.math3d import GRAVITY
 from crazychoir.radio.compressed import compressed
-from crazychoir.radio.virtual.power import level
-
-if TYPE_CHECKING:
-    from crazychoir.radio.virtual.drone import VirtualCrazyflie
+from crazychoir.radio.virtual.flight import Flight
+from crazychoir.radio.virtual.memories import Memories
+from crazychoir.radio.virtual.parameters import Parameters
+from crazychoir.radio.virtual.power import Power, level
+from crazychoir.simulation.onboard.onboard import Onboard
 
 Readings = dict[str, Callable[[], float]]
 NOTHING_NEAR = 32767.0
@@ -20,12 +21,39 @@ LH_OK = 2.0
 """lighthouse.status: it knows where it is."""
 
 
-def readings(me: "VirtualCrazyflie") -> Readings:
+class Parts(Protocol):
+    """What a drone is made of, as far as it is logged; truth: where it is, m world."""
+
+    onboard: Onboard
+    power: Power
+    flight: Flight
+    memories: Memories
+    parameters: Parameters
+    received: int
+    rates: tuple[float, float]
+    positioned: bool
+
+    @property
+    def uptime(self) -> int:
+        """ms."""
+        ...
+
+    @property
+    def decks(self) -> tuple[str, ...]:
+        """On board."""
+        ...
+
+    def truth(self) -> Sequence[float]:
+        """m, world."""
+        ...
+
+
+def readings(me: Parts) -> Readings:
     """By name, in the firmware's units."""
     return {**_electric(me), **_linked(me), **_sensed(me), **_thought(me), **_decks(me)}
 
 
-def _electric(me: "VirtualCrazyflie") -> Readings:
+def _electric(me: Parts) -> Readings:
     return {
         "pm.state": lambda: me.power.state(me.uptime),
         "pm.batteryLevel": lambda: level(me.onboard.log("pm.vbat")),
@@ -34,7 +62,7 @@ def _electric(me: "VirtualCrazyflie") -> Readings:
     }
 
 
-def _linked(me: "VirtualCrazyflie") -> Readings:
+def _linked(me: Parts) -> Readings:
     external = {"x": 0, "y": 1, "z": 2, "qx": 3, "qy": 4, "qz": 5, "qw": 6}
 
     def said(k: int) -> float:
@@ -54,7 +82,7 @@ def _linked(me: "VirtualCrazyflie") -> Readings:
     }
 
 
-def _sensed(me: "VirtualCrazyflie") -> Readings:
+def _sensed(me: Parts) -> Readings:
     on = me.onboard
     return {
         "baro.asl": lambda: on.estimate.p[2],
@@ -67,7 +95,7 @@ def _sensed(me: "VirtualCrazyflie") -> Readings:
     }
 
 
-def _thought(me: "VirtualCrazyflie") -> Readings:
+def _thought(me: Parts) -> Readings:
     log = me.onboard.log
 
     def scaled(name: str, factor: float) -> Callable[[], float]:
@@ -87,7 +115,7 @@ def _thought(me: "VirtualCrazyflie") -> Readings:
     }
 
 
-def _decks(me: "VirtualCrazyflie") -> Readings:
+def _decks(me: Parts) -> Readings:
     """Ranges in mm: downwards as far as the floor is, elsewhere nothing is near; 0 without the deck."""
 
     def far(side: str) -> float:
