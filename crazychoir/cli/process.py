@@ -12,6 +12,7 @@ from crazychoir.agent import Agent
 from crazychoir.bus.hello import VERSION
 from crazychoir.bus.public import PublicCopies
 from crazychoir.bus.zenoh import ZenohLink
+from crazychoir.cli.signals import AGAIN, NAMES, end_on_signals
 from crazychoir.errors import Refused
 from crazychoir.guidance.mission import Mission
 from crazychoir.runtime.clock import SECOND, Clock, run_wall
@@ -20,9 +21,6 @@ from crazychoir.swarm.config import WORLD, SwarmConfig
 from crazychoir.worlds import WorldProcess
 
 log = logging.getLogger(__name__)
-AGAIN = 2.0
-"""s within which signals count together."""
-NAMES: dict[int, str] = {signal.SIGINT: "Ctrl-C (SIGINT)", signal.SIGTERM: "SIGTERM"}
 
 
 def run_agent(
@@ -95,7 +93,7 @@ def run_world(config: SwarmConfig, listen: str | None) -> dict[str, Any]:
         link.open()
         watchdog = Watchdog(clock)
         watchdog.start()
-        _end_on_signals(clock, world)
+        end_on_signals(clock, world)
         try:
             await world.serve(link)
         finally:
@@ -103,24 +101,6 @@ def run_world(config: SwarmConfig, listen: str | None) -> dict[str, Any]:
         return world.report() | {"network": asdict(link.counters), "late_s": watchdog.worst}
 
     return run_wall(main)
-
-
-def _end_on_signals(clock: Clock, world: WorldProcess) -> None:
-    """The first signal lets those land who fly; a second of an operator within 2 s ends it where it is."""
-    loop = asyncio.get_running_loop()
-    times: list[int] = []
-
-    def on_signal(number: int) -> None:
-        again = number != signal.SIGHUP and any(t > clock.now_ns() - AGAIN * SECOND for t in times)
-        if again:
-            world.abort("a second signal")
-        else:
-            world.end(NAMES.get(number, "SIGHUP"))
-        if number != signal.SIGHUP:
-            times.append(clock.now_ns())
-
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        loop.add_signal_handler(number, on_signal, number)
 
 
 def _obey_signals(clock: Clock, agent: Agent) -> None:

@@ -85,7 +85,10 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
         named = {key: value for key, value in self.mission_options.items() if key in FILES and isinstance(value, str)}
         found = {key: str((folder / value).resolve()) for key, value in named.items()}
         drones = tuple(_replaying(drone, folder) for drone in self.drones)
-        return msgspec.structs.replace(self, mission_options=self.mission_options | found, drones=drones)
+        mocap = self.mocap
+        if mocap.file:
+            mocap = msgspec.structs.replace(mocap, file=str((folder / mocap.file).resolve()))
+        return msgspec.structs.replace(self, mission_options=self.mission_options | found, drones=drones, mocap=mocap)
 
     def _with_shapes_from(self, folder: Path) -> Self:
         named = {key: value for key in SHAPES if (value := getattr(self.mujoco, key))}
@@ -96,12 +99,13 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
     def digest(self) -> str:
         """16 hex digits that all hosts of one mission share, the same on every host, Python and hash seed.
 
-        Everything counts but `hosts`, `base_port`, `network` and the folders of the mission and of shapes. A file that
-        the mission's options name counts by what is in it, wherever it lies.
+        Everything counts but `hosts`, `base_port`, `network` and the folders of the mission, of shapes and of poses. A
+        file that the mission's options name counts by what is in it, wherever it lies.
         """
         agreed = {key: value for key, value in msgspec.to_builtins(self).items() if key not in OWN_TO_A_HOST}
         agreed["mission"] = Path(self.mission or "").name
         agreed["mujoco"] |= {key: Path(getattr(self.mujoco, key)).name for key in SHAPES}
+        agreed["mocap"]["file"] = Path(self.mocap.file).name
         agreed["mission_options"] = {key: _content(value) for key, value in self.mission_options.items()}
         for drone in agreed["drones"]:
             name, mark, number = drone["uri"].removeprefix(REPLAY).partition("?")
