@@ -35,7 +35,7 @@ def mocap(
         ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGHUP)
         signal.signal(signal.SIGINT, signal.SIG_DFL)  # before it is there it ends, and says nothing
     set_up_logging()
-    from crazychoir.cli.mocap_process import mocap_table, run_mocap  # kernels and network: 1 s that --help does not need
+    from crazychoir.cli.mocap_process import mocap_table, run_mocap  # kernels and network: 1 s
     from crazychoir.swarm.config import find_swarm
 
     try:

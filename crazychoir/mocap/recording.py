@@ -97,8 +97,6 @@ class ReplaySource:
     live, again = False, 0
 
     def __init__(self, clock: Clock, path: str, say: Say | None = None) -> None:
-        if not path:
-            raise ConfigError("mocap.file", "nothing", "a recording", 'Add for example file = "flight.csv" to [mocap].')
         self.clock, self.where, self.state = clock, f"replay of {path}", "replaying"
         self.frames = read_recording(path)
         self._complain = Complaints(self.where, say)

@@ -25,9 +25,9 @@ FIRST, LONGEST = 1.0, 30.0
 LARGEST = 1 << 16
 """Bytes of a datagram."""
 PROGRAMS = {
-    "vicon": "Vicon Tracker or Nexus, with its DataStream",
-    "optitrack": "Motive, with its NatNet stream",
-    "qualisys": "Qualisys Track Manager, with its real-time output",
+    "vicon": "Vicon Tracker or Nexus, with its DataStream,",
+    "optitrack": "Motive, with its NatNet stream,",
+    "qualisys": "Qualisys Track Manager, with its real-time output,",
     "vrpn": "its VRPN server",
 }
 """What has to run there."""
@@ -90,13 +90,13 @@ class SystemSource:
 
     async def _read(self, ours: socket.socket, take: Take) -> None:
         self.state = "starting"
-        await _next(ours, STARTED, f"its reader does not start within {STARTED:g} s.")
+        await self._next(ours, STARTED, f"its reader does not start within {STARTED:g} s.")
         self.state = "connecting"
         hangs = f"no connection within {CONNECT:g} s; its library waits for ever where nobody answers."
-        await _next(ours, CONNECT, f"{hangs} {self._running}")
+        await self._next(ours, CONNECT, hangs)
         self.state = "connected"
         while True:
-            data = await _next(ours, SILENT, f"connected, and no frame for {SILENT:g} s. {self._running}")
+            data = await self._next(ours, SILENT, f"connected, and no frame for {SILENT:g} s.")
             try:
                 frame = parse(data)
             except CodecError:
@@ -105,21 +105,20 @@ class SystemSource:
             self._wait = FIRST
             take(frame, max(0.0, self.clock.now() - frame.time))
 
-
-async def _next(ours: socket.socket, seconds: float, otherwise: str) -> bytes:
-    """The next datagram of a reader; raises _Failed if there is none, or if it says that it has failed."""
-    try:
-        async with asyncio.timeout(seconds):
-            data = await asyncio.get_running_loop().sock_recv(ours, LARGEST)
-    except TimeoutError:
-        raise _Failed(otherwise) from None
-    except OSError as error:
-        raise _Failed(f"its reader is gone: {error.strerror}.") from error
-    if not data:
-        raise _Failed("its reader has ended.")
-    if data.startswith(FAILED):
-        raise _Failed(f"{data.removeprefix(FAILED).decode(errors='replace')}.")
-    return data
+    async def _next(self, ours: socket.socket, seconds: float, otherwise: str) -> bytes:
+        """The next datagram of a reader; raises _Failed if there is none, or if it says that it has failed."""
+        try:
+            async with asyncio.timeout(seconds):
+                data = await asyncio.get_running_loop().sock_recv(ours, LARGEST)
+        except TimeoutError:
+            raise _Failed(f"{otherwise} {self._running}") from None
+        except OSError as error:
+            raise _Failed(f"its reader is gone: {error.strerror}.") from error
+        if not data:
+            raise _Failed("its reader has ended.")
+        if data.startswith(FAILED):
+            raise _Failed(f"{data.removeprefix(FAILED).decode(errors='replace')}. {self._running}")
+        return data
 
 
 async def _end(process: Process) -> None:

@@ -13,7 +13,7 @@ from crazychoir.bus.topics import POSE, TRUTH, Topic
 from crazychoir.errors import ConfigError
 from crazychoir.swarm.checks import REPLAY, check, graph_of, owned
 from crazychoir.swarm.graph import Graph, span
-from crazychoir.swarm.radios import dongles, reached
+from crazychoir.swarm.radios import body_name, dongles, reached, seen
 from crazychoir.swarm.reading import parse, read, require_plain
 from crazychoir.swarm.tables import Control, Drone, Swarm, Table
 
@@ -171,7 +171,7 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
     @property
     def seen(self) -> tuple[int, ...]:
         """The drones whose poses come from the process of motion capture; increasing."""
-        return tuple(i for i in self.reached if self.drone(i).pose == "mocap")
+        return seen(self)
 
     @property
     def elsewhere(self) -> tuple[int, ...]:
@@ -189,7 +189,7 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
 
     def body_name(self, i: int) -> str:
         """What motion capture calls drone i."""
-        return self.drone(i).body or f"cf{i}"
+        return body_name(self.drone(i))
 
     def source(self, topic: Topic, i: int) -> int:
         """The address that says a topic of drone i in real time: the drone's, its body's, or that of the cameras."""
