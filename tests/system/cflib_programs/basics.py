@@ -251,6 +251,6 @@ def multiranger(uri, cache):
 
 
 PROGRAMS = (
-    connect_with_callbacks, log_synchronously, log_by_callback, log_too_much, parameters, persistent_parameters,
-    console, memories, lighthouse, statistics, multiranger,
+    console, connect_with_callbacks, log_synchronously, log_by_callback, log_too_much, parameters,
+    persistent_parameters, memories, lighthouse, statistics, multiranger,
 )  # fmt: skip
