@@ -6,12 +6,13 @@ import random
 import signal
 import socket
 from dataclasses import asdict
-from typing import Any, Protocol
+from typing import Any
 
 from crazychoir.agent import Agent
 from crazychoir.bus.hello import VERSION
 from crazychoir.bus.public import PublicCopies
 from crazychoir.bus.zenoh import ZenohLink
+from crazychoir.cli.signals import AGAIN, NAMES, end_on_signals
 from crazychoir.errors import Refused
 from crazychoir.guidance.mission import Mission
 from crazychoir.radio.owner import RadioProcess, owned
@@ -21,9 +22,6 @@ from crazychoir.swarm.config import DONGLES, MOCAP, WORLD, SwarmConfig
 from crazychoir.worlds import WorldProcess
 
 log = logging.getLogger(__name__)
-AGAIN = 2.0
-"""s within which signals count together."""
-NAMES: dict[int, str] = {signal.SIGINT: "Ctrl-C (SIGINT)", signal.SIGTERM: "SIGTERM"}
 
 
 def run_agent(
@@ -96,7 +94,7 @@ def run_world(config: SwarmConfig, listen: str | None) -> dict[str, Any]:
         link.open()
         watchdog = Watchdog(clock)
         watchdog.start()
-        _end_on_signals(clock, world)
+        end_on_signals(clock, world)
         try:
             await world.serve(link)
         finally:
@@ -121,42 +119,12 @@ def run_radios(config: SwarmConfig, dongle: int, listen: str | None) -> dict[str
             lease=config.lease, on_refused=radios.refuse,
         )  # fmt: skip
         link.open()
-        _end_on_signals(clock, radios)
+        end_on_signals(clock, radios)
         await radios.serve(link)
         return radios.report() | {"network": asdict(link.counters)}
 
     with owned(config, dongle):
         return run_wall(main)
-
-
-class Owner(Protocol):
-    """What signals end."""
-
-    def end(self, reason: str) -> None:
-        """As soon as nobody flies."""
-        ...
-
-    def abort(self, reason: str) -> None:
-        """Now."""
-        ...
-
-
-def _end_on_signals(clock: Clock, world: Owner) -> None:
-    """The first signal lets those land who fly; a second of an operator within 2 s ends it where it is."""
-    loop = asyncio.get_running_loop()
-    times: list[int] = []
-
-    def on_signal(number: int) -> None:
-        again = number != signal.SIGHUP and any(t > clock.now_ns() - AGAIN * SECOND for t in times)
-        if again:
-            world.abort("a second signal")
-        else:
-            world.end(NAMES.get(number, "SIGHUP"))
-        if number != signal.SIGHUP:
-            times.append(clock.now_ns())
-
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        loop.add_signal_handler(number, on_signal, number)
 
 
 def _obey_signals(clock: Clock, agent: Agent) -> None:

@@ -37,6 +37,18 @@ Results = dict[int, dict[str, Any]]
 Children = dict[tuple[int, ...], Process]
 
 
+@dataclass(frozen=True)
+class Owner:
+    """A process that owns what agents need: who it is, its module, and its options."""
+
+    name: str
+    module: str
+    options: tuple[str, ...] = ()
+
+
+WORLD_OWNER = Owner("world", "crazychoir.cli.world")
+
+
 async def run_children(
     groups: list[tuple[int, ...]],
     path: Path,
@@ -93,18 +105,6 @@ async def _run_agents(
         await asyncio.gather(*map(until_its_end, files))
     finally:
         await _end([child for child in children.values() if child.returncode is None], patience(config))
-
-
-@dataclass(frozen=True)
-class Owner:
-    """A process that owns what agents need: who it is, its module, and its options."""
-
-    name: str
-    module: str
-    options: tuple[str, ...] = ()
-
-
-WORLD_OWNER = Owner("world", "crazychoir.cli.world")
 
 
 @contextlib.asynccontextmanager

@@ -16,9 +16,9 @@ ASK: Final = b"CHOIR?"
 PATIENCE: Final = 3.0
 """s for which one ASK counts."""
 _HEAD = struct.Struct("<6sIdH")
-_BODY = struct.Struct("<16s7d")
+_BODY = struct.Struct("<40s7d")
 _MARK = b"CHOIR1"
-NAME: Final = 16
+NAME: Final = 40
 """Bytes of a body's name at most."""
 MOST: Final = 450
 """Bodies in one frame: what a datagram holds."""

@@ -47,6 +47,8 @@ WATCHDOG = 0.25
 """s between two words for the emergency-stop watchdog, which wants one a second."""
 NEWEST = 0.1
 """s: an older pose is not told to a drone."""
+UNSEEN = 0.5
+"""s without a pose after which it counts as not seen, however seldom poses are asked for."""
 MILLI = 1e-3
 OWN = ("stateEstimateZ.x", "stateEstimateZ.y", "stateEstimateZ.z", "stateEstimateZ.vx", "stateEstimateZ.vy",
        "stateEstimateZ.vz", "stateEstimateZ.quat")  # fmt: skip
@@ -86,7 +88,7 @@ class RadioDrone(Actor):
         self._said = Throttle()
         self._asked: dict[tuple[str, ...], float] = {}
         self._tasks: list[asyncio.Task[None]] = []
-        self._pose: Latest[Pose] = Latest(self.clock, f"drone {i} pose", NEWEST)
+        self._pose: Latest[Pose] = Latest(self.clock, f"drone {i} pose", UNSEEN)
         if self.seen_by_cameras:
             here = self.port.address
             bus.subscribe(POSE, EYES + i, here, self._pose, config.radio.pose_rate)
@@ -211,7 +213,7 @@ class RadioDrone(Actor):
         elif now_ns < self._due_ns:
             return
         else:
-            period_ns = round(SECOND / self.rate)
+            period_ns = round(SECOND / (self.rate or LOOKS))
             self._due_ns = max(self._due_ns + period_ns, now_ns - period_ns // 2)
         if self._platform.firmware.needs_arming and not stops:
             self._arm()
@@ -221,7 +223,7 @@ class RadioDrone(Actor):
         connection = self.connection
         assert connection is not None  # noqa: S101 - callers have looked
         try:
-            packets = self.handler.packets(command) if not isinstance(command, XYZ) else self.handler.planned(command)
+            packets = self.handler.packets(command)
         except CodecError as error:
             self.malformed += 1
             self._say("malformed", f"not sent: {error}")

@@ -5,12 +5,12 @@ is not what it is sent.
 """
 
 import math
-from abc import ABC, abstractmethod
 from typing import Any
 
 import numpy as np
 
 from crazychoir.control.senders import STOP
+from crazychoir.errors import CodecError
 from crazychoir.math3d import GRAVITY, flat_attitude, quaternion
 from crazychoir.platforms import Platform
 from crazychoir.radio.compressed import compressed
@@ -26,7 +26,7 @@ FARTHEST = 32.0
 """m, m/s, m/s2, rad/s: what 16 bits of a thousandth hold."""
 
 
-class RadioHandler(ABC):
+class RadioHandler:
     """What all have. kind: as a swarm file names it;  platform: of the drone;  thrust: command a newton."""
 
     kind: str
@@ -42,9 +42,15 @@ class RadioHandler(ABC):
         """Of the firmware, without which the commands would mean something else."""
         return {}
 
-    @abstractmethod
     def packets(self, command: Any) -> list[Packet]:
-        """What says this command; CodecError for numbers that no packet holds: nothing leaves then."""
+        """What says this command; CodecError for what is no number, and for what no packet holds."""
+        if not np.all(np.isfinite(command.flat)):
+            raise CodecError(f"{type(command).__name__} {command.flat.tolist()}: finite numbers are allowed.")
+        return self.planned(command) if isinstance(command, XYZ) else self.setpoint(command)
+
+    def setpoint(self, command: Any) -> list[Packet]:
+        """What says a command of its kind, which the firmware holds until the next one, 0.5 s at most."""
+        raise CodecError(f"{type(command).__name__} for a drone that is sent {self.kind}.")
 
     def planned(self, command: XYZ) -> list[Packet]:
         """What says this to the planner on board; after set-points it is told before that they have ended."""
@@ -62,7 +68,7 @@ class RadioHandler(ABC):
             case "take_off" | "land":
                 form = FORMS[f"{command.verb}_with_velocity"]
                 return [*relax, form.packet(ALL, z, False, yaw, False, 0.0)]
-        raise ValueError(f"no plan {command.verb!r}")
+        raise CodecError(f"no plan {command.verb!r}; there are stop, go_to, line, take_off and land.")
 
     def _streamed(self, packet: Packet) -> list[Packet]:
         self._streams = True
@@ -81,8 +87,8 @@ class _Thrust(RadioHandler):
         return {"flightmode.stabModeRoll": self.angles, "flightmode.stabModePitch": self.angles,
                 "flightmode.stabModeYaw": 0}  # fmt: skip
 
-    def packets(self, command: Any) -> list[Packet]:
-        """One set-point, held on board for 0.5 s at most; its thrust is held 2 s."""
+    def setpoint(self, command: FPQR | FRPY) -> list[Packet]:
+        """One; its thrust is held 2 s."""
         thrust, roll, pitch, yaw_rate = command.flat.tolist()
         raw = round(min(max(self.thrust * thrust, 0.0), FULL))
         return self._streamed(FORMS["rpyt"].packet(*roll_pitch_yaw_rate_raw(roll, pitch, yaw_rate), raw))
@@ -115,10 +121,8 @@ class RadioHandlerVel(_OnBoard):
 
     kind = "vel"
 
-    def packets(self, command: Vel | XYZ) -> list[Packet]:
-        """One set-point, or the stop."""
-        if isinstance(command, XYZ):
-            return self.planned(command)
+    def setpoint(self, command: Vel) -> list[Packet]:
+        """One."""
         vx, vy, vz, rate = command.flat.tolist()
         return self._streamed(FORMS["velocity_world"].packet(vx, vy, vz, math.degrees(rate)))
 
@@ -128,20 +132,14 @@ class RadioHandlerXYZ(_OnBoard):
 
     kind = "xyz"
 
-    def packets(self, command: XYZ) -> list[Packet]:
-        """One plan."""
-        return self.planned(command)
-
 
 class RadioHandlerFullState(_OnBoard):
     """A flat output, with the attitude and body rates that follow from it; and the end of them."""
 
     kind = "fullstate"
 
-    def packets(self, command: FullState | XYZ) -> list[Packet]:
-        """One set-point in thousandths, or the stop."""
-        if isinstance(command, XYZ):
-            return self.planned(command)
+    def setpoint(self, command: FullState) -> list[Packet]:
+        """One, in thousandths."""
         s = command.flat
         a, j, yaw = tuple(s[6:9]), tuple(s[9:12]), float(s[12])
         axes = flat_attitude((a[0], a[1], a[2] + GRAVITY), yaw)

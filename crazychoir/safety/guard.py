@@ -9,6 +9,7 @@ import numpy as np
 from crazychoir.errors import ConfigError
 from crazychoir.math3d import kernel, real, vector
 from crazychoir.planning.point_to_point import STOP
+from crazychoir.runtime.throttle import Throttle as Throttle
 from crazychoir.swarm.checks import AROUND
 from crazychoir.types import Point, State, Vec
 
@@ -210,7 +211,9 @@ class Guard:
         age, reach = (0.0, 0.0) if reference_age is None else (reference_age, self._reach)
         stop = -math.inf if state is None else _outside(state.flat, self._low if low else self._flying, reach)
         well = pose_age <= self._least_pose and age <= self._least_reference and stop <= self._least_stop
-        return ALL_WELL if well and self._told_well and not self._acting else self._judge(now, self._measured(state, pose_age, age, stop))
+        if well and self._told_well and not self._acting:
+            return ALL_WELL
+        return self._judge(now, self._measured(state, pose_age, age, stop))
 
     def tell(self, measure: str, value: float) -> None:
         """A measure of TOLD now."""
@@ -268,27 +271,3 @@ def _reason(rule: Rule, value: float) -> str:
     at_edge = rule.measure == "stop" and abs(value) < EDGE
     text = (AT_EDGE if at_edge else TEXT[rule.measure]).format(value=value, limit=rule.limit, doing=DOING[rule.action])
     return f"{text}, for good" if rule.latched else text
-
-
-class Throttle:
-    """Lets each topic through at most once in `period` s; one that comes back or goes on, ever more rarely.
-
-    The silence after a topic doubles each time that it is said, up to `longest` s; one of which nothing was to be said
-    for `longest` s begins anew.
-    """
-
-    def __init__(self, period: float = 1.0, longest: float = 30.0) -> None:
-        self.period, self.longest = period, longest
-        self._asked: dict[str, float] = {}
-        self._next: dict[str, tuple[float, float]] = {}  # when it may be said again, and the silence after that
-
-    def due(self, now: float, topic: str) -> bool:
-        """May this topic be said again at `now`? Saying so counts as having said it."""
-        if now - self._asked.get(topic, -math.inf) >= self.longest:
-            self._next.pop(topic, None)
-        self._asked[topic] = now
-        again, silence = self._next.get(topic, (-math.inf, self.period))
-        if now < again:
-            return False
-        self._next[topic] = now + silence, min(2.0 * silence, self.longest)
-        return True

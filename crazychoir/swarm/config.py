@@ -13,7 +13,7 @@ from crazychoir.bus.topics import POSE, TRUTH, Topic
 from crazychoir.errors import ConfigError
 from crazychoir.swarm.checks import REPLAY, check, graph_of, owned
 from crazychoir.swarm.graph import Graph, span
-from crazychoir.swarm.radios import dongles, reached
+from crazychoir.swarm.radios import body_name, dongles, reached, seen
 from crazychoir.swarm.reading import parse, read, require_plain
 from crazychoir.swarm.tables import Control, Drone, Swarm, Table
 
@@ -85,7 +85,10 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
         named = {key: value for key, value in self.mission_options.items() if key in FILES and isinstance(value, str)}
         found = {key: str((folder / value).resolve()) for key, value in named.items()}
         drones = tuple(_replaying(drone, folder) for drone in self.drones)
-        return msgspec.structs.replace(self, mission_options=self.mission_options | found, drones=drones)
+        mocap = self.mocap
+        if mocap.file:
+            mocap = msgspec.structs.replace(mocap, file=str((folder / mocap.file).resolve()))
+        return msgspec.structs.replace(self, mission_options=self.mission_options | found, drones=drones, mocap=mocap)
 
     def _with_shapes_from(self, folder: Path) -> Self:
         named = {key: value for key in SHAPES if (value := getattr(self.mujoco, key))}
@@ -96,12 +99,13 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
     def digest(self) -> str:
         """16 hex digits that all hosts of one mission share, the same on every host, Python and hash seed.
 
-        Everything counts but `hosts`, `base_port`, `network` and the folders of the mission and of shapes. A file that
-        the mission's options name counts by what is in it, wherever it lies.
+        Everything counts but `hosts`, `base_port`, `network` and the folders of the mission, of shapes and of poses. A
+        file that the mission's options name counts by what is in it, wherever it lies.
         """
         agreed = {key: value for key, value in msgspec.to_builtins(self).items() if key not in OWN_TO_A_HOST}
         agreed["mission"] = Path(self.mission or "").name
         agreed["mujoco"] |= {key: Path(getattr(self.mujoco, key)).name for key in SHAPES}
+        agreed["mocap"]["file"] = Path(self.mocap.file).name
         agreed["mission_options"] = {key: _content(value) for key, value in self.mission_options.items()}
         for drone in agreed["drones"]:
             name, mark, number = drone["uri"].removeprefix(REPLAY).partition("?")
@@ -167,7 +171,7 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
     @property
     def seen(self) -> tuple[int, ...]:
         """The drones whose poses come from the process of motion capture; increasing."""
-        return tuple(i for i in self.reached if self.drone(i).pose == "mocap")
+        return seen(self)
 
     @property
     def elsewhere(self) -> tuple[int, ...]:
@@ -185,7 +189,7 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
 
     def body_name(self, i: int) -> str:
         """What motion capture calls drone i."""
-        return self.drone(i).body or f"cf{i}"
+        return body_name(self.drone(i))
 
     def source(self, topic: Topic, i: int) -> int:
         """The address that says a topic of drone i in real time: the drone's, its body's, or that of the cameras."""

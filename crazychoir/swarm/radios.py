@@ -70,6 +70,34 @@ def check_radios(swarm: Swarm, where: str) -> None:
             problem, do = f"its uri says dongle {found[1]}", "Leave dongle out, or mend one of them."
             raise ConfigError(f"{key}.dongle", drone.dongle, "the dongle of the uri", do, problem)
     _radio_hosts(swarm, where)
+    _check_bodies(swarm, where)
+
+
+def seen(swarm: Swarm) -> tuple[int, ...]:
+    """The drones whose poses come from the process of motion capture; in increasing order."""
+    return tuple(sorted(drone.id for drone in swarm.drones if is_reached(drone) and drone.pose == "mocap"))
+
+
+def body_name(drone: Drone) -> str:
+    """What motion capture calls it."""
+    return drone.body or f"cf{drone.id}"
+
+
+def _check_bodies(swarm: Swarm, where: str) -> None:
+    """Each drone that is seen has a body of its own; a replay has a file."""
+    first: dict[str, int] = {}
+    for n, drone in enumerate(swarm.drones):
+        if drone.id not in seen(swarm):
+            continue
+        name = body_name(drone)
+        if name in first:
+            problem = f"drones[{first[name]}] has this body"
+            do = 'Give each drone its own; without `body` it is "cf" and its id.'
+            raise ConfigError(f"{where}: drones[{n}].body", show(name), "each body is there once", do, problem)
+        first[name] = n
+    if first and swarm.mocap.source == "replay" and not swarm.mocap.file:
+        do = 'Add for example file = "flight.csv".'
+        raise ConfigError(f"{where}: mocap.file", "nothing", 'a recording, for source = "replay"', do)
 
 
 def _radio_hosts(swarm: Swarm, where: str) -> None:
@@ -79,7 +107,7 @@ def _radio_hosts(swarm: Swarm, where: str) -> None:
         if row.dongle in [other.dongle for other in swarm.radio.dongles[:n]]:
             raise ConfigError(f"{where}: radio.dongles[{n}].dongle", row.dongle, "each is there once", "Remove one.")
     named = {f"radio.dongles: host of dongle {k}": rows[k].host if k in rows else None for k in flown}
-    if any(drone.pose == "mocap" for drone in swarm.drones if is_reached(drone)):
+    if seen(swarm):
         named["mocap.host"] = swarm.mocap.host
     for key, host in named.items():
         if host is None and swarm.hosts:

@@ -61,6 +61,7 @@ Tilt = Annotated[
     tuple[Annotated[float, Meta(ge=-0.5, le=0.5)], Annotated[float, Meta(ge=-0.5, le=0.5)]],
     Meta(description="angles [roll, pitch] in rad, -0.5 to 0.5", examples=[[0.0175, 0.0]]),
 ]
+Centred = Annotated[float, Meta(ge=-0.5, le=0.5, description="a length in m, -0.5 to 0.5", examples=[0.02])]
 SemiAxis = Annotated[float, Meta(ge=0.05, le=2, description="a length in m, 0.05 to 2", examples=[0.12])]
 Share = Annotated[float, Meta(gt=0, le=1, description="a share, above 0, at most 1", examples=[0.5])]
 Factor = Annotated[float, Meta(ge=0, le=100, description="a factor, 0 to 100", examples=[1.0])]
@@ -99,6 +100,17 @@ PoseFrom = Annotated[
     Literal["mocap", "onboard"],
     Meta(description='where its pose comes from: "mocap" or "onboard"', examples=["mocap"]),
 ]
+Body = Annotated[
+    str, Meta(max_length=40, description="the name of a body, at most 40 characters", examples=["cf3"])
+]
+Offset = Annotated[
+    tuple[Centred, Centred, Centred],
+    Meta(description="three lengths in m, -0.5 to 0.5", examples=[[0.0, 0.0, 0.02]]),
+]
+Angles = Annotated[
+    tuple[Radians, Radians, Radians],
+    Meta(description="angles [roll, pitch, yaw] in rad, -7 to 7", examples=[[0.01, 0.0, 0.0]]),
+]
 Source = Annotated[
     Literal["virtual", "replay", "vicon", "optitrack", "qualisys", "vrpn", "mock"],
     Meta(description='"virtual", "replay", "vicon", "optitrack", "qualisys", "vrpn" or "mock"', examples=["vicon"]),
@@ -122,8 +134,9 @@ class Drone(Table, frozen=True, kw_only=True):
 
     uri: in which world it flies;  platform: which kind of Crazyflie it is. Of one that a radio reaches (udp://,
     radio://):  dongle: whose owner reaches it (without: that of its radio:// uri, 0 for udp://);  pose: who says where
-    it is;  body: its name in the motion capture (without: "cf" and its id);  parameters: of its firmware, set when it
-    is connected, beside those of [radio].
+    it is;  body: its name in the motion capture (without: "cf" and its id);  body_offset: m, of the tracked centre from
+    its own, and body_rotation: roll, pitch, yaw rad, by which that body is mounted, see mocap/mounting.py;  parameters:
+    of its firmware, set when it is connected, beside those of [radio].
     """
 
     id: Id
@@ -138,7 +151,9 @@ class Drone(Table, frozen=True, kw_only=True):
     options: Free = field(default_factory=dict)
     dongle: Dongle | None = None
     pose: PoseFrom = "mocap"
-    body: Text = ""
+    body: Body = ""
+    body_offset: Offset = (0.0, 0.0, 0.0)
+    body_rotation: Angles = (0.0, 0.0, 0.0)
     parameters: Free = field(default_factory=dict)
 
 
@@ -208,7 +223,8 @@ class Mocap(Table, frozen=True, kw_only=True):
     dropout: probability a pose; latency: s, whole periods of the rate; tilt: (roll, pitch) rad, by which the body
     that the cameras know is mounted askew on the drone. Those are of simulated cameras. Of the cameras of drones that a
     radio reaches:  source: which system;  hostname, port: where it is (port: of "virtual");  file: of "replay", a
-    recording;  host: where crazychoir-mocap runs.
+    recording (CSV), relative to the swarm file;  options: more that motioncapture's connect takes;  host: where
+    crazychoir-mocap runs. Then rate is how often they look, at most;  the first line is of "virtual".
     """
 
     rate: Hertz = 100.0
@@ -221,6 +237,7 @@ class Mocap(Table, frozen=True, kw_only=True):
     hostname: Text = "127.0.0.1"
     port: UdpPort = 19849
     file: Text = ""
+    options: Free = field(default_factory=dict)
     host: Name | None = None
 
 
