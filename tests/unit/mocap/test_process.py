@@ -28,7 +28,8 @@ class Cameras:
         self._bodies, self._k = bodies or self.flown, 0
 
     def flown(self, k):
-        return {name: np.array([p, 0.0, 1.0 + 1e-6 * k, 0.0, 0.0, 0.0, 1.0]) for name, p in (("cf0", k / 100), ("b", 2))}
+        x = {"cf0": k / 100, "b": 2.0}
+        return {name: np.array([at, 0.0, 1.0 + 1e-6 * k, 0.0, 0.0, 0.0, 1.0]) for name, at in x.items()}
 
     async def run(self, take):
         async for _ in self.clock.ticks(100.0):

@@ -35,7 +35,8 @@ class Cameras:
     @property
     def rigidBodies(self):
         q = SimpleNamespace(x=0.0, y=0.0, z=0.6, w=0.8)
-        return {"cf0": SimpleNamespace(position=[self.k, 2.0, 3.0], rotation=q), 50 * "x": SimpleNamespace(position=[0, 0, 0], rotation=q)}
+        one = SimpleNamespace(position=[self.k, 2.0, 3.0], rotation=q)
+        return {"cf0": one, 50 * "x": one}
 """
 
 

@@ -70,7 +70,7 @@ def test_who_need_not_stand_at_home_may_stand_anywhere():
     assert before_arming(0, drones) == []
 
 
-def ascents(body_of=None, flying=(0, 1, 2), turned=None, seconds=2.0, swing=math.radians(1.5), hz=10.0):
+def ascents(body_of=None, flying=(0, 1, 2), turned=None, seconds=2.0, swing=0.03, hz=10.0):
     """Drones that rise to 0.1 m within 1 s and swing a little, each its own way; body_of: whose body is seen of whom;
     turned: rad, of a body's axes about z.
     """
