@@ -81,7 +81,7 @@ def test_a_connect_that_hangs_blocks_nothing_and_is_named(library):
         "vicon at 10.0.0.5: no connection within 0.3 s; its library waits for ever where nobody answers. Is Vicon "
         "Tracker or Nexus, with its DataStream, running there? Trying again in 1 s."
     ]
-    assert worst < 0.1, "it would hang for ever"
+    assert worst < 0.5, "it would hang for ever"
 
 
 def test_what_the_library_says_is_passed_on(library):
@@ -98,7 +98,7 @@ def test_frames_come_with_their_age_and_cameras_that_hang_later_are_named(librar
     assert [float(frame.bodies["cf0"][0]) for frame, _ in taken] == list(range(1, 21))
     assert list(taken[0][0].bodies["cf0"]) == [1.0, 2.0, 3.0, 0.0, 0.0, 0.6, 0.8]
     assert 40 * "x" in taken[0][0].bodies, "as much of a name as a frame takes"
-    assert all(0.0 <= age < 0.1 for _, age in taken)
+    assert all(0.0 <= age < 1.0 for _, age in taken)
     assert said[0].startswith("vicon at 10.0.0.5: connected, and no frame for 0.3 s.")
 
 
