@@ -73,21 +73,18 @@ def _leftmost(channels: Sequence[int], spacing: int) -> list[int]:
 
 
 def _best_sum(values: Mapping[int, float], k: int, spacing: int) -> tuple[int, ...]:
-    """The k channels with the spacing of the largest sum: best[m] of the channels from c on, c from the last to the
-    first; among equals those of the lower channels.
+    """The k channels with the spacing of the largest sum, of those the lowest; k of them there must be.
+
+    best[n][m]: sum and channels of the best m of the last n;  with the channel before: it and the best m - 1 of those
+    that are far enough.
     """
     channels = list(values)
-    best: list[list[tuple[float, tuple[int, ...]] | None]] = [[(0.0, ())] + k * [None]]  # of none, then of the last...
+    best: list[dict[int, tuple[float, tuple[int, ...]]]] = [{0: (0.0, ())}]
     for n, c in enumerate(reversed(channels), start=1):
-        beyond = sum(d - c >= spacing for d in channels)
-        row = list(best[n - 1])
-        for m in range(1, k + 1):
-            rest = best[beyond][m - 1]
-            if rest is not None:
-                with_c = (values[c] + rest[0], (c, *rest[1]))
-                without = row[m]
-                row[m] = with_c if without is None or with_c[0] >= without[0] else without
-        best.append(row)
-    found = best[-1][k]
-    assert found is not None, "the bottleneck has shown that there are so many"  # noqa: S101
-    return found[1]
+        far = sum(d - c >= spacing for d in channels)
+        with_c = {m + 1: (values[c] + rest, (c, *those)) for m, (rest, those) in best[far].items()}
+        without = best[n - 1]
+        best.append(
+            without | {m: one for m, one in with_c.items() if m not in without or one[0] >= without[m][0]}
+        )
+    return best[-1][k][1]

@@ -38,7 +38,7 @@ class Source(Protocol):
         ...
 
     def share(self, channel: int, in_use: bool) -> float:
-        """Probability that a receiver on this channel has it at some time; `in_use`: at a time when somebody uses it."""
+        """Probability that a receiver on this channel has it at some time; in_use: at one when somebody uses it."""
         ...
 
     def sends(self, channel: int, times: Vec, draw: np.random.Generator) -> Active:
@@ -70,7 +70,7 @@ class Uses:
         while len(self._switches) == 0 or self._switches[-1] <= times[-1]:
             self._extend()
         switched = np.searchsorted(self._switches, times, side="right")
-        return (switched % 2 == 0) == self._starts_on
+        return np.asarray((switched % 2 == 0) == self._starts_on)
 
     def _extend(self) -> None:
         """64 switches more; an even number, so that each lot begins as the first."""
@@ -93,7 +93,8 @@ def frames(times: Vec, share: float, length: float, draw: np.random.Generator) -
         lot = np.cumsum(draw.exponential(np.tile(means, count)))
         switches = np.append(switches, lot + (switches[-1] if len(switches) else 0.0))
         count = 2 * count + int(span / (length + gap))
-    return (np.searchsorted(switches, times - times[0], side="right") % 2 == 0) == on
+    switched = np.searchsorted(switches, times - times[0], side="right")
+    return np.asarray((switched % 2 == 0) == on)
 
 
 @dataclass(frozen=True)

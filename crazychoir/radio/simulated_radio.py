@@ -33,7 +33,7 @@ HOP = 0.02
 FLICKER = 1.0
 """dB, standard deviation from packet to packet."""
 ECHOES, SPREAD, DIRECT = 6, 50e-9, 4.0
-"""Reflections of the signal, the longest in s later, and how many times stronger than them all what comes directly is."""
+"""Reflections of the signal; s by which the last is late; how much stronger than all of them what comes directly is."""
 NODES, WEIGHTS = np.polynomial.hermite_e.hermegauss(9)
 WEIGHTS = WEIGHTS / WEIGHTS.sum()
 """For means over a normal distribution."""
@@ -46,7 +46,10 @@ def success(sinr: Mat) -> Mat:
 
 @dataclass(frozen=True)
 class Room:
-    """What is on the air. signal: {channel: dBm} of the link itself, as its reflections add up;  sources: the others."""
+    """What is on the air.
+
+    signal: {channel: dBm} of the link itself, as its reflections add up;  sources: of the others.
+    """
 
     signal: dict[int, float]
     sources: tuple[Source, ...]

@@ -1,8 +1,9 @@
 """Which channels are quiet: what is measured on each, in which order, and how it is judged. No I/O in here.
 
 WiFi comes in bursts of seconds. So the survey visits all channels again and again, each pass in another order: a burst
-then hits all alike, not those that happened to have their turn. And what counts is the worst pass of a channel, not
-the mean: a drone that hears nothing for two seconds has landed by then.
+then hits all alike, not those that happened to have their turn. Many short passes see more than few long ones, as what
+is used seldom has to be met. And what counts is the worst pass of a channel, not the mean: a drone that hears nothing
+for two seconds has landed by then.
 """
 
 import random
@@ -19,6 +20,8 @@ from crazychoir.types import Vec
 
 RETRIES = 3
 """How often the Crazyradio sends again by itself, as cflib flies it."""
+PASSES, PACKETS = 20, 50
+"""Unless somebody wants others: two and a half minutes for 42 channels."""
 
 
 @dataclass(frozen=True)
@@ -83,7 +86,7 @@ class Survey:
     packets: of each kind, without and with retries, a visit;  seed: of the order.
     """
 
-    def __init__(self, channels: Sequence[int], passes: int = 10, packets: int = 100, seed: int = 0) -> None:
+    def __init__(self, channels: Sequence[int], passes: int = PASSES, packets: int = PACKETS, seed: int = 0) -> None:
         self.channels, self.passes, self.packets = tuple(channels), passes, packets
         self._order = random.Random(seed)  # noqa: S311 - of visits
         self._single: dict[int, list[Sample]] = defaultdict(list)
@@ -124,9 +127,7 @@ class Survey:
         return pick({row.channel: (row.worst, row.mean) for row in self.measured()}, k, spacing)
 
 
-def survey(
-    found: Survey, probe: Probe, watch: Callable[[Survey, Visit], None] = lambda found, visit: None
-) -> None:
+def survey(found: Survey, probe: Probe, watch: Callable[[Survey, Visit], None] = lambda found, visit: None) -> None:
     """Measure all that it wants to know; `watch` is called after each visit."""
     for visit in found.visits():
         single = probe.measure(visit.channel, found.packets, 0)

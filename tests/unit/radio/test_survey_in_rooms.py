@@ -10,13 +10,13 @@ import pytest
 
 from crazychoir.radio.channels import pick
 from crazychoir.radio.simulated_radio import SimulatedRadio, random_room
-from crazychoir.radio.survey import Survey, survey
+from crazychoir.radio.survey import PACKETS, PASSES, Survey, survey
 
 CHANNELS = tuple(range(0, 84, 2))
 SPACING, WITHIN = 5, 0.02
 
 
-def surveyed(seed, passes=10, packets=100):
+def surveyed(seed, passes=PASSES, packets=PACKETS):
     room = random_room(seed, CHANNELS)
     found = Survey(CHANNELS, passes, packets, seed)
     survey(found, SimulatedRadio(room, seed))
