@@ -1,0 +1,138 @@
+"""How long the way to a drone and back takes: echoes over cflib's links, without a connection to the drone behind.
+
+A link alone has no tables to fetch, no zero set-point at its end, and no thread that waits for a silent peer for ever.
+"""
+
+import re
+import struct
+import threading
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from crazychoir.errors import ConfigError
+from crazychoir.radio.addresses import RADIO
+from crazychoir.radio.crtp import LINK
+
+ECHO = 0
+"""Channel of the link's port that gives back what it gets."""
+FORM = struct.Struct("<Bd")
+"""Of cflib's own echoes: who listens beside us takes each for one of them."""
+PATIENCE = 0.5
+"""s after which an echo is lost."""
+FIRST = 3.0
+"""s after which nobody is there."""
+CLOSING = 3.0
+"""s that cflib may take to open or close a link, beyond the deadline."""
+UDP = re.compile(r"udp://[^/:\s]+:\d{1,5}")
+NOBODY = "nobody answers. Is it on, in reach, and not connected to somebody else?"
+
+
+@dataclass(frozen=True)
+class Echoes:
+    """sent: how many;  round_trip: s of those that came back;  error: why it ended early, or nothing."""
+
+    uri: str
+    sent: int
+    round_trip: tuple[float, ...]
+    error: str = ""
+
+    @property
+    def lost(self) -> int:
+        """How many did not come back in time."""
+        return self.sent - len(self.round_trip)
+
+    def percentile(self, share: float) -> float | None:
+        """s within which this share (%) of those that came back did; None if none has."""
+        return float(np.percentile(self.round_trip, share)) if self.round_trip else None
+
+
+def require_uri(uri: str) -> None:
+    """Raise ConfigError for an address that cflib has no link for, or that we do not ping."""
+    if not (UDP.fullmatch(uri) or RADIO.fullmatch(uri)):
+        allowed = "udp://HOST:PORT or radio://DONGLE/CHANNEL/RATE/ADDRESS, as radio://0/80/2M/E7E7E7E701"
+        raise ConfigError("uri", uri, allowed)
+
+
+def ping(uris: Sequence[str], now: Callable[[], float], count: int = 100, deadline: float = 10.0) -> list[Echoes]:
+    """Send `count` echoes to each, to all at once, each after the answer to the last; s until it ends at the latest.
+
+    Each link has a thread, which is gone in the end; of one that cflib does not give back the error says so.
+    """
+    found: dict[str, Echoes] = {}
+    end = now() + deadline
+    threads = [threading.Thread(target=_collect, args=(found, uri, now, count, end), daemon=True) for uri in uris]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(max(end + CLOSING - now(), 0.0))
+    hangs = f"cflib does not come back: {NOBODY}"
+    return [found.get(uri, Echoes(uri, 0, (), hangs)) for uri in uris]
+
+
+def _collect(found: dict[str, Echoes], uri: str, now: Callable[[], float], count: int, end: float) -> None:
+    try:
+        found[uri] = _ping(uri, now, count, end)
+    except Exception as error:  # noqa: BLE001 - cflib raises nothing more special
+        found[uri] = Echoes(uri, 0, (), str(error))
+
+
+def _ping(uri: str, now: Callable[[], float], count: int, end: float) -> Echoes:
+    errors: list[str] = []
+    link = _link(uri)
+    link.connect(uri, None, errors.append)
+    try:
+        return _exchange(link, uri, now, count, end, errors)
+    finally:
+        link.close()
+
+
+def _link(uri: str) -> Any:
+    from cflib.crtp.radiodriver import RadioDriver
+    from cflib.crtp.udpdriver import UdpDriver
+
+    return UdpDriver() if uri.startswith("udp:") else RadioDriver()
+
+
+def _exchange(
+    link: Any, uri: str, now: Callable[[], float], count: int, end: float, errors: Sequence[str]
+) -> Echoes:
+    """Echo after echo; `errors` grows as the link finds them."""
+    sent, took = 0, []
+    first = min(now() + FIRST, end)
+    while sent < count and not errors and now() < (end if took else first):
+        began = now()
+        link.send_packet(_echo(sent))
+        if _comes_back(link, sent, now, min(began + PATIENCE, end)):
+            took.append(now() - began)
+        sent += 1
+    error = _first_lines(errors[0]) if errors else "" if took else NOBODY
+    if not error and sent < count:
+        error = f"{count - sent} of {count} echoes were not sent by the deadline"
+    return Echoes(uri, sent, tuple(took), error)
+
+
+def _echo(number: int) -> Any:
+    from cflib.crtp.crtpstack import CRTPPacket
+
+    packet = CRTPPacket()
+    packet.set_header(LINK, ECHO)
+    packet.data = FORM.pack(0, number)
+    return packet
+
+
+def _comes_back(link: Any, number: int, now: Callable[[], float], until: float) -> bool:
+    """Wait for this echo; whatever else comes is passed over, late echoes too."""
+    while (left := until - now()) > 0.0:  # cflib takes 0 for not at all, and less for ever
+        packet = link.receive_packet(left)
+        if packet is not None and (packet.port, packet.channel) == (LINK, ECHO):
+            if bytes(packet.data) == FORM.pack(0, number):
+                return True
+    return False
+
+
+def _first_lines(text: str) -> str:
+    """What cflib says before its traceback, on one line."""
+    return " ".join(text.split("\n\n")[0].split())
