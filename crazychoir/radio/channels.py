@@ -23,13 +23,13 @@ def frequency(channel: int) -> int:
 
 
 def parse_channels(text: str, where: str = "--channels") -> tuple[int, ...]:
-    """The channels of a text such as "0-82:2", each second from 0 to 82, or "4,20-30,76"; increasing, each once."""
+    """The channels of a text such as "2-82:2", each second from 2 to 82, or "4,20-30,76"; increasing, each once."""
     found: dict[int, None] = {}
     for part in text.split(","):
         match = _PART.fullmatch(part)
         first, last, step = (0, -1, 1) if match is None else _range(match)
         if not 0 <= first <= last <= LAST or step < 1:
-            raise ConfigError(where, text, f"channels 0 to {LAST}, as 0-82:2 (each second) or 4,20-30,76")
+            raise ConfigError(where, text, f"channels 0 to {LAST}, as 2-82:2 (each second) or 4,20-30,76")
         found |= dict.fromkeys(range(first, last + 1, step))
     return tuple(sorted(found))
 

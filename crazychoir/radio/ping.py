@@ -15,6 +15,7 @@ import numpy as np
 from crazychoir.errors import ConfigError
 from crazychoir.radio.addresses import RADIO
 from crazychoir.radio.crtp import LINK
+from crazychoir.radio.survey_radio import PLUG
 
 ECHO = 0
 """Channel of the link's port that gives back what it gets."""
@@ -76,7 +77,7 @@ def _collect(found: dict[str, Echoes], uri: str, now: Callable[[], float], count
     try:
         found[uri] = _ping(uri, now, count, end)
     except Exception as error:  # noqa: BLE001 - cflib raises nothing more special
-        found[uri] = Echoes(uri, 0, (), str(error))
+        found[uri] = Echoes(uri, 0, (), f"{error}. {PLUG}" if uri.startswith("radio:") else str(error))
 
 
 def _ping(uri: str, now: Callable[[], float], count: int, end: float) -> Echoes:
@@ -96,11 +97,10 @@ def _link(uri: str) -> Any:
     return UdpDriver() if uri.startswith("udp:") else RadioDriver()
 
 
-def _exchange(
-    link: Any, uri: str, now: Callable[[], float], count: int, end: float, errors: Sequence[str]
-) -> Echoes:
+def _exchange(link: Any, uri: str, now: Callable[[], float], count: int, end: float, errors: Sequence[str]) -> Echoes:
     """Echo after echo; `errors` grows as the link finds them."""
-    sent, took = 0, []
+    sent = 0
+    took: list[float] = []
     first = min(now() + FIRST, end)
     while sent < count and not errors and now() < (end if took else first):
         began = now()
@@ -108,10 +108,16 @@ def _exchange(
         if _comes_back(link, sent, now, min(began + PATIENCE, end)):
             took.append(now() - began)
         sent += 1
-    error = _first_lines(errors[0]) if errors else "" if took else NOBODY
-    if not error and sent < count:
-        error = f"{count - sent} of {count} echoes were not sent by the deadline"
-    return Echoes(uri, sent, tuple(took), error)
+    return Echoes(uri, sent, tuple(took), _error(errors, bool(took), count - sent))
+
+
+def _error(errors: Sequence[str], heard: bool, left: int) -> str:
+    """Why it ended before all echoes were sent, or without any answer; nothing if it did not."""
+    if not heard:
+        return ": ".join([*map(_reason, errors[:1]), NOBODY])
+    if errors:
+        return _reason(errors[0])
+    return f"{left} more echoes were to be sent at the deadline" if left else ""
 
 
 def _echo(number: int) -> Any:
@@ -125,14 +131,14 @@ def _echo(number: int) -> Any:
 
 def _comes_back(link: Any, number: int, now: Callable[[], float], until: float) -> bool:
     """Wait for this echo; whatever else comes is passed over, late echoes too."""
+    expected = (LINK, ECHO, FORM.pack(0, number))
     while (left := until - now()) > 0.0:  # cflib takes 0 for not at all, and less for ever
         packet = link.receive_packet(left)
-        if packet is not None and (packet.port, packet.channel) == (LINK, ECHO):
-            if bytes(packet.data) == FORM.pack(0, number):
-                return True
+        if packet is not None and (packet.port, packet.channel, bytes(packet.data)) == expected:
+            return True
     return False
 
 
-def _first_lines(text: str) -> str:
-    """What cflib says before its traceback, on one line."""
-    return " ".join(text.split("\n\n")[0].split())
+def _reason(text: str) -> str:
+    """What cflib says before its traceback, without saying that it is an exception."""
+    return " ".join(text.split("\n\n")[0].split("Exception:")[-1].split())

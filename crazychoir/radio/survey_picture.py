@@ -88,6 +88,7 @@ def _draw_bands(axes: "Axes") -> None:
 
 
 def _name_bands(axes: "Axes") -> None:
+    """Above the picture, where nothing is drawn."""
     for number, middle in WIFI.items():
-        name = f"WiFi {number}\n{frequency(middle)} MHz"
-        axes.text(middle, 0.0, name, ha="center", va="bottom", fontsize=7, color="#606060")
+        name = f"WiFi {number}, {frequency(middle)} MHz"
+        axes.text(middle, 113.0, name, ha="center", va="bottom", fontsize=7.5, color="#606060")

@@ -12,7 +12,7 @@ from crazychoir.radio.channels import pick
 from crazychoir.radio.simulated_radio import SimulatedRadio, random_room
 from crazychoir.radio.survey import PACKETS, PASSES, Survey, survey
 
-CHANNELS = tuple(range(0, 84, 2))
+CHANNELS = tuple(range(2, 84, 2))
 SPACING, WITHIN = 5, 0.02
 
 
@@ -46,8 +46,8 @@ def test_clean_channels_are_picked_in_the_first_rooms():
 
 @pytest.mark.slow
 def test_clean_channels_are_picked_in_95_of_100_rooms():
-    counts = clean(range(100))
-    assert min(counts.values()) >= 95, counts
+    counts = clean(range(200))
+    assert min(counts.values()) >= 190, counts
 
 
 @pytest.mark.slow
