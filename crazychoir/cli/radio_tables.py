@@ -81,5 +81,6 @@ def _lines(result: Mapping[str, Any]) -> list[str]:
         lines.append("That is little: take fewer dongles, a smaller spacing, more --channels, or another room.")
     pairs = ", ".join(f"dongle {name}: {channel}" for name, channel in result["dongles"].items())
     if pairs:
-        lines.append(f"Written into {result['written']}: {pairs}" if result["written"] else f"Not written (see --write): {pairs}")
+        done = f"Written into {result['written']}" if result["written"] else "Not written (see --write)"
+        lines.append(f"{done}: {pairs}")
     return lines + ([f"Picture: {result['picture']}"] if result["picture"] else [])

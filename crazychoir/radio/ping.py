@@ -3,6 +3,7 @@
 A link alone has no tables to fetch, no zero set-point at its end, and no thread that waits for a silent peer for ever.
 """
 
+import contextlib
 import re
 import struct
 import threading
@@ -83,11 +84,12 @@ def _collect(found: dict[str, Echoes], uri: str, now: Callable[[], float], count
 def _ping(uri: str, now: Callable[[], float], count: int, end: float) -> Echoes:
     errors: list[str] = []
     link = _link(uri)
-    link.connect(uri, None, errors.append)
     try:
+        link.connect(uri, None, errors.append)
         return _exchange(link, uri, now, count, end, errors)
     finally:
-        link.close()
+        with contextlib.suppress(AttributeError):  # of cflib's radio link, if it has not come to start its thread
+            link.close()
 
 
 def _link(uri: str) -> Any:

@@ -37,9 +37,10 @@ def draw_survey(
         axes.grid(axis="y", color="#e6e6e6", linewidth=0.6)
         axes.set_axisbelow(True)
         axes.spines[["top", "right"]].set_visible(False)
-    _name_bands(above)
     below.set_xlabel("channel (2400 MHz + channel)")
-    below.set_xlim(rows[0].channel - 2, rows[-1].channel + 2)
+    low, high = rows[0].channel - 2, rows[-1].channel + 2
+    below.set_xlim(low, high)
+    _name_bands(above, low, high)
     figure.legend(loc="outside upper center", ncols=4, frameon=False, fontsize=8)
     figure.savefig(path, bbox_inches="tight")
 
@@ -87,8 +88,9 @@ def _draw_bands(axes: "Axes") -> None:
         axes.axvspan(middle - WIFI_HALF, middle + WIFI_HALF, color=BAND, zorder=0, linewidth=0)
 
 
-def _name_bands(axes: "Axes") -> None:
-    """Above the picture, where nothing is drawn."""
+def _name_bands(axes: "Axes", low: int, high: int) -> None:
+    """Above the picture, where nothing is drawn, if their middle is in it."""
     for number, middle in WIFI.items():
         name = f"WiFi {number}, {frequency(middle)} MHz"
-        axes.text(middle, 113.0, name, ha="center", va="bottom", fontsize=7.5, color="#606060")
+        if low < middle < high:
+            axes.text(middle, 113.0, name, ha="center", va="bottom", fontsize=7.5, color="#606060")
