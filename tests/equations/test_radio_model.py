@@ -43,6 +43,14 @@ def test_what_is_expected_is_what_is_measured_in_the_long_run(sources):
     assert room.expected(38) < 0.99
 
 
+def test_a_network_that_nobody_uses_sends_beacons():
+    draw = np.random.default_rng(9)
+    network = Network(37.0, -55.0, 0.6, 0.001, Uses(1e-9, 1e9, 1))
+    sent = network.sends(37, np.arange(0.0, 20.0, 0.001), draw).mean()
+    assert sent == pytest.approx(network.share(37, False), rel=0.2)
+    assert 0.005 < network.share(37, False) < 0.02
+
+
 def test_while_all_is_in_use_less_comes_through():
     room = Room({38: -62.0}, ROOMS["all"])
     assert room.expected(38, in_use=True) < room.expected(38) - 0.05

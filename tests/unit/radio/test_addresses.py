@@ -11,6 +11,7 @@ TOML = """\
 # radio://0/80/2M: not this one, nor uri = "radio://0/80/2M/E7E7E7E701"
 name = "lab"   # 'quoted # ' in a comment
 note = "radio://0/80 is what uri = \\"radio://0/80/2M\\" says"
+note2 = "radio://0/80/2M/E7E7E7E701"
 path = 'C:\\radio://0/80/'
 long = \"\"\"
 uri = "radio://0/80/2M"

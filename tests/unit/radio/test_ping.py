@@ -93,6 +93,7 @@ def test_of_several_the_silent_and_the_absent_are_named_and_the_others_are_measu
     assert [one.lost for one in found[:1]] == [0]
     assert found[1].error == NOBODY
     assert found[1].percentile(50) is None
+    assert found[2].sent <= 2
     assert "refused" in found[2].error
     assert NOBODY in found[2].error
 
