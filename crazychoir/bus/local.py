@@ -27,6 +27,8 @@ OBSERVER = 10_000
 """Addresses from here on are observers and operators; below are drones."""
 BODIES = 1 << 25
 """The body of drone i is at BODIES + i where another process than the drone's holds it: beyond all observers."""
+EYES = 1 << 26
+"""What motion capture sees of drone i is said at EYES + i, where a process of its own has the cameras."""
 
 Handler = Callable[[int, bytes, int, str, int, float], None]
 """Called with (source, payload, number, channel, flags, age)."""

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from crazychoir.bus.hello import Hello
-from crazychoir.bus.local import BODIES, OBSERVER, Bus
+from crazychoir.bus.local import BODIES, EYES, OBSERVER, Bus
 from crazychoir.bus.topics import Class
 from crazychoir.errors import CodecError, Refused
 from crazychoir.runtime.clock import SECOND
@@ -136,9 +136,10 @@ class Peers:
         doubles = ", ".join(str(i) for i in hello.drones if i in self.bus.ports)
         if doubles:
             return f"{who} flies drone(s) {doubles} too"
-        bodies = ", ".join(str(j - BODIES) for j in hello.observers if j >= BODIES and j in self.bus.ports)
-        if bodies:
-            return f"{who} owns the world of drone(s) {bodies} too"
+        for base, owns in ((EYES, "the motion capture"), (BODIES, "the world")):
+            same = ", ".join(str(j - base) for j in hello.observers if base <= j < 2 * base and j in self.bus.ports)
+            if same:
+                return f"{who} owns {owns} of drone(s) {same} too"
         if hello.version != self.version:
             return f"{who} runs version {hello.version}, this one runs {self.version}"
         return ""

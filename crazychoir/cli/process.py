@@ -12,17 +12,16 @@ from crazychoir.agent import Agent
 from crazychoir.bus.hello import VERSION
 from crazychoir.bus.public import PublicCopies
 from crazychoir.bus.zenoh import ZenohLink
+from crazychoir.cli.signals import AGAIN, NAMES, end_on_signals
 from crazychoir.errors import Refused
 from crazychoir.guidance.mission import Mission
+from crazychoir.radio.owner import RadioProcess, owned
 from crazychoir.runtime.clock import SECOND, Clock, run_wall
 from crazychoir.runtime.watchdog import Watchdog
-from crazychoir.swarm.config import WORLD, SwarmConfig
+from crazychoir.swarm.config import DONGLES, MOCAP, WORLD, SwarmConfig
 from crazychoir.worlds import WorldProcess
 
 log = logging.getLogger(__name__)
-AGAIN = 2.0
-"""s within which signals count together."""
-NAMES: dict[int, str] = {signal.SIGINT: "Ctrl-C (SIGINT)", signal.SIGTERM: "SIGTERM"}
 
 
 def run_agent(
@@ -95,7 +94,7 @@ def run_world(config: SwarmConfig, listen: str | None) -> dict[str, Any]:
         link.open()
         watchdog = Watchdog(clock)
         watchdog.start()
-        _end_on_signals(clock, world)
+        end_on_signals(clock, world)
         try:
             await world.serve(link)
         finally:
@@ -105,22 +104,27 @@ def run_world(config: SwarmConfig, listen: str | None) -> dict[str, Any]:
     return run_wall(main)
 
 
-def _end_on_signals(clock: Clock, world: WorldProcess) -> None:
-    """The first signal lets those land who fly; a second of an operator within 2 s ends it where it is."""
-    loop = asyncio.get_running_loop()
-    times: list[int] = []
+def run_radios(config: SwarmConfig, dongle: int, listen: str | None) -> dict[str, Any]:
+    """Own a dongle and its links in real time, over Zenoh; returns how they were. Raises Refused if it is owned."""
 
-    def on_signal(number: int) -> None:
-        again = number != signal.SIGHUP and any(t > clock.now_ns() - AGAIN * SECOND for t in times)
-        if again:
-            world.abort("a second signal")
-        else:
-            world.end(NAMES.get(number, "SIGHUP"))
-        if number != signal.SIGHUP:
-            times.append(clock.now_ns())
+    async def main(clock: Clock) -> dict[str, Any]:
+        incarnation = random.SystemRandom().getrandbits(62)
+        process = f"dongle{dongle}-{incarnation & 0xFFFFFFFF:08x}"
+        host = config.dongle_host(dongle) or socket.gethostname().split(".")[0]
+        radios = RadioProcess(clock, config, dongle, process, host, incarnation)
+        endpoints = config.endpoints()
+        link = ZenohLink(
+            radios.bus, config.name, listen=[listen or endpoints[DONGLES - dongle]],
+            connect=[endpoints[MOCAP]] if MOCAP in endpoints else [], incarnation=incarnation, version=VERSION,
+            lease=config.lease, on_refused=radios.refuse,
+        )  # fmt: skip
+        link.open()
+        end_on_signals(clock, radios)
+        await radios.serve(link)
+        return radios.report() | {"network": asdict(link.counters)}
 
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        loop.add_signal_handler(number, on_signal, number)
+    with owned(config, dongle):
+        return run_wall(main)
 
 
 def _obey_signals(clock: Clock, agent: Agent) -> None:

@@ -9,6 +9,7 @@ import numpy as np
 from crazychoir.errors import ConfigError
 from crazychoir.math3d import kernel, real, vector
 from crazychoir.planning.point_to_point import STOP
+from crazychoir.runtime.throttle import Throttle as Throttle
 from crazychoir.swarm.checks import AROUND
 from crazychoir.types import Point, State, Vec
 
@@ -32,9 +33,9 @@ class Rule:
     """One row of the safety table.
 
     measure: "pose" (s since the last pose), "reference" (s since the last one), "fence" (m outside the fence), "stop"
-    (m outside the fence, there or where it comes to rest if it brakes now, the worse), "limit area" (m outside it) or
-    "broken" (1 if the state is not finite);  limit: exceeded, the rule acts;  clear: it acts until the measure has been
-    at or below this for `settle` seconds;  latched: it acts for good.
+    (m outside the fence, there or where it comes to rest if it brakes now, the worse), "limit area" (m outside it),
+    "broken" (1 if the state is not finite), or one that the guard is told, see TOLD;  limit: exceeded, the rule acts;
+    clear: it acts until the measure has been at or below this for `settle` seconds;  latched: it acts for good.
     """
 
     measure: str
@@ -58,7 +59,17 @@ TABLE = (
     Rule("fence", 0.25, Action.LAND, latched=True),
     Rule("limit area", 0.00, Action.CUT, latched=True),
     Rule("broken", 0.00, Action.CUT, latched=True),
+    Rule("link", 0.50, Action.BRAKE, clear=0.10),
+    Rule("link", 2.00, Action.LAND, latched=True),
+    Rule("battery", 5.00, Action.LAND, latched=True),
+    Rule("empty", 0.00, Action.LAND, latched=True),
+    Rule("tumbled", 0.00, Action.CUT, latched=True),
 )
+TOLD = ("link", "battery", "empty", "tumbled")
+"""Of a drone that a radio reaches: s since its last packet; s that its battery is below LOW V, V below EMPTY; 1 if it
+lies on its back, or has crashed."""
+LOW, EMPTY = 3.2, 3.0
+"""V, of one cell under load: what the firmware calls low and critical."""
 
 TEXT = {
     "pose": "pose {value:.2f} s old, limit {limit:.2f} s: {doing}",
@@ -67,6 +78,10 @@ TEXT = {
     "stop": "comes to rest {value:.2f} m outside the fence, limit {limit:.2f} m: {doing}",
     "limit area": "{value:.2f} m outside the limit area, in the keep-out zone: {doing}",
     "broken": "state is not finite: {doing}",
+    "link": "its radio is silent for {value:.2f} s, limit {limit:.2f} s: {doing}",
+    "battery": "battery below 3.2 V for {value:.1f} s, limit {limit:.1f} s: {doing}",
+    "empty": "battery {value:.2f} V below 3.0 V: {doing}",
+    "tumbled": "tumbled or crashed, as its firmware says: {doing}",
 }
 EDGE = 0.005
 """m: how far from the fence is said from here on."""
@@ -170,6 +185,9 @@ class Guard:
         self._found: dict[Rule, float] = {}  # the last value for which it did
         self._latched: dict[Rule, str] = {}  # a latched one, and why it began to act
         least = {m: min((r.limit for r in table if r.measure == m), default=math.inf) for m in TEXT}
+        self._least = least
+        self._told: dict[str, float] = dict.fromkeys(TOLD, -math.inf)
+        self._told_well = True
         self._least_pose, self._least_reference = least["pose"], least["reference"]
         self._least_stop = min(least["fence"], least["stop"], least["limit area"])
         self._reach = STOP / a_max
@@ -193,7 +211,14 @@ class Guard:
         age, reach = (0.0, 0.0) if reference_age is None else (reference_age, self._reach)
         stop = -math.inf if state is None else _outside(state.flat, self._low if low else self._flying, reach)
         well = pose_age <= self._least_pose and age <= self._least_reference and stop <= self._least_stop
-        return ALL_WELL if well and not self._acting else self._judge(now, self._measured(state, pose_age, age, stop))
+        if well and self._told_well and not self._acting:
+            return ALL_WELL
+        return self._judge(now, self._measured(state, pose_age, age, stop))
+
+    def tell(self, measure: str, value: float) -> None:
+        """A measure of TOLD now."""
+        self._told[measure] = value
+        self._told_well = all(value <= self._least[m] for m, value in self._told.items())
 
     @property
     def acts(self) -> bool:
@@ -213,7 +238,7 @@ class Guard:
             broken = 0.0 if math.isfinite(x + y + z + sum(rest)) else 1.0
         return {
             "pose": pose_age, "reference": reference_age, "fence": outside, "stop": stop, "limit area": beyond,
-            "broken": broken,
+            "broken": broken, **self._told,
         }  # fmt: skip
 
     def _judge(self, now: float, values: dict[str, float]) -> Verdict:
@@ -246,27 +271,3 @@ def _reason(rule: Rule, value: float) -> str:
     at_edge = rule.measure == "stop" and abs(value) < EDGE
     text = (AT_EDGE if at_edge else TEXT[rule.measure]).format(value=value, limit=rule.limit, doing=DOING[rule.action])
     return f"{text}, for good" if rule.latched else text
-
-
-class Throttle:
-    """Lets each topic through at most once in `period` s; one that comes back or goes on, ever more rarely.
-
-    The silence after a topic doubles each time that it is said, up to `longest` s; one of which nothing was to be said
-    for `longest` s begins anew.
-    """
-
-    def __init__(self, period: float = 1.0, longest: float = 30.0) -> None:
-        self.period, self.longest = period, longest
-        self._asked: dict[str, float] = {}
-        self._next: dict[str, tuple[float, float]] = {}  # when it may be said again, and the silence after that
-
-    def due(self, now: float, topic: str) -> bool:
-        """May this topic be said again at `now`? Saying so counts as having said it."""
-        if now - self._asked.get(topic, -math.inf) >= self.longest:
-            self._next.pop(topic, None)
-        self._asked[topic] = now
-        again, silence = self._next.get(topic, (-math.inf, self.period))
-        if now < again:
-            return False
-        self._next[topic] = now + silence, min(2.0 * silence, self.longest)
-        return True

@@ -7,6 +7,7 @@ table allows. A pose triggers the tick; if none comes in time, the clock does.
 import asyncio
 import logging
 import math
+from collections.abc import Callable
 from functools import partial
 from typing import Any, Protocol
 
@@ -134,6 +135,8 @@ class Pilot(Actor):
         self.brought_down = ""
         """Why the safety table has first ended a flight by landing it; empty if it never did."""
         self.held = False
+        self.unfit: Callable[[], list[str]] = list
+        """Says why its drone may not take off, beside what is known here."""
         self.awaits_start = limits.operator
         """Whether its mission waits for an operator's start: until then guidance moves nothing."""
         self.started_at: Point | None = None
@@ -282,6 +285,9 @@ class Pilot(Actor):
             return 0.0
         if self._cut_for or self.guard.latched:
             self._say("again", f"{self._cut_for or self.guard.latched}: no take-off until its agent is started again")
+            return 0.0
+        if problems := self.unfit():
+            self._say("unfit", f"{'; '.join(problems)}: no take-off")
             return 0.0
         if height is not None and not math.isfinite(height):
             self._say("rise", f"a take-off to {height} m: not flown")

@@ -10,6 +10,7 @@ from itertools import chain, combinations
 from crazychoir import platforms
 from crazychoir.errors import ConfigError
 from crazychoir.swarm.graph import Graph, named, span
+from crazychoir.swarm.radios import check_radios, check_uri, dongles, is_reached
 from crazychoir.swarm.reading import show
 from crazychoir.swarm.tables import Position, Swarm
 
@@ -28,7 +29,6 @@ WORLDS = "crazychoir.worlds"
 WORLD_STEP = 0.01
 """s, in which simulated worlds advance."""
 LOWEST_PORT = 1024
-PLANNED = ("udp", "radio")
 TOUCHING = 0.137
 """m: two Crazyflies nearer than this, centre to centre, may touch: 92 mm from motor to motor along the diagonal (data
 sheet of the Crazyflie 2.1, Bitcraze), and half a propeller of 45 mm beyond each end."""
@@ -155,15 +155,16 @@ def _uris(swarm: Swarm, where: str) -> None:
     for n, drone in enumerate(swarm.drones):
         if drone.uri in OURS or drone.uri.startswith(REPLAY):
             continue
+        if is_reached(drone):
+            check_uri(drone.uri, f"{where}: drones[{n}].uri")
+            continue
         key, (scheme, mark, _) = f"{where}: drones[{n}].uri", drone.uri.partition("://")
         is_foreign = bool(mark) and scheme != "sim"
         if is_foreign and scheme in engines_of_others():
             continue
-        flown = ", ".join((*OURS, f"{REPLAY}FILE", *(f"{name}://" for name in engines_of_others())))
+        links = "udp://HOST:PORT", "radio://DONGLE/CHANNEL/RATE/ADDRESS"
+        flown = ", ".join((*OURS, f"{REPLAY}FILE", *links, *(f"{name}://" for name in engines_of_others())))
         do = f'Write uri = "sim://", or install a package with the entry point {scheme} in {WORLDS}.'
-        if is_foreign and scheme in PLANNED:
-            problem = f"this version does not fly {scheme}:// drones"
-            raise ConfigError(key, show(drone.uri), f"it flies {flown}", do, problem)
         raise ConfigError(key, show(drone.uri), flown, do if is_foreign else 'Write uri = "sim://", or leave it out.')
 
 
@@ -345,7 +346,8 @@ def _placement(swarm: Swarm, where: str) -> None:
 def owned(swarm: Swarm) -> tuple[int, ...]:
     """The drones whose bodies are, in real time, in the process of the world's owner; in increasing order."""
     named = swarm.world.owned or swarm.world.host is not None
-    return tuple(sorted(drone.id for drone in swarm.drones if named or drone.uri not in ALONE))
+    simulated = [drone for drone in swarm.drones if not is_reached(drone)]
+    return tuple(sorted(drone.id for drone in simulated if named or drone.uri not in ALONE))
 
 
 def _world(swarm: Swarm, where: str) -> None:
@@ -390,8 +392,9 @@ def _ports(swarm: Swarm, where: str) -> None:
     if swarm.base_port + last > 65535:
         problem = f"a process listens on base_port + its lowest drone id, here up to {swarm.base_port + last}"
         raise ConfigError(f"{where}: base_port", swarm.base_port, "ports end at 65535", "Lower it.", problem)
-    if swarm.base_port <= LOWEST_PORT and owned(swarm):
-        problem = "the world's owner listens on base_port - 1"
+    below = 3 + max(found) if (found := dongles(swarm)) else 1 if owned(swarm) else 0
+    if swarm.base_port - below < LOWEST_PORT:
+        problem = f"owners of worlds and radios listen down to base_port - {below}"
         raise ConfigError(f"{where}: base_port", swarm.base_port, f"ports begin at {LOWEST_PORT}", "Raise it.", problem)
 
 
@@ -420,6 +423,6 @@ def _partitions(swarm: Swarm, where: str) -> None:
 
 RULES = (
     _uris, _platforms, _delay, _roles, _speed, _box, _limit_area, _homes, _cameras, _hosts, _placement, _world,
-    _processes, _start, _ports, _links, _partitions,
+    _processes, _start, _ports, _links, _partitions, check_radios,
 )  # fmt: skip
 """In the order of their errors."""

@@ -8,17 +8,22 @@ from typing import Any, Self
 
 import msgspec
 
-from crazychoir.bus.local import BODIES
-from crazychoir.bus.topics import Topic
+from crazychoir.bus.local import BODIES, EYES
+from crazychoir.bus.topics import POSE, TRUTH, Topic
 from crazychoir.errors import ConfigError
 from crazychoir.swarm.checks import REPLAY, check, graph_of, owned
 from crazychoir.swarm.graph import Graph, span
+from crazychoir.swarm.radios import body_name, dongles, reached, seen
 from crazychoir.swarm.reading import parse, read, require_plain
 from crazychoir.swarm.tables import Control, Drone, Swarm, Table
 
 LOCAL = "127.0.0.1"
 WORLD = -1
 """The process of the world's owner, among processes that are known by their lowest drone."""
+MOCAP = -2
+"""That of motion capture."""
+DONGLES = -3
+"""That of the owner of dongle 0; of dongle K: DONGLES - K."""
 SPACING = 0.6
 MARGIN = 4.0
 FILES = ("instance", "drawing")
@@ -80,7 +85,10 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
         named = {key: value for key, value in self.mission_options.items() if key in FILES and isinstance(value, str)}
         found = {key: str((folder / value).resolve()) for key, value in named.items()}
         drones = tuple(_replaying(drone, folder) for drone in self.drones)
-        return msgspec.structs.replace(self, mission_options=self.mission_options | found, drones=drones)
+        mocap = self.mocap
+        if mocap.file:
+            mocap = msgspec.structs.replace(mocap, file=str((folder / mocap.file).resolve()))
+        return msgspec.structs.replace(self, mission_options=self.mission_options | found, drones=drones, mocap=mocap)
 
     def _with_shapes_from(self, folder: Path) -> Self:
         named = {key: value for key in SHAPES if (value := getattr(self.mujoco, key))}
@@ -91,12 +99,13 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
     def digest(self) -> str:
         """16 hex digits that all hosts of one mission share, the same on every host, Python and hash seed.
 
-        Everything counts but `hosts`, `base_port`, `network` and the folders of the mission and of shapes. A file that
-        the mission's options name counts by what is in it, wherever it lies.
+        Everything counts but `hosts`, `base_port`, `network` and the folders of the mission, of shapes and of poses. A
+        file that the mission's options name counts by what is in it, wherever it lies.
         """
         agreed = {key: value for key, value in msgspec.to_builtins(self).items() if key not in OWN_TO_A_HOST}
         agreed["mission"] = Path(self.mission or "").name
         agreed["mujoco"] |= {key: Path(getattr(self.mujoco, key)).name for key in SHAPES}
+        agreed["mocap"]["file"] = Path(self.mocap.file).name
         agreed["mission_options"] = {key: _content(value) for key, value in self.mission_options.items()}
         for drone in agreed["drones"]:
             name, mark, number = drone["uri"].removeprefix(REPLAY).partition("?")
@@ -138,9 +147,12 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
         return self._listens(self.drone(i).host, self.process(i))
 
     def endpoints(self) -> dict[int, str]:
-        """The endpoint of each process, by its lowest drone; that of the world's owner first, if there is one."""
-        world = {WORLD: self._listens(self.world.host, WORLD)} if self.owned else {}
-        return world | {group[0]: self.endpoint(group[0]) for group in self.groups()}
+        """The endpoint of each process, by its lowest drone; those of owners first: of dongles, cameras, the world."""
+        owners = {DONGLES - k: self.dongle_host(k) for k in reversed(self.dongles)}
+        owners |= {MOCAP: self.mocap.host} if self.seen else {}
+        owners |= {WORLD: self.world.host} if self.owned else {}
+        listens = {process: self._listens(host, process) for process, host in owners.items()}
+        return listens | {group[0]: self.endpoint(group[0]) for group in self.groups()}
 
     def _listens(self, host: str | None, process: int) -> str:
         address = LOCAL if host is None else self.hosts[host]
@@ -151,9 +163,39 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
         """The drones whose bodies are, in real time, in the process of the world's owner; increasing."""
         return owned(self)
 
+    @property
+    def reached(self) -> tuple[int, ...]:
+        """The drones that a radio reaches, udp:// or radio://; increasing."""
+        return reached(self)
+
+    @property
+    def seen(self) -> tuple[int, ...]:
+        """The drones whose poses come from the process of motion capture; increasing."""
+        return seen(self)
+
+    @property
+    def elsewhere(self) -> tuple[int, ...]:
+        """The drones whose bodies, in real time, are reached by another process than their agent's; increasing."""
+        return tuple(sorted((*self.owned, *self.reached)))
+
+    @property
+    def dongles(self) -> dict[int, tuple[int, ...]]:
+        """The drones of each dongle, by its number; both increasing."""
+        return dongles(self)
+
+    def dongle_host(self, number: int) -> str | None:
+        """The host of a dongle's owner."""
+        return next((row.host for row in self.radio.dongles if row.dongle == number), None)
+
+    def body_name(self, i: int) -> str:
+        """What motion capture calls drone i."""
+        return body_name(self.drone(i))
+
     def source(self, topic: Topic, i: int) -> int:
-        """The address that says a topic of drone i in real time: the drone's, or its body's."""
-        return BODIES + i if topic.of_body and i in self.owned else i
+        """The address that says a topic of drone i in real time: the drone's, its body's, or that of the cameras."""
+        if not topic.of_body or i not in self.elsewhere:
+            return i
+        return EYES + i if topic in (POSE, TRUTH) and i in self.seen else BODIES + i
 
     def impairment(self) -> dict[str, Any]:
         """[network] as plain values, only what is written; the groups of a partition name every drone."""

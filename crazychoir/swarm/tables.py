@@ -61,6 +61,7 @@ Tilt = Annotated[
     tuple[Annotated[float, Meta(ge=-0.5, le=0.5)], Annotated[float, Meta(ge=-0.5, le=0.5)]],
     Meta(description="angles [roll, pitch] in rad, -0.5 to 0.5", examples=[[0.0175, 0.0]]),
 ]
+Centred = Annotated[float, Meta(ge=-0.5, le=0.5, description="a length in m, -0.5 to 0.5", examples=[0.02])]
 SemiAxis = Annotated[float, Meta(ge=0.05, le=2, description="a length in m, 0.05 to 2", examples=[0.12])]
 Share = Annotated[float, Meta(gt=0, le=1, description="a share, above 0, at most 1", examples=[0.5])]
 Factor = Annotated[float, Meta(ge=0, le=100, description="a factor, 0 to 100", examples=[1.0])]
@@ -94,6 +95,36 @@ Hosts = Annotated[
 ]
 
 
+Dongle = Annotated[int, Meta(ge=0, le=15, description="the number of a dongle, 0 to 15", examples=[0])]
+PoseFrom = Annotated[
+    Literal["mocap", "onboard"],
+    Meta(description='where its pose comes from: "mocap" or "onboard"', examples=["mocap"]),
+]
+Body = Annotated[
+    str, Meta(max_length=40, description="the name of a body, at most 40 characters", examples=["cf3"])
+]
+Offset = Annotated[
+    tuple[Centred, Centred, Centred],
+    Meta(description="three lengths in m, -0.5 to 0.5", examples=[[0.0, 0.0, 0.02]]),
+]
+Angles = Annotated[
+    tuple[Radians, Radians, Radians],
+    Meta(description="angles [roll, pitch, yaw] in rad, -7 to 7", examples=[[0.01, 0.0, 0.0]]),
+]
+Source = Annotated[
+    Literal["virtual", "replay", "vicon", "optitrack", "qualisys", "vrpn", "mock"],
+    Meta(description='"virtual", "replay", "vicon", "optitrack", "qualisys", "vrpn" or "mock"', examples=["vicon"]),
+]
+UdpPort = Annotated[int, Meta(ge=1, le=65535, description="a UDP port, 1 to 65535", examples=[19849])]
+PoseRate = Annotated[
+    float, Meta(ge=10, le=100, description="a rate in Hz, 10 to 100: the onboard estimator needs 10", examples=[20])
+]
+Packets = Annotated[float, Meta(gt=0, le=5000, description="packets a second, above 0", examples=[250])]
+ThrustMap = Annotated[
+    float, Meta(ge=10_000, le=1_000_000, description="thrust command a newton, all motors", examples=[136531])
+]
+
+
 class Table(Struct, frozen=True, kw_only=True):
     """A table of a swarm file."""
 
@@ -101,7 +132,11 @@ class Table(Struct, frozen=True, kw_only=True):
 class Drone(Table, frozen=True, kw_only=True):
     """One [[drones]]: home is where it stands before the start, world frame; yaw rad; neighbors: whom it hears.
 
-    uri: in which world it flies;  platform: which kind of Crazyflie it is.
+    uri: in which world it flies;  platform: which kind of Crazyflie it is. Of one that a radio reaches (udp://,
+    radio://):  dongle: whose owner reaches it (without: that of its radio:// uri, 0 for udp://);  pose: who says where
+    it is;  body: its name in the motion capture (without: "cf" and its id);  body_offset: m, of the tracked centre from
+    its own, and body_rotation: roll, pitch, yaw rad, by which that body is mounted, see mocap/mounting.py;  parameters:
+    of its firmware, set when it is connected, beside those of [radio].
     """
 
     id: Id
@@ -114,6 +149,12 @@ class Drone(Table, frozen=True, kw_only=True):
     role: Text = ""
     host: Name | None = None
     options: Free = field(default_factory=dict)
+    dongle: Dongle | None = None
+    pose: PoseFrom = "mocap"
+    body: Body = ""
+    body_offset: Offset = (0.0, 0.0, 0.0)
+    body_rotation: Angles = (0.0, 0.0, 0.0)
+    parameters: Free = field(default_factory=dict)
 
 
 class Link(Table, frozen=True, kw_only=True):
@@ -180,7 +221,10 @@ class Flight(Table, frozen=True, kw_only=True):
 class Mocap(Table, frozen=True, kw_only=True):
     """[mocap]: rate: poses a second; noise m, noise_angle rad: standard deviations an axis;
     dropout: probability a pose; latency: s, whole periods of the rate; tilt: (roll, pitch) rad, by which the body
-    that the cameras know is mounted askew on the drone.
+    that the cameras know is mounted askew on the drone. Those are of simulated cameras. Of the cameras of drones that a
+    radio reaches:  source: which system;  hostname, port: where it is (port: of "virtual");  file: of "replay", a
+    recording (CSV), relative to the swarm file;  options: more that motioncapture's connect takes;  host: where
+    crazychoir-mocap runs. Then rate is how often they look, at most;  the first line is of "virtual".
     """
 
     rate: Hertz = 100.0
@@ -189,6 +233,52 @@ class Mocap(Table, frozen=True, kw_only=True):
     dropout: Probability = 0.0
     latency: Seconds = 0.0
     tilt: Tilt = (0.0, 0.0)
+    source: Source = "virtual"
+    hostname: Text = "127.0.0.1"
+    port: UdpPort = 19849
+    file: Text = ""
+    options: Free = field(default_factory=dict)
+    host: Name | None = None
+
+
+class RadioHost(Table, frozen=True, kw_only=True):
+    """One [[radio.dongles]]: on which host the owner of a dongle runs, and what the dongle carries."""
+
+    dongle: Dongle
+    host: Name | None = None
+    capacity: Packets | None = None
+
+
+Dongles = Annotated[
+    tuple[RadioHost, ...],
+    Meta(description="a list of tables [[radio.dongles]]", examples=[[{"dongle": 0, "host": "laptop"}]]),
+]
+
+
+class Radio(Table, frozen=True, kw_only=True):
+    """[radio]: how drones with a uri udp:// or radio:// are reached.
+
+    capacity: packets a second of a dongle that several drones share;  command_rate: Hz of set-points, 0: as many as
+    the dongles carry, at most a command each pose;  pose_rate: Hz of the poses that a drone is told;  log_rate: Hz of
+    what it says of itself;  connect_deadline: s a drone;  watchdog: an XYZ drone whose radio fails cuts its motors
+    after 1 s, else flies on;  thrust_map: of all drones, for firmware whose release is not known;  parameters: of the
+    firmware, of all drones;  origin: m, origin_yaw: rad, world frame: where the frame of poses that come from drones
+    themselves (pose = "onboard") begins;  drift: whether a mission that needs a common frame may fly by such poses;
+    dongles: their hosts.
+    """
+
+    capacity: Packets = 250.0
+    command_rate: Rate = 0.0
+    pose_rate: PoseRate = 10.0
+    log_rate: Hertz = 10.0
+    connect_deadline: Timeout = 10.0
+    watchdog: Flag = False
+    thrust_map: ThrustMap | None = None
+    parameters: Free = field(default_factory=dict)
+    origin: Position = (0.0, 0.0, 0.0)
+    origin_yaw: Radians = 0.0
+    drift: Flag = False
+    dongles: Dongles = ()
 
 
 class Plant(Table, frozen=True, kw_only=True):
@@ -339,6 +429,7 @@ class Swarm(Table, frozen=True, kw_only=True):
     fence: Fence = Fence()
     keep_out: KeepOut = KeepOut()
     mocap: Mocap = Mocap()
+    radio: Radio = Radio()
     plant: Plant = Plant()
     motors: Motors = Motors()
     mujoco: Mujoco = Mujoco()

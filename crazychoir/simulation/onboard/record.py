@@ -25,6 +25,7 @@ LEGACY, FORCE_TORQUE, MOTORS = 0, 1, 2
 
 TRAJECTORIES, MEMORY = 31, 1024  # slots; float32 of 4096 bytes
 PIECE = 33  # float32 of one piece: 4 axes of 8 coefficients and a duration
+EXPANDED = 64  # pieces behind that memory: a compressed trajectory, as it is flown
 
 
 def _reals(names: str) -> list[tuple[str, type]]:
@@ -64,6 +65,7 @@ planner_fields = np.dtype(
         ("last_v", np.float32, (4,)),
         ("offset", np.int64, (TRAJECTORIES,)),  # float32 from the start of the memory
         ("pieces", np.int64, (TRAJECTORIES,)),  # 0: not defined
+        ("packed", np.int64, (TRAJECTORIES, 2)),  # of a compressed one: its first byte, its segments (0: it is not)
         ("take_off_speed", np.float64),
         ("landing_speed", np.float64),
     ],
@@ -138,7 +140,7 @@ drone_fields = np.dtype(
         ("planner", planner_fields),
         ("mellinger", mellinger_fields),
         ("lee", lee_fields),
-        ("memory", np.float32, (MEMORY,)),
+        ("memory", np.float32, (MEMORY + EXPANDED * PIECE,)),
     ],
     align=True,
 )

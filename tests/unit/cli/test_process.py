@@ -5,7 +5,8 @@ import signal
 
 import pytest
 
-from crazychoir.cli.process import _end_on_signals, _obey_signals
+from crazychoir.cli.process import _obey_signals
+from crazychoir.cli.signals import end_on_signals
 from crazychoir.runtime.clock import run_wall
 
 
@@ -54,9 +55,9 @@ def test_however_often_the_parent_is_said_to_be_gone_the_drones_land():
 
 
 def test_a_world_ends_when_nobody_flies_and_at_once_if_an_operator_insists():
-    assert told(signal.SIGINT, 2, _end_on_signals) == [("end", "Ctrl-C (SIGINT)"), ("abort", "a second signal")]
-    assert told(signal.SIGTERM, 1, _end_on_signals) == [("end", "SIGTERM")]
+    assert told(signal.SIGINT, 2, end_on_signals) == [("end", "Ctrl-C (SIGINT)"), ("abort", "a second signal")]
+    assert told(signal.SIGTERM, 1, end_on_signals) == [("end", "SIGTERM")]
 
 
 def test_a_world_lets_those_land_whose_parent_is_gone():
-    assert told(signal.SIGHUP, 3, _end_on_signals) == [("end", "SIGHUP")] * 3
+    assert told(signal.SIGHUP, 3, end_on_signals) == [("end", "SIGHUP")] * 3

@@ -78,16 +78,16 @@ def test_a_wrong_beginning_is_forgotten_within_20_poses():
 
 def test_the_variance_begins_large_and_falls():
     onboard = Onboard(CRAZYFLIE_21)
-    assert onboard.log("kalman.varPX") == pytest.approx(1e4)
-    assert onboard.log("kalman.varPZ") == pytest.approx(1.0)
+    assert onboard.log("kalman.varX") == pytest.approx(1e4)
+    assert onboard.log("kalman.varZ") == pytest.approx(1.0)
     for _ in range(50):
         onboard.external_pose(np.zeros(3), np.array([0, 0, 0, 1.0]))
         loop.run(onboard.rows, 10.0, 0, 0, 0, 0, 0, G)
-    assert 1e-6 < onboard.log("kalman.varPX") < 1e-4
+    assert 1e-6 < onboard.log("kalman.varX") < 1e-4
     loop.run(onboard.rows, 3000.0, 0, 0, 0, 0, 0, G)
-    assert onboard.log("kalman.varPX") > 1e-3
+    assert onboard.log("kalman.varX") > 1e-3
     onboard.set("kalman.resetEstimation", 1)
-    assert onboard.log("kalman.varPX") == pytest.approx(1e4)
+    assert onboard.log("kalman.varX") == pytest.approx(1e4)
 
 
 @pytest.mark.parametrize(("p", "force"), [((101.0, 0, 0), (0, 0, G)), ((0, 0, 0), (0, 0, 5 * G))])

@@ -1,0 +1,79 @@
+"""crazychoir-mocap: motion capture, in a process of its own, for drones whose agents are elsewhere."""
+
+import ctypes
+import signal
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import msgspec
+import typer
+
+from crazychoir.cli import ending
+from crazychoir.cli.show import STDERR, Progress, fail, set_up_logging, write_json
+from crazychoir.cli.world import PR_SET_PDEATHSIG
+from crazychoir.errors import ConfigError, CrazyChoirError
+
+app = typer.Typer(add_completion=False)
+SourceOption = Annotated[
+    str | None,
+    typer.Option("--source", help="Instead of the swarm file's, as vicon or vicon@10.0.0.5; a .csv is replayed."),
+]
+
+
+@app.command()
+def mocap(
+    swarm: Annotated[str | None, typer.Option(help="Swarm file; else ./swarm.toml.")] = None,
+    source: SourceOption = None,
+    record: Annotated[Path | None, typer.Option(help="New CSV file to record the poses into.")] = None,
+    listen: Annotated[str | None, typer.Option(help="Zenoh endpoint to listen on.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object at the end.")] = False,
+    child: Annotated[bool, typer.Option(hidden=True, help="It ends without parent, when nobody flies.")] = False,
+) -> None:
+    """Tell the drones of a swarm where they are; Ctrl-C ends it as soon as none of them has an agent."""
+    if child:
+        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGHUP)
+        signal.signal(signal.SIGINT, signal.SIG_DFL)  # before it is there it ends, and says nothing
+    set_up_logging()
+    from crazychoir.cli.mocap_process import mocap_table, run_mocap  # kernels and network: 1 s
+    from crazychoir.swarm.config import find_swarm
+
+    try:
+        config, which = find_swarm(swarm)
+        config = with_source(config, source)
+        if not as_json and not child:
+            STDERR.print(f"swarm {config.name} ({which}): the cameras of drone(s) {list(config.seen)}", highlight=False)
+        shown = not as_json and not child and sys.stderr.isatty()
+        with Progress(mocap_table, enabled=shown) as progress:
+            report = run_mocap(config, listen, record, progress if shown else None)
+    except CrazyChoirError as error:
+        fail(error, as_json)
+    if as_json:
+        write_json(report)
+    raise typer.Exit(0 if report["success"] else 1)
+
+
+def with_source(config: Any, source: str | None) -> Any:
+    """The swarm with another source: SYSTEM, SYSTEM@HOST, SYSTEM@HOST:PORT (of "virtual"), or the file of a replay."""
+    if source is None:
+        return config
+    changes: dict[str, Any] = {**msgspec.to_builtins(config.mocap)}
+    if source.endswith(".csv"):
+        changes |= {"source": "replay", "file": str(Path(source).resolve())}
+    else:
+        changes["source"], _, host = source.partition("@")
+        name, _, port = host.partition(":")
+        changes |= {"hostname": name} if name else {}
+        if port and not port.isdecimal():
+            raise ConfigError("--source", source, "SYSTEM, SYSTEM@HOST or virtual@HOST:PORT, or a .csv file")
+        changes |= {"port": int(port)} if port else {}
+    return config.replace(mocap=changes)
+
+
+def main() -> None:
+    """Entry point."""
+    ending.run(app)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,212 @@
+"""crazychoir mocap: which bodies the cameras see, whose they are, and how they sit on their drones."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich.table import Table
+
+from crazychoir.cli.look import JsonOption
+from crazychoir.cli.mocap import SourceOption, with_source
+from crazychoir.cli.show import STDERR, STDOUT, fail, set_up_logging, write_json
+from crazychoir.errors import ConfigError, CrazyChoirError, Refused
+
+if TYPE_CHECKING:
+    from crazychoir.mocap.calibration import Rest, Turn
+    from crazychoir.mocap.frames import Frame
+    from crazychoir.mocap.naming import Match, Seen
+    from crazychoir.swarm.config import SwarmConfig
+
+app = typer.Typer(no_args_is_help=True, help="Bodies of motion capture: whose they are, how they sit on their drones.")
+SwarmFile = Annotated[str | None, typer.Option("--swarm", help="Swarm file; else ./swarm.toml.")]
+SecondsOption = Annotated[float, typer.Option(min=0.5, help="How long to look, in s.")]
+WriteOption = Annotated[bool, typer.Option("--write", help="Write it into the swarm file; all else there stays.")]
+Changes = dict[int, dict[str, object]]
+DIGITS = 5
+
+
+@app.command()
+def names(
+    swarm: SwarmFile = None,
+    source: SourceOption = None,
+    seconds: SecondsOption = 2.0,
+    write: WriteOption = False,
+    as_json: JsonOption = False,
+) -> None:
+    """List what the cameras see now, and propose whose body is whose: drones stand at their homes."""
+    set_up_logging()
+    from crazychoir.mocap.naming import bodies, matched  # numerics: --help does not need them
+
+    try:
+        config, path, frames = _gathered(swarm, source, seconds)
+        seen = bodies(frames, seconds)
+        matches = matched(seen, {i: config.drone(i).home for i in config.seen})
+        sure = [match for match in matches if match.sure]
+        changes: Changes = {m.drone: {"body": m.name} for m in sure if m.name != config.body_name(m.drone)}
+        _write(path, changes if write else {})
+    except CrazyChoirError as error:
+        fail(error, as_json)
+    if as_json:
+        rows = [{"name": s.name, "p": s.p, "spread_m": s.spread, "rate_hz": s.rate} for s in seen]
+        proposed = {m.drone: {"body": m.name, "distance_m": m.distance, "sure": m.sure} for m in matches}
+        write_json({"bodies": rows, "proposed": proposed, "written": write})
+    else:
+        STDOUT.print(_table(seen, matches))
+        _print_lines(changes, write)
+        _say_left(config, matches)
+    raise typer.Exit(0 if len(sure) == len(config.seen) else 1)
+
+
+@app.command()
+def calibrate(
+    drone: Annotated[int, typer.Argument(help="Its id.")],
+    turn: Annotated[
+        bool,
+        typer.Option(
+            "--turn", help="The offset: it is turned once about its own centre, on the floor, or in hover by its own "
+            "estimate. One that flies by these poses keeps still what they track: of it nothing is learnt.",
+        ),
+    ] = False,
+    heading: Annotated[
+        bool, typer.Option("--heading", help="It looks along its yaw in the swarm file: find the body's yaw too.")
+    ] = False,
+    swarm: SwarmFile = None,
+    source: SourceOption = None,
+    seconds: Annotated[float | None, typer.Option(min=0.5, help="How long to look, in s; else 3, to turn 20.")] = None,
+    write: WriteOption = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Find how a body sits on its drone: at rest at home, level, its rotation and height; by a --turn, its offset."""
+    set_up_logging()
+    try:
+        config, path, frames = _gathered(swarm, source, seconds or (20.0 if turn else 3.0), drone)
+        found = _from_turn(config, drone, frames) if turn else _from_rest(config, drone, frames, heading)
+        keys = _keys(config, drone, found)
+        _write(path, {drone: keys} if write else {})
+    except CrazyChoirError as error:
+        fail(error, as_json)
+    if as_json:
+        write_json({"drone": drone, **keys, "found": found, "written": write})
+    else:
+        STDERR.print(f"drone {drone}: {_in_words(found)}", highlight=False, soft_wrap=True)
+        _print_lines({drone: keys}, write)
+
+
+def _gathered(
+    swarm: str | None, source: str | None, seconds: float, drone: int | None = None
+) -> "tuple[SwarmConfig, Path | None, list[Frame]]":
+    """The swarm, its file, and what its cameras see for so long."""
+    from crazychoir.mocap.gathering import gather
+    from crazychoir.mocap.process import source_of, view_of
+    from crazychoir.runtime.clock import Clock, run_wall
+    from crazychoir.swarm.config import find_swarm
+
+    found, which = find_swarm(swarm)
+    config = with_source(found, source)
+    if drone is not None and drone not in config.seen:
+        raise ConfigError("DRONE", drone, f"one that motion capture sees: {list(config.seen)}")
+    if not config.seen:
+        raise Refused(f"swarm {config.name}", "it has no drone that motion capture sees")
+    STDERR.print(f"looking for {seconds:g} s ({which}, source {config.mocap.source})", highlight=False)
+
+    async def main(clock: Clock) -> "list[Frame]":
+        return await gather(clock, source_of(clock, config), view_of(config), seconds)
+
+    file = Path(swarm or "swarm.toml")
+    return config, file if file.is_file() else None, run_wall(main)
+
+
+def _poses(config: "SwarmConfig", drone: int, frames: "list[Frame]") -> tuple[Any, Any]:
+    """(k,) s and (k, 7) of its body."""
+    import numpy as np
+
+    name = config.body_name(drone)
+    seen = [frame for frame in frames if name in frame.bodies]
+    if not seen:
+        there = ", ".join(sorted({name: None for frame in frames for name in frame.bodies})) or "none"
+        raise Refused(f"body {name} of drone {drone}", f"it is not seen; seen are: {there}.")
+    return np.array([frame.time for frame in seen]), np.array([frame.bodies[name] for frame in seen])
+
+
+def _from_rest(config: "SwarmConfig", drone: int, frames: "list[Frame]", heading: bool) -> "Rest":
+    from crazychoir.mocap.calibration import from_rest
+
+    one = config.drone(drone)
+    looks = one.yaw if heading else None
+    return from_rest(_poses(config, drone, frames)[1], one.home[2], looks, one.body_rotation[2])
+
+
+def _from_turn(config: "SwarmConfig", drone: int, frames: "list[Frame]") -> "Turn":
+    from crazychoir.mocap.calibration import from_turn
+
+    one = config.drone(drone)
+    return from_turn(*_poses(config, drone, frames), one.body_rotation, one.body_offset[2])
+
+
+def _keys(config: "SwarmConfig", drone: int, found: "Rest | Turn") -> dict[str, object]:
+    """The keys of [[drones]] that it is about."""
+    from crazychoir.mocap.calibration import Turn
+
+    if isinstance(found, Turn):
+        return {"body_offset": _rounded(found.offset)}
+    x, y, _ = config.drone(drone).body_offset
+    return {"body_rotation": _rounded(found.rotation), "body_offset": _rounded((x, y, found.height))}
+
+
+def _in_words(found: "Rest | Turn") -> str:
+    from math import degrees
+
+    from crazychoir.mocap.calibration import Rest
+
+    if isinstance(found, Rest):
+        roll, pitch, _ = (f"{degrees(angle):.2f}" for angle in found.rotation)
+        tilted = f"its body is tilted by roll {roll} and pitch {pitch} deg, {found.height:.4f} m above its centre"
+        return f"{tilted} ({found.poses} poses, {1e3 * found.spread:.1f} mm of noise)"
+    x, y, _ = (f"{1e3 * c:.1f}" for c in found.offset)
+    turned = f"turned by {degrees(found.angle):.0f} deg: tracked {x} mm ahead of its centre and {y} mm to its left"
+    return f"{turned}, to {2e3 * found.error:.1f} mm (two standard errors; {1e3 * found.deviation:.1f} mm from the fit)"
+
+
+def _rounded(values: tuple[float, float, float]) -> list[float]:
+    return [round(value, DIGITS) + 0.0 for value in values]
+
+
+def _write(path: Path | None, changes: Mapping[int, Mapping[str, object]]) -> None:
+    from crazychoir.swarm.editing import write_keys
+
+    if not changes:
+        return
+    if path is None:
+        raise ConfigError("--write", "no swarm file", "a swarm file in TOML", "Name it with --swarm.")
+    write_keys(path, changes)
+
+
+def _print_lines(changes: Changes, written: bool) -> None:
+    from crazychoir.swarm.editing import lines_of
+
+    if changes:
+        STDERR.print("written:" if written else "for the swarm file (--write writes it):")
+    for i, keys in changes.items():
+        STDOUT.print(lines_of(i, keys), markup=False, highlight=False, soft_wrap=True)
+
+
+def _table(seen: "list[Seen]", matches: "list[Match]") -> Table:
+    table = Table("body", "Hz", "x", "y", "z", "moved m", "drone", "from its home m")
+    whose = {match.name: match for match in matches}
+    for body in seen:
+        match = whose.get(body.name)
+        drone = "-" if match is None else f"{match.drone}{'' if match.sure else '?'}"
+        far = "" if match is None else f"{match.distance:.3f}"
+        table.add_row(body.name, f"{body.rate:.0f}", *(f"{c:.3f}" for c in body.p), f"{body.spread:.3f}", drone, far)
+    return table
+
+
+def _say_left(config: "SwarmConfig", matches: "list[Match]") -> None:
+    """Drones for which there is no body near their homes."""
+    from crazychoir.mocap.naming import FAR
+
+    left = [i for i in config.seen if not any(m.drone == i and m.sure for m in matches)]
+    if left:
+        names = ", ".join(map(str, left))
+        STDERR.print(f"no body within {FAR:g} m of the home of drone(s) {names}: put them there, or mend `home`.")

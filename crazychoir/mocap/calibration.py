@@ -1,0 +1,125 @@
+"""Where a tracked body sits on its drone, from how it stands at rest and how it moves when the drone turns.
+
+Pure: poses of the body as tracked (k, 7) in, estimates out. The mounting is that of mocap/mounting.py:
+q_b = q q_m, p_b = p + R(q) o.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from crazychoir.errors import ConfigError
+from crazychoir.math3d import Mat, Vec, conjugate, logarithm, product, rotation
+from crazychoir.mocap.mounting import turned
+
+STILL, STEADY = 0.01, math.radians(1.0)
+"""m, rad: who moves by more is not at rest."""
+TURN = math.radians(180.0)
+"""rad that a drone must turn by, lest its offset is not told from its place."""
+FEW = 20
+"""Poses, the least."""
+
+
+@dataclass(frozen=True)
+class Rest:
+    """rotation: roll, pitch, yaw rad of the body on the drone;  height: m, of the tracked centre above the drone's;
+    spread: m, the standard deviation of its place;  poses: how many.
+    """
+
+    rotation: tuple[float, float, float]
+    height: float
+    spread: float
+    poses: int
+
+
+@dataclass(frozen=True)
+class Turn:
+    """offset: (3,) m, of the tracked centre in the drone's axes;  deviation: m, of a place from the fit;  error: m, the
+    standard error of the horizontal offset;  angle: rad, by which the drone has turned.
+    """
+
+    offset: tuple[float, float, float]
+    deviation: float
+    error: float
+    angle: float
+
+
+def mean_attitude(q: Mat) -> Vec:
+    """The unit quaternion (4,) that is nearest to all of q (k, 4): the largest eigenvector of sum q q^T.
+
+        max_x  sum (x . q_i)^2,  |x| = 1
+
+    Signs of the q_i do not matter. Source: Markley et al. 2007, J. Guidance 30(4).
+    """
+    _, vectors = np.linalg.eigh(q.T @ q)
+    x: Vec = vectors[:, -1]
+    return x if x[3] >= 0.0 else -x
+
+
+def angles(q: Vec) -> tuple[float, float, float]:
+    """Roll, pitch, yaw rad of R(q) = Rz(yaw) Ry(pitch) Rx(roll)."""
+    r = rotation(q)
+    pitch = math.asin(max(-1.0, min(1.0, -float(r[2, 0]))))
+    return math.atan2(r[2, 1], r[2, 2]), pitch, math.atan2(r[1, 0], r[0, 0])
+
+
+def from_rest(poses: Mat, home_z: float, heading: float | None = None, yaw: float = 0.0) -> Rest:
+    """Rotation and height of a body whose drone stands level, its centre at the height home_z m.
+
+        R(q_b) = Rz(psi) R(q_m):  roll and pitch of q_b are those of q_m;  yaw of q_m = yaw of q_b - psi
+
+    poses: (k, 7), as tracked;  heading: psi rad, which way the drone looks, None if that is not known: then the yaw is
+    left as it is, `yaw` rad. Errors: ConfigError if it was not at rest, or seen too seldom.
+    """
+    _enough(poses)
+    q = mean_attitude(poses[:, 3:7])
+    p = poses[:, 0:3].mean(axis=0)
+    far = float(np.linalg.norm(poses[:, 0:3] - p, axis=1).max())
+    swing = max(float(np.linalg.norm(logarithm(product(conjugate(tuple(q)), tuple(one))))) for one in poses[:, 3:7])
+    if far > STILL or swing > STEADY:
+        found = f"it moved by {far:.3f} m and {math.degrees(swing):.1f} deg"
+        raise ConfigError("calibration at rest", found, f"{STILL} m and 1 deg at most", "Put it down, and leave it.")
+    roll, pitch, about = angles(q)
+    spread = float(np.sqrt(poses[:, 0:3].var(axis=0).sum()))
+    turn = yaw if heading is None else math.remainder(about - heading, 2.0 * math.pi)
+    return Rest((roll, pitch, turn), float(p[2]) - home_z, spread, len(poses))
+
+
+def from_turn(times: Vec, poses: Mat, mounted: Sequence[float], height: float) -> Turn:
+    """Offset of the tracked centre, from a turn about the drone's own centre, which may drift slowly meanwhile.
+
+        p_b,k = c + d t_k + R_k o,   R_k = R(q_b,k q_m^-1),   o = (o_x, o_y, height)
+
+    solved for c, d (3,) each, o_x and o_y by least squares. About one axis a height cannot be told from c.
+
+    times: t_k (k,) s;  poses: (k, 7), as tracked;  mounted: roll, pitch, yaw rad of q_m;  height: o_z m.
+    Errors: ConfigError for less than half a turn, or too few poses.
+    """
+    _enough(poses)
+    drone = np.array([product(tuple(q), conjugate(tuple(turned(mounted)))) for q in poses[:, 3:7]])
+    turns = np.array([rotation(q) for q in drone])
+    angle = float(np.ptp(np.unwrap(np.arctan2(turns[:, 1, 0], turns[:, 0, 0]))))
+    if angle < TURN:
+        do = "Turn it about itself, slowly, once around."
+        raise ConfigError("calibration by a turn", f"a turn of {math.degrees(angle):.0f} deg", "180 deg or more", do)
+    rows = _rows(times - times.mean(), turns)
+    sides = (poses[:, 0:3] - height * turns[:, :, 2]).ravel()
+    found, *_ = np.linalg.lstsq(rows, sides, rcond=None)
+    deviation = float(np.sqrt(np.mean((rows @ found - sides) ** 2)))
+    covariance = deviation**2 * np.linalg.inv(rows.T @ rows)
+    error = math.sqrt(covariance[6, 6] + covariance[7, 7])
+    return Turn((float(found[6]), float(found[7]), height), deviation, error, angle)
+
+
+def _rows(times: Vec, turns: Mat) -> Mat:
+    """(3 k, 8): what c, d, o_x and o_y do to each coordinate."""
+    eye = np.eye(3)
+    blocks = [np.hstack([eye, t * eye, r[:, 0:2]]) for t, r in zip(times, turns, strict=True)]
+    return np.vstack(blocks)
+
+
+def _enough(poses: Mat) -> None:
+    if len(poses) < FEW:
+        raise ConfigError("calibration", f"{len(poses)} poses", f"{FEW} or more", "Look for longer; is the body seen?")

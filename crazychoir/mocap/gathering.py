@@ -1,0 +1,40 @@
+"""Some seconds of frames, for who wants to look at them as a whole."""
+
+import asyncio
+import contextlib
+
+from crazychoir.errors import Refused
+from crazychoir.mocap.frames import Frame
+from crazychoir.mocap.source import Source
+from crazychoir.mocap.view import View
+from crazychoir.runtime.clock import Clock
+
+FIRST = 10.0
+"""s within which the first frame must come."""
+LOOK = 0.02
+
+
+async def gather(clock: Clock, source: Source, view: View, seconds: float) -> list[Frame]:
+    """What a source shows in so many s from its first frame on; times of frames are those of their source.
+
+    Raises Refused if none comes within FIRST s, whatever the source does meanwhile.
+    """
+    frames: list[Frame] = []
+
+    def take(frame: Frame, age: float) -> None:
+        seen = view.see(frame)
+        if seen is not None:
+            frames.append(seen[0])
+
+    began, running = clock.now(), asyncio.create_task(source.run(take))
+    try:
+        while not frames:
+            if clock.now() - began > FIRST:
+                raise Refused(source.where, f"no frame within {FIRST:g} s ({source.state}).")
+            await clock.sleep(LOOK)
+        await clock.sleep(seconds)
+    finally:
+        running.cancel()
+        with contextlib.suppress(asyncio.CancelledError):
+            await running
+    return frames

@@ -1,0 +1,64 @@
+"""How a body that the cameras know sits on its drone."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from crazychoir.math3d import Vec, conjugate, exponential, kernel, product, unit, vector
+
+
+@kernel(vector, vector, vector)
+def _drone(seen: Vec, offset: Vec, turn: Vec) -> Vec:
+    """The drone's pose (7,) of the body's, see Mounting."""
+    out = np.empty(7)
+    body = unit((seen[3], seen[4], seen[5], seen[6]))
+    q = product(body, conjugate((turn[0], turn[1], turn[2], turn[3])))
+    way = product(product(q, (offset[0], offset[1], offset[2], 0.0)), conjugate(q))
+    for c in range(3):
+        out[c] = seen[c] - way[c]
+    out[3], out[4], out[5], out[6] = q
+    return out
+
+
+def turned(rpy: Sequence[float]) -> Vec:
+    """Unit quaternion (4,) of R = Rz(yaw) Ry(pitch) Rx(roll); rpy: roll, pitch, yaw, rad."""
+    roll, pitch, yaw = rpy
+    level = product(exponential(0.0, pitch, 0.0), exponential(roll, 0.0, 0.0))
+    return np.array(product(exponential(0.0, 0.0, yaw), level))
+
+
+@dataclass(frozen=True)
+class Mounting:
+    """Where the tracked body is on its drone.
+
+        q_b = q q_m,   p_b = p + R(q) o,   so   q = q_b q_m^-1,   p = p_b - R(q) o
+
+    p, q: of the drone;  p_b, q_b: of the body, as tracked;  offset: o (3,) m, of the tracked centre from the drone's
+    centre, in the drone's axes;  rotation: roll, pitch, yaw rad of R(q_m) = Rz Ry Rx, from the body's axes to the
+    drone's: (0, 0, yaw) for a body that was defined while the drone looked along -yaw.
+    """
+
+    offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    rotation: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    @property
+    def is_none(self) -> bool:
+        """Whether the body is the drone."""
+        return not any((*self.offset, *self.rotation))
+
+    @cached_property
+    def _arrays(self) -> tuple[Vec, Vec]:
+        return np.array(self.offset), turned(self.rotation)
+
+    def drone(self, seen: Vec) -> Vec:
+        """The drone's pose (7,) where its body has the pose seen (7,)."""
+        return seen if self.is_none else _drone(seen, *self._arrays)
+
+    def body(self, drone: Vec) -> Vec:
+        """The body's pose (7,) where the drone has the pose drone (7,)."""
+        o, turn = self._arrays
+        q = tuple(drone[3:7])
+        way = product(product(q, (*o, 0.0)), conjugate(q))
+        return np.array([*(drone[0:3] + np.array(way[0:3])), *product(q, tuple(turn))])

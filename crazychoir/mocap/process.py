@@ -1,0 +1,196 @@
+"""Motion capture in a process of its own: frames of a source in, poses of the drones out."""
+
+import logging
+from dataclasses import dataclass
+from typing import Any
+
+from crazychoir.bus.local import EYES, Bus, Port
+from crazychoir.bus.topics import POSE, TRUTH
+from crazychoir.bus.zenoh import ZenohLink
+from crazychoir.errors import ConfigError, Refused
+from crazychoir.filters.velocity import VelocityFilter
+from crazychoir.math3d import Vec
+from crazychoir.mocap.frames import Frame
+from crazychoir.mocap.mounting import Mounting
+from crazychoir.mocap.recording import Recorder, ReplaySource
+from crazychoir.mocap.source import Say, Source
+from crazychoir.mocap.system import SystemSource
+from crazychoir.mocap.view import Blur, Pace, View
+from crazychoir.mocap.virtual import VirtualSource
+from crazychoir.mocap.watch import Watch
+from crazychoir.runtime.actor import ON_FAILURE, Actor
+from crazychoir.runtime.clock import Clock
+from crazychoir.runtime.supervisor import Supervisor
+from crazychoir.swarm.config import SwarmConfig
+from crazychoir.types import Pose
+
+log = logging.getLogger(__name__)
+LOOKS = 4.0
+"""Hz, at which it is looked at how well the cameras see."""
+PATIENT = 60.0
+"""s for which it goes on, once it is told to end, while an agent of a drone that it sees is on the network."""
+
+
+def source_of(clock: Clock, config: SwarmConfig, say: Say | None = None) -> Source:
+    """The source of [mocap]; raises ConfigError for a recording that cannot be read, or a library that is missing."""
+    mocap = config.mocap
+    if mocap.source == "virtual":
+        return VirtualSource(clock, mocap.hostname, mocap.port, say)
+    if mocap.source == "replay":
+        return ReplaySource(clock, mocap.file, say)
+    return SystemSource(clock, mocap.source, mocap.hostname, mocap.options, say)
+
+
+def view_of(config: SwarmConfig) -> View:
+    """How the frames of [mocap] are seen: virtual ones as if by cameras."""
+    return View(config.mocap.rate, Blur(config) if config.mocap.source == "virtual" else None)
+
+
+@dataclass(frozen=True)
+class Track:
+    """One drone that is seen: the name of its body, how that sits on it, where its poses go, and its velocity."""
+
+    name: str
+    mounting: Mounting
+    port: Port
+    velocity: VelocityFilter
+
+
+class Feed(Actor):
+    """Runs a source; one that fails runs again."""
+
+    name, restart = "cameras", ON_FAILURE
+
+    def __init__(self, process: "MocapProcess") -> None:
+        self._process = process
+
+    async def run(self) -> None:
+        """Until the source has no more frames."""
+        await self._process.source.run(self._process.take)
+
+
+class MocapProcess(Actor):
+    """Publishes the pose of each drone that is seen, as it comes, and at the topic's rate its state as truth.
+
+    The truth of virtual drones is what they say; else the poses and their derivative. It ends when it is told to, but
+    while an agent of its drones is on the network, at most PATIENT s later.
+    """
+
+    name = "mocap"
+
+    def __init__(
+        self, clock: Clock, config: SwarmConfig, source: Source, process: str, host: str, incarnation: int,
+        recorder: Recorder | None = None,
+    ) -> None:  # fmt: skip
+        self.clock, self.bus = clock, Bus(clock, process=process, host=host)
+        self.source, self.recorder = source, recorder
+        if not config.seen:
+            do = 'Those with uri = "udp://..." or "radio://..." are, unless pose = "onboard".'
+            raise ConfigError(f"swarm {config.name}", "no drone that is seen by motion capture", "one or more", do)
+        self.tracks = {i: _track(config, self.bus.port(EYES + i, incarnation), i) for i in config.seen}
+        self.watch = Watch({i: track.name for i, track in self.tracks.items()}, config.mocap.rate, source.live)
+        self.view, self.failure = view_of(config), ""
+        self._truth = Pace(TRUTH.rate)
+        self._link: ZenohLink | None = None
+        self._ending, self._until = "", 0.0
+        self._supervisor = Supervisor(clock, "mocap", self._failed)
+
+    async def serve(self, link: ZenohLink, *services: Actor) -> None:
+        """Until its end."""
+        self._link = link
+        await self._supervisor.run([link, *services, Feed(self), self])
+
+    async def run(self) -> None:
+        """Say what is wrong."""
+        async for _ in self.clock.ticks(LOOKS):
+            for text in self.watch.look(self.clock.now()):
+                log.warning("%s: %s", self.source.where, text)
+            if self._ending:
+                self._end_if_alone()
+
+    def take(self, frame: Frame, age: float) -> None:
+        """A frame has come, `age` s after it was seen."""
+        found = self.view.see(frame)
+        if found is None:
+            return
+        (seen, late), now = found, self.clock.now()
+        if self.recorder is not None:
+            self.recorder.write(seen, now)
+        self.watch.note(seen, now)
+        exact, due = frame if self.view.blur else None, self._truth.passes(frame.time)
+        for track in self.tracks.values():
+            pose = self._publish(track, seen.bodies.get(track.name), age + late, now)
+            true = pose if exact is None else _pose(exact.bodies.get(track.name), age)
+            if true is not None:
+                state = track.velocity.update(true, now)
+                if due and state is not None:
+                    track.port.publish(TRUTH, state, state.age)
+
+    def _publish(self, track: Track, flat: Vec | None, age: float, now: float) -> Pose | None:
+        """One drone's pose; a body that shows the very same pose again is as old as that is."""
+        if flat is None:
+            return None
+        pose = Pose(track.mounting.drone(flat), age + self.watch.age(track.name, now))
+        track.port.publish(POSE, pose, pose.age)
+        return pose
+
+    def end(self, reason: str) -> None:
+        """As soon as no agent of its drones is there."""
+        if not self._ending:
+            self._ending, self._until = reason, self.clock.now() + PATIENT
+            if flown := self.flown:
+                log.warning("mocap: %s: it goes on until the agents of drone(s) %s have ended", reason, _ids(flown))
+        self._end_if_alone()
+
+    @property
+    def flown(self) -> list[int]:
+        """Drones that are seen and have an agent on the network."""
+        there = {} if self._link is None else self._link.directory
+        return [i for i in self.tracks if i in there]
+
+    def _end_if_alone(self) -> None:
+        if not self.flown or self.clock.now() > self._until:
+            self._supervisor.stop()
+
+    def abort(self, reason: str) -> None:
+        """Now; whoever flies sees nothing any more."""
+        self.failure = self.failure or reason
+        log.error("mocap: %s", reason)
+        self._supervisor.stop()
+
+    def refuse(self, refused: Refused) -> None:
+        """Another process sees these drones already."""
+        self.abort(str(refused))
+
+    def _failed(self, actor: Actor, error: Exception, again: bool) -> None:
+        if not again:
+            self.abort(f"{actor.name} failed: {type(error).__name__}: {error}")
+
+    def report(self) -> dict[str, Any]:
+        """What was seen: frames in all, lost on the way, and by drone."""
+        sights = {i: self.watch.sights.get(track.name) for i, track in self.tracks.items()}
+        return {
+            "success": not self.failure,
+            "reason": self.failure,
+            "source": self.source.where,
+            "frames": self.watch.frames,
+            "lost": self.view.lost,
+            "restarts": self.source.again,
+            "seen": {i: 0 if one is None else one.frames for i, one in sights.items()},
+            "dropped": {i: self.watch.frames if one is None else one.dropped for i, one in sights.items()},
+            "others": sorted(name for name in self.watch.sights if name not in self.watch.names.values()),
+            "recorded": None if self.recorder is None else str(self.recorder.path),
+        }
+
+
+def _track(config: SwarmConfig, port: Port, i: int) -> Track:
+    drone = config.drone(i)
+    return Track(config.body_name(i), Mounting(drone.body_offset, drone.body_rotation), port, VelocityFilter())
+
+
+def _pose(flat: Vec | None, age: float) -> Pose | None:
+    return None if flat is None else Pose(flat, age)
+
+
+def _ids(drones: list[int]) -> str:
+    return ", ".join(map(str, drones))

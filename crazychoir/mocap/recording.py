@@ -1,0 +1,113 @@
+"""Frames in a CSV file, `t,name,x,y,z,qx,qy,qz,qw`: written while they are published, and handed out again."""
+
+import csv
+import itertools
+import math
+from pathlib import Path
+from typing import TextIO
+
+import numpy as np
+
+from crazychoir.errors import ConfigError
+from crazychoir.mocap.frames import Frame
+from crazychoir.mocap.source import Complaints, Say, Take
+from crazychoir.runtime.clock import SECOND, Clock
+
+HEAD = ("t", "name", "x", "y", "z", "qx", "qy", "qz", "qw")
+"""t: s since the first frame, the same in all rows of one;  x, y, z: m;  q: body to world."""
+
+
+class Recorder:
+    """Writes frames into a new file; ConfigError if it cannot be made. `close` it."""
+
+    def __init__(self, path: Path) -> None:
+        self.path, self.frames, self.error = path, 0, ""
+        try:
+            self._file: TextIO = open(path, "x", encoding="utf-8", newline="")  # noqa: SIM115 - closed by `close`
+        except OSError as error:
+            raise ConfigError("--record", str(path), "a new file", f"{error.strerror}.") from error
+        self._writer = csv.writer(self._file, lineterminator="\n")
+        self._writer.writerow(HEAD)
+        self._began = math.nan
+
+    def write(self, frame: Frame, at: float) -> None:
+        """A frame that was seen at `at` s; a disk that is full ends the recording, nothing else."""
+        if self.error:
+            return
+        if math.isnan(self._began):
+            self._began = at
+        t = repr(at - self._began)
+        try:
+            self._writer.writerows([t, name, *map(repr, flat.tolist())] for name, flat in frame.bodies.items())
+        except OSError as error:
+            self.error = str(error.strerror)
+        self.frames += 1
+
+    def close(self) -> None:
+        """All that was written is in the file."""
+        try:
+            self._file.close()
+        except OSError as error:
+            self.error = self.error or str(error.strerror)
+
+
+def read_recording(path: str | Path) -> list[Frame]:
+    """The frames of a file, by increasing time; ConfigError names file, line and what was found."""
+    try:
+        with open(path, encoding="utf-8-sig", newline="") as file:
+            rows = list(csv.reader(file))
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise ConfigError(str(path), str(error), f"a CSV file with the columns {','.join(HEAD)}") from error
+    if not rows or tuple(cell.strip() for cell in rows[0]) != HEAD:
+        found = ",".join(rows[0]) if rows else "an empty file"
+        raise ConfigError(f"{path}, line 1", found, ",".join(HEAD))
+    read = [_row(path, line, cells) for line, cells in enumerate(rows[1:], 2) if cells]
+    if not read:
+        raise ConfigError(str(path), "no row", "at least one row below the names of the columns")
+    return _frames(path, read)
+
+
+Row = tuple[int, float, str, list[float]]
+
+
+def _row(path: str | Path, line: int, cells: list[str]) -> Row:
+    """(line, time, name, pose)."""
+    try:
+        t, *numbers = (float(cell) for cell in (cells[0], *cells[2:]))
+    except (ValueError, IndexError):
+        t, numbers = math.nan, []
+    if len(numbers) != 7 or not all(map(math.isfinite, (t, *numbers))):
+        raise ConfigError(f"{path}, line {line}", ",".join(cells), f"{','.join(HEAD)}: finite numbers, and a name")
+    return line, t, cells[1], numbers
+
+
+def _frames(path: str | Path, rows: list[Row]) -> list[Frame]:
+    frames: list[Frame] = []
+    for t, group in itertools.groupby(rows, key=lambda row: row[1]):
+        seen = list(group)
+        if frames and t < frames[-1].time:
+            raise ConfigError(f"{path}, line {seen[0][0]}", f"t = {t:g}", f"{frames[-1].time:g} or more, as before")
+        frames.append(Frame(len(frames), t, {name: np.array(flat) for _, _, name, flat in seen}))
+    return frames
+
+
+class ReplaySource:
+    """Hands out a recording, as fast as it was recorded, once; raises ConfigError for one that cannot be read."""
+
+    live, again = False, 0
+
+    def __init__(self, clock: Clock, path: str, say: Say | None = None) -> None:
+        self.clock, self.where, self.state = clock, f"replay of {path}", "replaying"
+        self.frames = read_recording(path)
+        self._complain = Complaints(self.where, say)
+
+    async def run(self, take: Take) -> None:
+        """Until its end."""
+        began = self.clock.now_ns() - round(self.frames[0].time * SECOND)
+        for frame in self.frames:
+            due = began + round(frame.time * SECOND)
+            await self.clock.sleep_until(due)
+            take(frame, (self.clock.now_ns() - due) / SECOND)
+        self.state = "over"
+        seconds = self.frames[-1].time - self.frames[0].time
+        self._complain(self.clock.now(), "over", f"it is over after {seconds:.1f} s, no more frames")

@@ -1,0 +1,85 @@
+"""The poses of virtual Crazyflies, as the server that has them tells over UDP."""
+
+import asyncio
+
+from crazychoir.errors import CodecError
+from crazychoir.mocap.frames import ASK, Frame, parse
+from crazychoir.mocap.source import SILENT, Complaints, Say, Take
+from crazychoir.runtime.clock import Clock
+
+ASKS = 1.0
+"""Hz: the server forgets within 3 s who does not ask again."""
+RESOLVED = 5.0
+"""s within which the address of a host must be found."""
+
+
+class _Client(asyncio.DatagramProtocol):
+    """One UDP socket, connected: the system lets in only what its server sends."""
+
+    def __init__(self, source: "VirtualSource", take: Take) -> None:
+        self.source, self.take = source, take
+
+    def datagram_received(self, data: bytes, addr: tuple[str, int]) -> None:
+        try:
+            frame = parse(data)
+        except CodecError:
+            self.source.malformed += 1
+            return
+        self.source.heard(frame)
+        self.take(frame, 0.0)
+
+    def error_received(self, exc: Exception) -> None:
+        """Nobody listens there: the silence says so."""
+
+
+class VirtualSource:
+    """Asks a server of virtual Crazyflies for frames, each second anew, for as long as it takes.
+
+    Ages are 0: the clock of who sends is another one.
+    malformed: datagrams that were no frames.
+    """
+
+    live, again = False, 0
+
+    def __init__(self, clock: Clock, hostname: str, port: int, say: Say | None = None) -> None:
+        self.clock, self.address, self.where = clock, (hostname, port), f"virtual at {hostname}:{port}"
+        self.state, self.malformed = "asking", 0
+        self._complain = Complaints(self.where, say)
+        self._heard = clock.now()
+
+    async def run(self, take: Take) -> None:
+        """Ask and listen."""
+        self._heard = self.clock.now()
+        while True:
+            transport = await self._opened(take)
+            try:
+                async for _ in self.clock.ticks(ASKS):
+                    self._look()
+                    if transport is None or transport.is_closing():
+                        break
+                    transport.sendto(ASK)
+            finally:
+                if transport is not None:
+                    transport.close()
+
+    async def _opened(self, take: Take) -> asyncio.DatagramTransport | None:
+        """A socket; None if its host is not known, or not within RESOLVED s."""
+        loop = asyncio.get_running_loop()
+        try:
+            async with asyncio.timeout(RESOLVED):
+                found = await loop.create_datagram_endpoint(lambda: _Client(self, take), remote_addr=self.address)
+        except (OSError, TimeoutError) as error:
+            self._complain(self.clock.now(), "address", f"{str(error) or 'its address is not found'}; trying again")
+            return None
+        return found[0]
+
+    def heard(self, frame: Frame) -> None:
+        """A frame has come."""
+        self._heard, self.state = self.clock.now(), "connected"
+
+    def _look(self) -> None:
+        silence = self.clock.now() - self._heard
+        if silence > SILENT:
+            self.state = "silent"
+            do = "Is the server of the virtual Crazyflies running there, and does it tell their poses at this port?"
+            self._complain(self.clock.now(), "silent", f"no frame for {silence:.0f} s. {do}")

@@ -1,0 +1,154 @@
+"""How well the cameras see: rates, gaps, bodies that are missing, nobody's, or stand exactly still; and what to say."""
+
+import difflib
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from crazychoir.math3d import Vec
+from crazychoir.mocap.frames import Frame
+from crazychoir.runtime.throttle import Throttle
+
+WINDOW = 2.0
+"""s over which rates are averaged."""
+SLOW = 0.8
+"""Of [mocap] rate, which the filters of the drones count on: below it is said."""
+GAP = 3.0
+"""Periods without a frame, or without a body in frames, that are a gap."""
+MISSING = 0.5
+"""s after which a body is missing."""
+FROZEN = 0.5
+"""s for which no camera measures the same digits."""
+STRANGE = 1.0
+"""s for which a body was seen at least that belongs to nobody."""
+
+
+@dataclass
+class Sight:
+    """What was seen of one body.
+
+    first, last: s, when it was in a frame;  changed: s, when it last had another pose;  frames: with it;  dropped:
+    frames without it since the first;  gap: s, the longest between two frames with it that has not been said.
+    """
+
+    first: float
+    last: float
+    changed: float
+    flat: Vec
+    frames: int = 0
+    dropped: int = 0
+    gap: float = 0.0
+    rate: float = 0.0
+    _counted: int = 0
+
+    def see(self, flat: Vec, now: float) -> None:
+        """It is in this frame."""
+        self.gap = max(self.gap, now - self.last)
+        if not np.array_equal(flat, self.flat):
+            self.changed = now
+        self.flat, self.last = flat, now
+        self.frames += 1
+
+    def average(self, seconds: float) -> None:
+        """Its rate, over what was counted since this was called last."""
+        self.rate, self._counted = (self.frames - self._counted) / seconds, self.frames
+
+
+class Watch:
+    """Takes in each frame that is published; `look` at it some times a second.
+
+    names: of the drones' bodies, by drone;  rate: Hz that the swarm file promises;  live: whether what does not change
+    at all is not measured.
+    """
+
+    def __init__(self, names: Mapping[int, str], rate: float, live: bool) -> None:
+        self.names, self.rate, self.live = dict(names), rate, live
+        self.sights: dict[str, Sight] = {}
+        self.frames, self.mean_rate = 0, math.nan
+        self._began, self._last, self._gap = math.nan, math.nan, 0.0
+        self._window, self._counted = math.nan, 0
+        self._throttle = Throttle()
+
+    def note(self, frame: Frame, now: float) -> None:
+        """A frame has come."""
+        if math.isnan(self._began):
+            self._began = self._window = self._last = now
+        self._gap, self._last = max(self._gap, now - self._last), now
+        self.frames += 1
+        for name, flat in frame.bodies.items():
+            sight = self.sights.get(name)
+            if sight is None:
+                sight = self.sights[name] = Sight(now, now, now, flat)
+            sight.see(flat, now)
+        for name, sight in self.sights.items():
+            sight.dropped += name not in frame.bodies
+
+    def age(self, name: str, now: float) -> float:
+        """s for which a body has shown the very same pose, where nothing that is measured does; else 0."""
+        return now - self.sights[name].changed if self.live else 0.0
+
+    def look(self, now: float) -> list[str]:
+        """What is wrong, each thing at most once a second and ever more rarely."""
+        if math.isnan(self._began) or now - self._last > WINDOW:
+            return []  # the source says that nothing comes
+        if now - self._window >= WINDOW:
+            self._average(now)
+        found = [*self._of_frames(), *self._of_strangers(now)]
+        for i, name in self.names.items():
+            found += self._of_body(i, name, now)
+        return [text for topic, text in found if self._throttle.due(now, topic)]
+
+    def _average(self, now: float) -> None:
+        seconds = now - self._window
+        self.mean_rate = (self.frames - self._counted) / seconds
+        self._window, self._counted = now, self.frames
+        for sight in self.sights.values():
+            sight.average(seconds)
+
+    def _of_frames(self) -> list[tuple[str, str]]:
+        found, (gap, self._gap) = [], (self._gap, 0.0)
+        if self.mean_rate < SLOW * self.rate:
+            slow = f"frames come at {self.mean_rate:.0f} Hz; the drones count on [mocap] rate = {self.rate:g}"
+            found.append(("rate", f"{slow}. Raise it at the cameras, or lower it in the swarm file."))
+        if gap > GAP / self.rate:
+            found.append(("gap", f"no frame for {gap:.3f} s, more than {GAP:g} periods"))
+        return found
+
+    def _of_strangers(self, now: float) -> list[tuple[str, str]]:
+        """Bodies that are seen and belong to nobody."""
+        own = self.names.values()
+        strange = [name for name, one in self.sights.items() if name not in own and one.last - one.first > STRANGE]
+        if not strange or all(now - self.sights[name].last > WINDOW for name in strange):
+            return []
+        return [("strangers", f"seen, and nobody's: {_list(strange)}. The swarm file has {_list(list(own))}.")]
+
+    def _of_body(self, i: int, name: str, now: float) -> list[tuple[str, str]]:
+        sight, who = self.sights.get(name), f"body {name!r} of drone {i}"
+        if sight is None:
+            if now - self._began < MISSING:
+                return []
+            return [(f"{i} missing", f"{who} was never seen. {self._meant(name)}")]
+        if now - sight.last > MISSING:
+            return [(f"{i} missing", f"{who} is not seen for {now - sight.last:.1f} s")]
+        gap, sight.gap = sight.gap, 0.0
+        if self.live and now - sight.changed > FROZEN:
+            still = f"{who} shows the very same pose for {now - sight.changed:.1f} s"
+            return [(f"{i} frozen", f"{still}: no camera measures that; it counts as not seen")]
+        return [(f"{i} gap", f"{who} was not seen for {gap:.3f} s")] if gap > GAP / self.rate else []
+
+    def _meant(self, name: str) -> str:
+        """What there is, and which of it may be meant."""
+        own = self.names.values()
+        free = [other for other in self.sights if other not in own]
+        near = difflib.get_close_matches(name.lower(), [other.lower() for other in free], n=1, cutoff=0.5)
+        meant = next((other for other in free if near and other.lower() == near[0]), None)
+        there = f"Seen are {_list(list(self.sights))}" if self.sights else "No body is seen"
+        return f'{there}. Did you mean body = "{meant}"?' if meant else f"{there}. See `crazychoir mocap names`."
+
+
+def _list(names: list[str]) -> str:
+    """The first of them."""
+    shown = ", ".join(map(repr, sorted(names)[:8]))
+    return shown + (f" and {len(names) - 8} more" if len(names) > 8 else "")

@@ -1,0 +1,80 @@
+"""The only thread that sends to a drone: a driver may keep who sends for seconds when its air is full."""
+
+import threading
+from collections import deque
+from collections.abc import Callable
+
+from crazychoir.radio.crtp import Packet
+
+MOST = 1000
+"""Packets that wait in order; beyond that the link is as good as gone."""
+
+
+class Writer:
+    """Sends packets in order, and between them the newest of each kind, in turn.
+
+    send: puts a packet on the link; may take its time, or raise.
+    """
+
+    def __init__(self, name: str, send: Callable[[Packet], None]) -> None:
+        self._send, self._work = send, threading.Condition()
+        self._ordered: deque[Packet] = deque()
+        self._newest: dict[str, Packet] = {}
+        self._ends = False
+        self.sent = self.refused = 0
+        self.failure = ""
+        """What the last send has raised."""
+        self._thread = threading.Thread(target=self._run, name=f"{name} writer", daemon=True)
+        self._thread.start()
+
+    def put(self, packet: Packet) -> bool:
+        """Send this after all that were put before; False if too many wait."""
+        with self._work:
+            if len(self._ordered) >= MOST:
+                self.refused += 1
+                return False
+            self._ordered.append(packet)
+            self._work.notify()
+        return True
+
+    def newest(self, kind: str, packet: Packet) -> None:
+        """Send this instead of the one of its kind that still waits."""
+        with self._work:
+            self._newest[kind] = packet
+            self._work.notify()
+
+    def forget(self) -> None:
+        """What waits is not sent."""
+        with self._work:
+            self._ordered.clear()
+            self._newest.clear()
+
+    def end(self) -> None:
+        """Send what waits in order, then end."""
+        with self._work:
+            self._ends = True
+            self._newest.clear()
+            self._work.notify()
+
+    def join(self, seconds: float) -> bool:
+        """Wait for its end; False if it still sends."""
+        self._thread.join(seconds)
+        return not self._thread.is_alive()
+
+    def _run(self) -> None:
+        while (packet := self._next()) is not None:
+            try:
+                self._send(packet)
+                self.sent += 1
+            except Exception as error:  # noqa: BLE001 - whatever a driver raises, the next packet may get through
+                self.failure = f"{type(error).__name__}: {error}"
+
+    def _next(self) -> Packet | None:
+        with self._work:
+            while not (self._ordered or self._newest or self._ends):
+                self._work.wait()
+            if self._ordered:
+                return self._ordered.popleft()
+            if self._newest:
+                return self._newest.pop(next(iter(self._newest)))
+            return None

@@ -1,0 +1,159 @@
+"""The drones that a radio reaches, and the dongles that they share: what must hold between their keys."""
+
+import math
+import re
+from collections.abc import Mapping
+
+from crazychoir.errors import ConfigError
+from crazychoir.swarm.reading import show
+from crazychoir.swarm.tables import Drone, Swarm
+
+UDP, RADIO = "udp://", "radio://"
+"""Begins of their uris: virtual Crazyflies, and real ones."""
+UDP_URI = re.compile(r"udp://([A-Za-z0-9.-]+):(\d{1,5})")
+RADIO_URI = re.compile(r"radio://(\d{1,2})/(\d{1,3})/(250K|1M|2M)/([0-9A-Fa-f]{10})(\?rate_limit=\d+)?")
+LAST_CHANNEL, LAST_DONGLE = 125, 15
+
+
+def check_uri(uri: str, key: str) -> None:
+    """Raise ConfigError for a uri that no driver opens."""
+    if uri.startswith(UDP):
+        found = UDP_URI.fullmatch(uri)
+        if not found or not 1 <= int(found[2]) <= 65535:
+            raise ConfigError(key, show(uri), "udp://HOST:PORT, as udp://127.0.0.1:19850")
+    elif not (found := RADIO_URI.fullmatch(uri)) or int(found[1]) > LAST_DONGLE or int(found[2]) > LAST_CHANNEL:
+        allowed = "radio://DONGLE/CHANNEL/RATE/ADDRESS, as radio://0/80/2M/E7E7E7E703: a dongle of 0 to 15, a channel "
+        raise ConfigError(key, show(uri), allowed + "of 0 to 125, 250K, 1M or 2M, an address of 10 hexadecimal digits")
+
+
+def is_reached(drone: Drone) -> bool:
+    """Whether a radio reaches it."""
+    return drone.uri.startswith((UDP, RADIO))
+
+
+def reached(swarm: Swarm) -> tuple[int, ...]:
+    """The drones that a radio reaches; in increasing order."""
+    return tuple(sorted(drone.id for drone in swarm.drones if is_reached(drone)))
+
+
+def dongles(swarm: Swarm) -> dict[int, tuple[int, ...]]:
+    """The drones of each dongle, both in increasing order."""
+    found: dict[int, list[int]] = {}
+    for drone in sorted(swarm.drones, key=lambda drone: drone.id):
+        if is_reached(drone):
+            found.setdefault(_dongle(drone), []).append(drone.id)
+    return {number: tuple(found[number]) for number in sorted(found)}
+
+
+def _dongle(drone: Drone) -> int:
+    """Of the key, else of a radio:// uri, else 0."""
+    if drone.dongle is not None:
+        return drone.dongle
+    found = RADIO_URI.fullmatch(drone.uri)
+    return int(found[1]) if found else 0
+
+
+def check_radios(swarm: Swarm, where: str) -> None:
+    """Two drones at one address; a dongle that is not the uri's; hosts that there are not."""
+    first: dict[str, int] = {}
+    for n, drone in enumerate(swarm.drones):
+        if not is_reached(drone):
+            continue
+        key, same = f"{where}: drones[{n}]", drone.uri.partition("?")[0].lower()
+        if same in first:
+            problem = f"drones[{first[same]}] has this address"
+            do = "Give each drone its own: cflib's client writes it into one that hangs at a cable."
+            raise ConfigError(f"{key}.uri", show(drone.uri), "each address is there once", do, problem)
+        first[same] = n
+        found = RADIO_URI.fullmatch(drone.uri)
+        if found and drone.dongle not in (None, int(found[1])):
+            problem, do = f"its uri says dongle {found[1]}", "Leave dongle out, or mend one of them."
+            raise ConfigError(f"{key}.dongle", drone.dongle, "the dongle of the uri", do, problem)
+    _radio_hosts(swarm, where)
+    _check_bodies(swarm, where)
+
+
+def seen(swarm: Swarm) -> tuple[int, ...]:
+    """The drones whose poses come from the process of motion capture; in increasing order."""
+    return tuple(sorted(drone.id for drone in swarm.drones if is_reached(drone) and drone.pose == "mocap"))
+
+
+def body_name(drone: Drone) -> str:
+    """What motion capture calls it."""
+    return drone.body or f"cf{drone.id}"
+
+
+def _check_bodies(swarm: Swarm, where: str) -> None:
+    """Each drone that is seen has a body of its own; a replay has a file."""
+    first: dict[str, int] = {}
+    for n, drone in enumerate(swarm.drones):
+        if drone.id not in seen(swarm):
+            continue
+        name = body_name(drone)
+        if name in first:
+            problem = f"drones[{first[name]}] has this body"
+            do = 'Give each drone its own; without `body` it is "cf" and its id.'
+            raise ConfigError(f"{where}: drones[{n}].body", show(name), "each body is there once", do, problem)
+        first[name] = n
+    if first and swarm.mocap.source == "replay" and not swarm.mocap.file:
+        do = 'Add for example file = "flight.csv".'
+        raise ConfigError(f"{where}: mocap.file", "nothing", 'a recording, for source = "replay"', do)
+
+
+def _radio_hosts(swarm: Swarm, where: str) -> None:
+    """Each owner has a host, where there are [hosts]."""
+    flown, rows = dongles(swarm), {row.dongle: row for row in swarm.radio.dongles}
+    for n, row in enumerate(swarm.radio.dongles):
+        if row.dongle in [other.dongle for other in swarm.radio.dongles[:n]]:
+            raise ConfigError(f"{where}: radio.dongles[{n}].dongle", row.dongle, "each is there once", "Remove one.")
+    named = {f"radio.dongles: host of dongle {k}": rows[k].host if k in rows else None for k in flown}
+    if seen(swarm):
+        named["mocap.host"] = swarm.mocap.host
+    for key, host in named.items():
+        if host is None and swarm.hosts:
+            do = "[[radio.dongles]] with dongle and host" if "dongle" in key else "[mocap] with host"
+            names = f"a name of [hosts]: {', '.join(swarm.hosts)}"
+            raise ConfigError(f"{where}: {key}", "nothing", names, f"Add {do}.")
+        if host is not None and host not in swarm.hosts:
+            allowed = f"[hosts] has {', '.join(swarm.hosts) or 'none, there is no [hosts]'}"
+            raise ConfigError(f"{where}: {key}", show(host), allowed, "Mend the name.", "there is no such host")
+
+
+PINGS, PLANS, OTHERS = 10.0, 10.0, 2.0
+"""Packets a second and drone: cflib's echoes, lines of the planner on board, and what else is asked."""
+ALONE = 1000.0
+"""Packets a second of a dongle that never changes its channel and address: users of cflib, not measured here."""
+LEAST = {"fpqr": 50.0, "frpy": 30.0, "vel": 10.0, "fullstate": 20.0}
+"""Hz of set-points, by what is sent: with fewer it is not flown."""
+
+
+def carried(swarm: Swarm, dongle: int, senders: Mapping[int, str]) -> float:
+    """Hz of set-points of each drone that a dongle reaches, of those that are streamed any.
+
+    senders: by drone, what it is sent. What drones say rides on the acknowledgements of what they are told.
+    Raises ConfigError, with the numbers, where the dongle does not carry them.
+    """
+    radio, ids = swarm.radio, dongles(swarm)[dongle]
+    row = next((row for row in radio.dongles if row.dongle == dongle), None)
+    capacity = row.capacity if row is not None and row.capacity is not None else radio.capacity
+    capacity = max(capacity, ALONE) if len(ids) == 1 else capacity
+    streamed = [i for i in ids if senders[i] in LEAST]
+    beside = len(ids) * (radio.pose_rate + PINGS + OTHERS) + PLANS * (len(ids) - len(streamed))
+    least = max((LEAST[senders[i]] for i in streamed), default=0.0)
+    rest = (capacity - beside) / len(streamed) if streamed else 0.0
+    rate = radio.command_rate or min(math.floor(rest), MOST_COMMANDS)
+    if rate >= least and beside + rate * len(streamed) <= capacity:
+        return rate
+    asked = max(rate, least)
+    kinds = ", ".join(sorted({senders[i] for i in ids}))
+    found = f"drones {', '.join(map(str, ids))} ({kinds}) need {beside + asked * len(streamed):g} packets a second"
+    sums = f"{len(streamed)} x {asked:g} set-points, " if streamed else ""
+    each = f"{len(ids)} x {radio.pose_rate + PINGS + OTHERS:g} poses, echoes and requests"
+    plans = f", {len(ids) - len(streamed)} x {PLANS:g} plans" if len(streamed) < len(ids) else ""
+    room = f"it carries {capacity:g}" + (f", {max(rest, 0.0):.0f} set-points a second and drone" if streamed else "")
+    do = "Use more dongles, send xyz or a lower command_rate ([radio]), or measure its capacity."
+    raise ConfigError(f"dongle {dongle}", found, room, do, f"{sums}{each}{plans}")
+
+
+MOST_COMMANDS = 100.0
+"""Hz: a command a pose."""
