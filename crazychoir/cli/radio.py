@@ -115,10 +115,9 @@ def _wanted(
     simulated: int | None,
 ) -> Wanted:  # fmt: skip
     """The options, checked against each other before anything is measured."""
-    from crazychoir.radio.addresses import dongles, read_text
     from crazychoir.radio.channels import LEAST_SPACING, LICENSED, parse_channels, pick
 
-    those = {} if swarm is None else dongles(read_text(swarm), str(swarm))
+    those = {} if swarm is None else _dongles(swarm)
     count = count or len(those) or 1
     if write and count != len(those):
         found = f"{count} for the dongles {', '.join(those)} of {swarm}"
@@ -133,6 +132,15 @@ def _wanted(
         STDERR.print(f"Links of 2 Mbit/s disturb each other with less than {LEAST_SPACING} MHz between them.")
     first = next((uris[0] for uris in those.values()), DRONE)
     return Wanted(candidates, count, spacing, those, drone or first, simulated)
+
+
+def _dongles(swarm: Path) -> dict[str, list[str]]:
+    """Of a swarm file that is as it must be."""
+    from crazychoir.radio.addresses import dongles, read_text
+    from crazychoir.swarm.config import SwarmConfig
+
+    SwarmConfig.load(swarm)
+    return dongles(read_text(swarm), str(swarm))
 
 
 def _surveyed(wanted: Wanted, passes: int, packets: int, as_json: bool) -> "tuple[Survey, dict[int, float]]":
@@ -178,7 +186,7 @@ def _probe(wanted: Wanted) -> "Iterator[tuple[Probe, Room | None]]":
 def ping(
     uris: Annotated[list[str], typer.Argument(help="Drones, as udp://127.0.0.1:19850 or radio://0/80/2M/E7E7E7E701.")],
     count: Annotated[int, typer.Option(min=1, help="Echoes to each.")] = 100,
-    deadline: Annotated[float, typer.Option(min=0.1, help="s after which it ends.")] = 10.0,
+    deadline: Annotated[float, typer.Option(min=0.1, help="s after which it ends.")] = 20.0,
     as_json: JsonOption = False,
 ) -> None:
     """Measure how long the way to drones and back takes, all at once, by echoes; exit code 0 only if none is lost.

@@ -22,7 +22,7 @@ ECHO = 0
 """Channel of the link's port that gives back what it gets."""
 FORM = struct.Struct("<Bd")
 """Of cflib's own echoes: who listens beside us takes each for one of them."""
-PATIENCE = 0.5
+PATIENCE = 0.2
 """s after which an echo is lost."""
 FIRST = 3.0
 """s after which nobody is there."""
@@ -58,7 +58,7 @@ def require_uri(uri: str) -> None:
         raise ConfigError("uri", uri, allowed)
 
 
-def ping(uris: Sequence[str], now: Callable[[], float], count: int = 100, deadline: float = 10.0) -> list[Echoes]:
+def ping(uris: Sequence[str], now: Callable[[], float], count: int = 100, deadline: float = 20.0) -> list[Echoes]:
     """Send `count` echoes to each, to all at once, each after the answer to the last; s until it ends at the latest.
 
     Each link has a thread, which is gone in the end; of one that cflib does not give back the error says so.

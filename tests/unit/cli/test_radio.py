@@ -14,12 +14,15 @@ SWARM = """\
 name = "lab"
 [[drones]]
 id = 0
+home = [0, 0, 0]
 uri = "radio://1/80/2M/E7E7E7E701"   # the left dongle
 [[drones]]
 id = 1
+home = [1, 0, 0]
 uri = "radio://0/80/2M/E7E7E7E702"
 [[drones]]
 id = 2
+home = [2, 0, 0]
 uri = "radio://1/80/2M/E7E7E7E703"
 """
 FEW = ["--simulated", "3", "--passes", "3", "--packets", "20", "--channels", "0-80:8"]
@@ -92,12 +95,16 @@ def test_channels_where_nothing_comes_through_are_not_written(swarm, monkeypatch
         (["--drone", "radio://0/80"], "no real drone hears a simulated radio"),
         (["--channels", "9-3"], "channels 0 to 125"),
         (["--swarm", "absent.toml"], "No such file"),
+        (["--swarm", "BROKEN"], "drones[0].home"),
         (["--picture", "a.gif"], ".png"),
     ],
 )
 def test_what_cannot_be_is_refused_before_anything_is_measured(swarm, words, says, monkeypatch):
     monkeypatch.setattr(Survey, "visits", None)
-    done = said("survey", *FEW, *(swarm if word == "SWARM" else word for word in words), "--json")
+    broken = swarm.with_name("broken.toml")
+    broken.write_text(SWARM.replace("home = [0, 0, 0]", ""))
+    files = {"SWARM": swarm, "BROKEN": broken}
+    done = said("survey", *FEW, *(files.get(word, word) for word in words), "--json")
     assert done.exit_code == 2
     assert says in json.loads(done.stdout)["error"]
 
