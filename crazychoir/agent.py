@@ -144,10 +144,11 @@ class Agent:
         seen_at = config.source(POSE, i) if i in self.owned else i
         limit = Fence.box(*limit_area(config))
         collision = self._collision(i, chosen)
-        pilot = Pilot(port, link, config.flight, fence, rate, chosen, seen, seen_at, collision, limit)
+        reached = i in config.reached
+        pilot = Pilot(port, link, config.flight, fence, rate, chosen, seen, seen_at, collision, limit, reached)
         if i in self._remotes:
             self._remotes[i].found_flying = pilot.take_over
-        watch = RadioWatch(port, config.source(LINK, i), pilot.guard) if i in config.reached else None
+        watch = RadioWatch(port, config.source(LINK, i), pilot.guard) if reached else None
         if watch is not None:
             pilot.unfit = watch.problems
             self._radios.append(watch)

@@ -2,14 +2,9 @@
 
 import math
 
-from crazychoir.math3d import Vec, wrap, yaw_of
-from crazychoir.types import Pose
-
 CAN_ARM, ARMED, AUTO_ARM, CAN_FLY, FLYING, TUMBLED, LOCKED, CRASHED = (1 << k for k in range(8))
 DECK_FAULT = 1 << 11
 """Bits of the firmware's supervisor."""
-APART, TURNED = 0.05, math.radians(5.0)
-"""m, rad: between the drone's own estimate and what the cameras see."""
 LOW_BATTERY = 3.7
 """V, of a drone that has not flown yet: less than a quarter is left (level table of the firmware)."""
 
@@ -36,37 +31,6 @@ def battery_problems(volts: float) -> list[str]:
     if math.isnan(volts):
         return ["says nothing of its battery"]
     return [f"battery at {volts:.2f} V, {LOW_BATTERY:g} V are needed to begin"] if volts < LOW_BATTERY else []
-
-
-def agreement(own: tuple[Vec, Vec], seen: Pose) -> list[str]:
-    """Whether the drone takes itself to be where the cameras see it.
-
-    own: p (3,) m, q (4,), world, of its estimator.
-    """
-    p, q = own
-    apart = float(math.dist(p.tolist(), seen.p.tolist()))
-    found = []
-    if not apart <= APART:
-        found.append(f"its estimate is {apart:.2f} m from where the cameras see it, {APART:g} m are allowed")
-    turned = abs(wrap(yaw_of(q) - yaw_of(seen.q)))
-    tilted = _between_verticals(q, seen.q)
-    if not turned <= TURNED:
-        allowed = f"{math.degrees(TURNED):g} degrees are allowed: is its body turned, or another drone's?"
-        found.append(f"its heading is {math.degrees(turned):.0f} degrees from its body's, {allowed}")
-    if not tilted <= TURNED:
-        found.append(f"it is tilted {math.degrees(tilted):.0f} degrees against its body, 5 are allowed: calibrate it")
-    return found
-
-
-def _between_verticals(q: Vec, other: Vec) -> float:
-    """rad, between the z axes of two attitudes."""
-    a, b = _vertical(q), _vertical(other)
-    return math.acos(min(1.0, max(-1.0, sum(x * y for x, y in zip(a, b, strict=True)))))
-
-
-def _vertical(q: Vec) -> tuple[float, float, float]:
-    x, y, z, w = q.tolist()
-    return 2.0 * (x * z + y * w), 2.0 * (y * z - x * w), 1.0 - 2.0 * (x * x + y * y)
 
 
 UNSURE = 0.01

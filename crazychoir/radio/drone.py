@@ -28,13 +28,16 @@ from crazychoir.runtime.actor import ON_FAILURE, Actor
 from crazychoir.runtime.clock import SECOND
 from crazychoir.runtime.mailbox import Call, Latest
 from crazychoir.safety.guard import Throttle
+from crazychoir.safety.pose_gate import PoseGate
+from crazychoir.safety.tracking import Standing, before_arming
 from crazychoir.simulation.telemetry import check_period
 from crazychoir.swarm.config import SwarmConfig
 from crazychoir.types import XYZ, Body, Command, LinkStatus, Pose, State, Vec
 
 log = logging.getLogger(__name__)
-DEGRADED, LOST = 0.3, 1.0
-"""s of silence after which a link is called so; after the second it is opened anew."""
+DEGRADED, LOST = 0.3, 2.5
+"""s of silence after which a link is called so; after the second it is opened anew. Before, set-points go on leaving:
+the firmware takes the first one that gets through, if it comes within 2 s."""
 LOOKS = 20.0
 """Hz, at which links are looked after."""
 FIRST, AGAIN = 0.2, 1.0
@@ -88,7 +91,8 @@ class RadioDrone(Actor):
         self._own_ns = 0
         self._well: dict[str, float] = {}
         self._spread: dict[str, float] = {}
-        self._said = Throttle()
+        self._said, self._gate = Throttle(), PoseGate()
+        self._has_flown = False
         self._asked: dict[tuple[str, ...], float] = {}
         self._tasks: list[asyncio.Task[None]] = []
         self._pose: Latest[Pose] = Latest(self.clock, f"drone {i} pose", UNSEEN)
@@ -120,24 +124,38 @@ class RadioDrone(Actor):
         left = max(began + deadline - self.clock.now(), deadline / 4.0)
         await connection.open(REOPENS if self._prepared else left)
         firmware = Firmware(connection)
-        if not self._prepared:
-            await self._prepare(firmware)
         await self._begin_logs(connection)
+        await self._until_told(connection)
+        if not self.release:
+            self.release = await firmware.release()
+            self._learn_thrust()
+        if not self._prepared and not self.flying:
+            await self._prepare(firmware)
+        self._prepared = True
         self.connection = connection
         self.reconnected += self.state_of_link == "lost"
         self._change("up", "")
 
-    async def _prepare(self, firmware: Firmware) -> None:
-        """What is done once, on the ground."""
-        self.release = await firmware.release()
+    async def _until_told(self, connection: Connection) -> None:
+        """It has said whether it flies: somebody may have flown it there."""
+        for _ in range(round(REOPENS * LOOKS)):
+            if self._well:
+                return
+            await self.clock.sleep(1.0 / LOOKS)
+        raise LinkFailed(connection.uri, f"says nothing of itself within {REOPENS:g} s")
+
+    def _learn_thrust(self) -> None:
+        """What a newton is on board; ConfigError if that is not known."""
         if self.handler.needs_thrust:
             given, where = self.config.radio.thrust_map, f"drone {self.drone}"
             self.handler.thrust = command_a_newton(self.release, self._platform.firmware, given, where)
+
+    async def _prepare(self, firmware: Firmware) -> None:
+        """What is done once, on the ground."""
         await firmware.set_all({"stabilizer.estimator": 2} | self.handler.parameters)
         await firmware.set_all(self.config.radio.parameters | self.row.parameters)
         if not self.seen_by_cameras:
             await self._place(firmware, np.array(self.row.home), self.row.yaw)
-        self._prepared = True
 
     async def _place(self, firmware: Firmware, p: Vec, yaw: float) -> None:
         """Let its estimator begin here."""
@@ -262,6 +280,8 @@ class RadioDrone(Actor):
 
     def _seen(self, pose: Pose, age: float) -> None:
         """The cameras have seen it: its own estimator, by which it lands if we fail, is told."""
+        if not self._gate.believes(pose, self.clock.now(), self.flying):
+            return
         if age <= NEWEST and self.connection is not None:
             try:
                 self.connection.newest("pose", pose_packet(pose))
@@ -350,10 +370,11 @@ class RadioDrone(Actor):
         return found + (self._unseen() if self.seen_by_cameras else self._unsure())
 
     def _unseen(self) -> list[str]:
-        pose, own = self._pose.fresh(), self._own
-        if pose is None:
-            return ["the cameras do not see it"]
-        return ["says nothing of its estimate"] if own is None else checks.agreement((own.p, own.flat[6:10]), pose)
+        own = None if self._own is None else Pose(np.array([*self._own.p, *self._own.flat[6:10]]))
+        homes = {} if self._has_flown else {j: np.array(self.config.drone(j).home) for j in self.config.seen}
+        drones = {j: Standing(home, None, None) for j, home in homes.items()}
+        drones[self.drone] = Standing(homes.get(self.drone), own, self._pose.fresh())
+        return before_arming(self.drone, drones)
 
     def _unsure(self) -> list[str]:
         """Of one that is to know itself where it is."""
@@ -373,6 +394,7 @@ class RadioDrone(Actor):
 
     def report(self) -> None:
         """Publish how it is."""
+        self._has_flown = self._has_flown or self.flying
         self.port.publish(LINK, self.status())
         self.port.publish(BODY, Body(checks.harm(self.supervisor), self.flying and not self._cut))
 

@@ -64,10 +64,13 @@ TABLE = (
     Rule("battery", 5.00, Action.LAND, latched=True),
     Rule("empty", 0.00, Action.LAND, latched=True),
     Rule("tumbled", 0.00, Action.CUT, latched=True),
+    Rule("body", 0.00, Action.CUT, latched=True),
 )
-TOLD = ("link", "battery", "empty", "tumbled")
+REACHED = tuple(Rule("pose", 20.0, Action.CUT, latched=True) if r.measure == "pose" and r.latched else r for r in TABLE)
+"""The table of a drone that a radio reaches: its firmware lands it by its own sensors when nobody sees it."""
+TOLD = ("link", "battery", "empty", "tumbled", "body")
 """Of a drone that a radio reaches: s since its last packet; s that its battery is below LOW V, V below EMPTY; 1 if it
-lies on its back, or has crashed."""
+lies on its back, or has crashed; 1 if what the cameras take for it does not rise when it takes off."""
 LOW, EMPTY = 3.2, 3.0
 """V, of one cell under load: what the firmware calls low and critical."""
 
@@ -81,6 +84,7 @@ TEXT = {
     "link": "its radio is silent for {value:.2f} s, limit {limit:.2f} s: {doing}",
     "battery": "battery below 3.2 V for {value:.1f} s, limit {limit:.1f} s: {doing}",
     "empty": "battery {value:.2f} V below 3.0 V: {doing}",
+    "body": "its body does not rise as it takes off: another drone's, or too little thrust: {doing}",
     "tumbled": "tumbled or crashed, as its firmware says: {doing}",
 }
 EDGE = 0.005

@@ -32,7 +32,7 @@ from crazychoir.safety.collision.filter import CollisionFilter
 from crazychoir.safety.collision.planned import PlannedFlights
 from crazychoir.safety.estimate import SEEN, believed, filter_of
 from crazychoir.safety.flights import Flights, braking
-from crazychoir.safety.guard import BELOW_GROUND, EDGE, Action, Fence, Guard, Throttle, Verdict
+from crazychoir.safety.guard import BELOW_GROUND, EDGE, REACHED, TABLE, Action, Fence, Guard, Throttle, Verdict
 from crazychoir.safety.homecoming import Homecoming
 from crazychoir.safety.limits import ReferenceLimits
 from crazychoir.safety.modes import (
@@ -50,10 +50,12 @@ from crazychoir.safety.modes import (
     after,
     refusal,
 )
+from crazychoir.safety.pose_gate import PoseGate
 from crazychoir.safety.references import ahead, flyable, unflyable
 from crazychoir.swarm.tables import Flight
 from crazychoir.types import (
     STILL,
+    XYZ,
     Acceleration,
     Command,
     FullState,
@@ -84,6 +86,9 @@ LIFTED = 0.03
 """m above where it stood at which a drone flies: below, its controllers learn nothing from an error of the height."""
 
 
+RISING = 0.2
+"""m above the floor where a drone that takes off should be, at which one that is still there is none."""
+
 NOMINAL = Action.NOMINAL  # members of an enumeration are slow to look up
 LOW = (TAKEOFF, LAND)
 """Modes in which it leaves the fence downwards."""
@@ -105,7 +110,8 @@ class Pilot(Actor):
     """Flies one drone; guidance calls `take_off`, `go_to`, `follow`, `hover`, `land`, its operator `hold` too.
 
     limits: [flight];  fence: where it flies, from the ground up at most;  rate: Hz, of its poses;  body: the address
-    that they come from, None: its own;  limit_area: beyond which its motors are cut, None: the guard's.
+    that they come from, None: its own;  limit_area: beyond which its motors are cut, None: the guard's;  reached: by a
+    radio: then poses that jump are not believed, and its firmware lands it when it is not seen.
     """
 
     name = "pilot"
@@ -114,6 +120,7 @@ class Pilot(Actor):
         self, port: Port, link: Link, limits: Flight, fence: Fence, rate: float = 100.0,
         chosen: Controls | None = None, state_filter: StateFilter | None = None, body: int | None = None,
         collision: CollisionFilter | PlannedFlights | None = None, limit_area: Fence | None = None,
+        reached: bool = False,
     ) -> None:  # fmt: skip
         self.port, self.link, self.limits = port, link, limits
         self.controls = controls() if chosen is None else chosen
@@ -125,7 +132,10 @@ class Pilot(Actor):
         self.fence = fence.with_floor(ground if self._takes_off else ground - BELOW_GROUND)
         self.flights = Flights(limits, self.fence, a_max)
         self.clearance = Clearance(collision, self.flights, 1.0 / rate)
-        self.guard = Guard(self.fence, a_max=a_max, ground=limits.ground, limit=limit_area)
+        table = REACHED if reached else TABLE
+        self.guard = Guard(self.fence, table, a_max=a_max, ground=limits.ground, limit=limit_area)
+        self._gate = PoseGate() if reached else None
+        self._handed_over = False  # to its firmware, which lands it
         self.reference_limits = ReferenceLimits(limits, self.controls.gains)
         self.clock, self._stages = port.bus.clock, port.bus.stages
         self.drone = port.address
@@ -178,9 +188,18 @@ class Pilot(Actor):
     def _posed(self, pose: Pose | None, age: float) -> None:
         if pose is not None and not pose.age >= age:  # it was on its way; or its age is no number
             pose = Pose(pose.flat, age)
+        if pose is not None and self._gate is not None:
+            pose = self._believed(pose, self._gate)
         run = self._run
         if run is not None and not run.done():
             self.tick(pose)
+
+    def _believed(self, pose: Pose, gate: PoseGate) -> Pose | None:
+        """The pose, unless it cannot be its."""
+        if gate.believes(pose, self.clock.now(), self.airborne):
+            return pose
+        self._say("jump", "the pose has jumped: another body, or a mistake of the cameras: not believed")
+        return None
 
     def _fail(self, error: BaseException) -> None:
         """A tick has failed: its supervisor decides; who brought the pose, and the other drones, go on."""
@@ -531,6 +550,8 @@ class Pilot(Actor):
             self._obey(verdict)
             if not self.airborne:
                 return self._idle
+        if self.mode is TAKEOFF and self._gate is not None:
+            self.guard.tell("body", float(self._stays_down(state, now)))
         if self._held_at_fence(verdict, now):
             self.at_fence += 1
         if self.mode is not LAND and self.clearance.deaf(now):
@@ -542,7 +563,13 @@ class Pilot(Actor):
         if self.mode is LAND and self._is_down(state, now):
             self._landed()
             return self._idle
-        return self._follow(state, now)
+        command = self._follow(state, now)
+        return None if self._handed_over else command
+
+    def _stays_down(self, state: State, now: float) -> bool:
+        """Whether what the cameras take for it stands on the floor while it should be in the air."""
+        plan, floor = self.flights.sample(now), self._lift_off - LIFTED
+        return plan is not None and plan.p[2] - floor > RISING and state.flat[2] < self._lift_off
 
     def _held_at_fence(self, verdict: Verdict, now: float) -> bool:
         """Whether the safety table keeps it inside, or it is where a flight to a place outside had to end."""
@@ -696,8 +723,19 @@ class Pilot(Actor):
             self.cut(verdict.reason)
         elif verdict.action is Action.LAND:
             self._give_up(verdict.reason)
+            if verdict.measure == "pose" and self._gate is not None:
+                self._hand_over()
         elif verdict.action is Action.BRAKE and self.mode is not LAND:
             self._brake()
+
+    def _hand_over(self) -> None:
+        """Its firmware knows better where it is than who is not shown: it lands by its own estimate."""
+        plan = self.flights.plan
+        if self._handed_over or plan is None or self.state is None:
+            return
+        self._handed_over = True
+        down = [0.0, 0.0, self.limits.ground, yaw_of(self.state.q), max(1.0, plan.duration)]
+        self.link.send(XYZ("land", np.array(down)))
 
     def _brake(self) -> None:
         self._flown = start = self._departure()
@@ -731,6 +769,7 @@ class Pilot(Actor):
 
     def _landed(self) -> None:
         self._change(Event.DOWN)
+        self._handed_over = False
         self._flown = None
         self.flights.clear()
         self.controls.trim.frozen = True

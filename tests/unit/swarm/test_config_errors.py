@@ -16,16 +16,17 @@ CASES = {
     "unknown key": (
         'colour = "red"',
         "",
-        'x.toml: colour = "red": there is no such key; the keys here are name, drones, mission, mission_options, seed, '
-        "graph, edges, directed, start, start_deadline, lost_after, lease, base_port, processes, hosts, network, "
-        "flight, fence, keep_out, mocap, radio, plant, motors, mujoco, world, collision, control, roles. Remove it; keys "
-        "of your own go into [mission_options].",
+        'x.toml: colour = "red": there is no such key; the keys here are name, drones, mission, mission_options, '
+        "seed, graph, edges, directed, start, start_deadline, lost_after, lease, base_port, processes, hosts, network, "
+        "flight, fence, keep_out, mocap, radio, plant, motors, mujoco, world, collision, control, roles. Remove it; "
+        "keys of your own go into [mission_options].",
     ),
     "misspelt key of a drone": (
         "",
         "neighbours = [2]",
         "x.toml: drones[3].neighbours = [2]: there is no such key; the keys here are id, home, uri, platform, yaw, "
-        "neighbors, leader, role, host, options, dongle, pose, body, parameters. Did you mean neighbors?",
+        "neighbors, leader, role, host, options, dongle, pose, body, body_offset, body_rotation, parameters. Did you "
+        "mean neighbors?",
     ),
     "unknown key beside one that is missing": (
         "network.partitions = [{ groups = [[0]], since = 8.0 }]",
