@@ -1,5 +1,6 @@
 """The process of motion capture: its place on the network, its signals, its live table."""
 
+import math
 import random
 import socket
 from collections.abc import Callable
@@ -71,17 +72,21 @@ def run_mocap(config: SwarmConfig, listen: str | None, record: Path | None, show
 def mocap_table(process: MocapProcess) -> Table:
     """Body by body: whose it is, how often it is seen, how long ago, where, and in how many frames it was not."""
     watch, now = process.watch, process.clock.now()
-    title = f"{process.source.where}: {process.source.state}, {watch.mean_rate:.0f} Hz"
+    title = f"{process.source.where}: {process.source.state}, {_hertz(watch.mean_rate)} Hz"
     table = Table("body", "drone", "Hz", "age s", "x", "y", "z", "dropped", title=title, box=box.SIMPLE_HEAD)
     owners = {name: str(i) for i, name in watch.names.items()}
     for name in dict.fromkeys([*owners, *sorted(watch.sights)]):
-        table.add_row(name, owners.get(name, "-"), *_cells(watch.sights.get(name), now))
+        sight = watch.sights.get(name)
+        cells = ["never seen"] if sight is None else _cells(sight, max(now - sight.last, watch.age(name, now)))
+        table.add_row(name, owners.get(name, "-"), *cells)
     return table
 
 
-def _cells(sight: Sight | None, now: float) -> list[str]:
-    if sight is None:
-        return ["never seen", "", "", "", "", ""]
-    age = now - sight.last
+def _cells(sight: Sight, age: float) -> list[str]:
     shown = f"[red]{age:.1f}[/red]" if age > MISSING else f"{age:.2f}"
-    return [f"{sight.rate:.0f}", shown, *(f"{c:.3f}" for c in sight.flat[0:3]), str(sight.dropped)]
+    return [_hertz(sight.rate), shown, *(f"{c:.3f}" for c in sight.flat[0:3]), str(sight.dropped)]
+
+
+def _hertz(rate: float) -> str:
+    """A mean rate; nothing before there is one."""
+    return "-" if math.isnan(rate) else f"{rate:.0f}"

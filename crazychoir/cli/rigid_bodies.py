@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 app = typer.Typer(no_args_is_help=True, help="Bodies of motion capture: whose they are, how they sit on their drones.")
 SwarmFile = Annotated[str | None, typer.Option("--swarm", help="Swarm file; else ./swarm.toml.")]
-SecondsOption = Annotated[float, typer.Option(min=0.5, help="How long to look, in s.")]
+SecondsOption = Annotated[float, typer.Option(min=0.2, help="How long to look, in s.")]
 WriteOption = Annotated[bool, typer.Option("--write", help="Write it into the swarm file; all else there stays.")]
 Changes = dict[int, dict[str, object]]
 DIGITS = 5
@@ -73,7 +73,7 @@ def calibrate(
     ] = False,
     swarm: SwarmFile = None,
     source: SourceOption = None,
-    seconds: Annotated[float | None, typer.Option(min=0.5, help="How long to look, in s; else 3, to turn 20.")] = None,
+    seconds: Annotated[float | None, typer.Option(min=0.2, help="How long to look, in s; else 3, to turn 20.")] = None,
     write: WriteOption = False,
     as_json: JsonOption = False,
 ) -> None:

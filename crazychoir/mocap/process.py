@@ -38,7 +38,7 @@ def source_of(clock: Clock, config: SwarmConfig, say: Say | None = None) -> Sour
         return VirtualSource(clock, mocap.hostname, mocap.port, say)
     if mocap.source == "replay":
         return ReplaySource(clock, mocap.file, say)
-    return SystemSource(clock, mocap.source, mocap.hostname, mocap.options, say)
+    return SystemSource(clock, mocap.source, mocap.hostname, mocap.options, mocap.connect_deadline, say)
 
 
 def view_of(config: SwarmConfig) -> View:

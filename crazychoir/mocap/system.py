@@ -16,8 +16,6 @@ from crazychoir.runtime.clock import Clock
 
 STARTED = 15.0
 """s that the reader gets to load its libraries."""
-CONNECT = 5.0
-"""s that it then gets to connect."""
 ENDED = 5.0
 """s that a killed process gets to be gone."""
 FIRST, LONGEST = 1.0, 30.0
@@ -43,19 +41,20 @@ class SystemSource:
 
     Each attempt is a new process with deadlines: to start, to connect, and SILENT s between two frames. One that misses
     its deadline is named and killed, and the next is made later. Ages are exact: the process has our clock.
+    deadline: s to connect.
     """
 
     live = True
 
     def __init__(
         self, clock: Clock, system: str, hostname: str, options: Mapping[str, object] | None = None,
-        say: Say | None = None,
+        deadline: float = 5.0, say: Say | None = None,
     ) -> None:  # fmt: skip
         if importlib.util.find_spec(MODULE) is None:
             do = f"pip install 'crazychoir[{EXTRA}]'"
             raise ConfigError(f'[mocap] source = "{system}"', f"no module {MODULE}", f"the extra {EXTRA}", f"{do}.")
         self.clock, self.where, self.state = clock, f"{system} at {hostname}", "starting"
-        self.again, self.malformed = 0, 0
+        self.again, self.malformed, self._deadline = 0, 0, deadline
         settings = {"hostname": hostname, **(options or {})}
         self._words = [system, *(f"{key}={value}" for key, value in settings.items())]
         self._running = f"Is {PROGRAMS.get(system, system)} running there?"
@@ -92,8 +91,8 @@ class SystemSource:
         self.state = "starting"
         await self._next(ours, STARTED, f"its reader does not start within {STARTED:g} s.")
         self.state = "connecting"
-        hangs = f"no connection within {CONNECT:g} s; its library waits for ever where nobody answers."
-        await self._next(ours, CONNECT, hangs)
+        hangs = f"no connection within {self._deadline:g} s; its library waits for ever where nobody answers."
+        await self._next(ours, self._deadline, hangs)
         self.state = "connected"
         while True:
             data = await self._next(ours, SILENT, f"connected, and no frame for {SILENT:g} s.")

@@ -10,8 +10,8 @@ from crazychoir.mocap.frames import Frame
 from crazychoir.mocap.simulated import SimulatedMocap
 from crazychoir.swarm.config import SwarmConfig
 
-EARLY = 0.4
-"""Of a period that a frame may come early and still be published: frames of the very rate jitter."""
+EARLY = 0.9
+"""Of a period that a frame may come early: less, and of 120 a second only 90 would pass a limit of 100."""
 BACK = 1.0
 """s by which time goes back when a source was started again."""
 

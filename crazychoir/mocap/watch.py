@@ -30,7 +30,8 @@ class Sight:
     """What was seen of one body.
 
     first, last: s, when it was in a frame;  changed: s, when it last had another pose;  frames: with it;  dropped:
-    frames without it since the first;  gap: s, the longest between two frames with it that has not been said.
+    frames without it since the first;  gap: s, the longest between two frames with it that has not been said;  rate:
+    Hz, nan before there is one.
     """
 
     first: float
@@ -40,7 +41,7 @@ class Sight:
     frames: int = 0
     dropped: int = 0
     gap: float = 0.0
-    rate: float = 0.0
+    rate: float = math.nan
     _counted: int = 0
 
     def see(self, flat: Vec, now: float) -> None:
@@ -91,10 +92,10 @@ class Watch:
 
     def look(self, now: float) -> list[str]:
         """What is wrong, each thing at most once a second and ever more rarely."""
-        if math.isnan(self._began) or now - self._last > WINDOW:
-            return []  # the source says that nothing comes
         if now - self._window >= WINDOW:
             self._average(now)
+        if math.isnan(self._began) or now - self._last > WINDOW:
+            return []  # the source says that nothing comes
         found = [*self._of_frames(), *self._of_strangers(now)]
         for i, name in self.names.items():
             found += self._of_body(i, name, now)

@@ -43,15 +43,15 @@ class Connection:
     """One link to a drone. Its methods are of the event loop; nothing in them waits for cflib.
 
     uri: as cflib takes it;  contents: shared by all links of the process;  lost: called with a reason when an open link
-    has failed;  heard: called with each packet but logs and echoes.
+    has failed;  heard: called with each packet but logs and echoes;  turn: waits until a packet may be sent.
     """
 
     def __init__(
         self, clock: Clock, uri: str, contents: TableOfContents, lost: Callable[[str], None] = lambda reason: None,
-        heard: Callable[[Packet], None] = lambda packet: None,
+        heard: Callable[[Packet], None] = lambda packet: None, turn: Callable[[], None] = lambda: None,
     ) -> None:  # fmt: skip
         drivers.ready()
-        self.clock, self.uri, self._lost, self._heard = clock, uri, lost, heard
+        self.clock, self.uri, self._lost, self._heard, self._turn = clock, uri, lost, heard, turn
         self._loop = asyncio.get_running_loop()
         self._asked: list[tuple[Callable[[Packet], bool], asyncio.Future[Packet]]] = []
         self._opened: asyncio.Future[None] = self._loop.create_future()
@@ -96,7 +96,7 @@ class Connection:
                 self._opened.result()
         except TimeoutError:
             raise LinkFailed(self.uri, f"{self._stage()} within {seconds:g} s") from None
-        self._writer = Writer(self.uri, self._put)
+        self._writer = Writer(self.uri, self._put, self._turn)
 
     def _open(self) -> None:
         """cflib's opening, which may never come back."""

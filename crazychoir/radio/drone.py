@@ -6,7 +6,7 @@ For the body that obeys its agent (simulation/remote.py) it is both the link to 
 import asyncio
 import logging
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
@@ -59,7 +59,8 @@ SPREAD = ("kalman.varPX", "kalman.varPY", "kalman.varPZ")
 class RadioDrone(Actor):
     """Drone i of a swarm, whose agent's commands come to its body's port.
 
-    kind: of commands;  rate: Hz of set-points;  contents: shared by all links of the process.
+    kind: of commands;  rate: Hz of set-points;  contents: shared by all links of the process;  turn: waits
+    until a packet may be sent.
     """
 
     name = "radio"
@@ -68,10 +69,11 @@ class RadioDrone(Actor):
     command_timeout: float | None = None
 
     def __init__(
-        self, bus: Bus, config: SwarmConfig, i: int, kind: str, rate: float, contents: TableOfContents
+        self, bus: Bus, config: SwarmConfig, i: int, kind: str, rate: float, contents: TableOfContents,
+        turn: Callable[[], None] = lambda: None,
     ) -> None:  # fmt: skip
         self.bus, self.clock, self.config, self.drone, self.kind = bus, bus.clock, config, i, kind
-        self.port, self.rate, self._contents = bus.ports[BODIES + i], rate, contents
+        self.port, self.rate, self._contents, self._turn = bus.ports[BODIES + i], rate, contents, turn
         self.row, self._platform = config.drone(i), platform(config.drone(i).platform)
         self.seen_by_cameras = self.row.pose == "mocap"
         self.connection: Connection | None = None
@@ -79,6 +81,7 @@ class RadioDrone(Actor):
         self.release = ""
         self.state_of_link, self.why = "connecting", ""
         self.refused_plans = self.reconnected = self.malformed = 0
+        self._stopped = True
         self._cut = self._placed = self._prepared = self._arming = False
         self._due_ns = self._stop_due_ns = self._watchdog_ns = 0
         self._own: State | None = None
@@ -100,7 +103,7 @@ class RadioDrone(Actor):
         """Connect, look after the link, connect again."""
         began = self.clock.now()
         while True:
-            connection = Connection(self.clock, self.row.uri, self._contents, self._lost, self._heard)
+            connection = Connection(self.clock, self.row.uri, self._contents, self._lost, self._heard, self._turn)
             try:
                 await self._connect(connection, began)
                 await self._look_after(connection)
@@ -146,8 +149,7 @@ class RadioDrone(Actor):
 
     async def _begin_logs(self, connection: Connection) -> None:
         period, seconds = 1.0 / self.config.radio.log_rate, REOPENS
-        await connection.log("own", OWN, period, self._take_own, seconds)
-        await connection.log("well", WELL, 0.1, self._take_well, seconds)
+        await connection.log("own", (*OWN, *WELL), period, self._take_own, seconds)
         if not self.seen_by_cameras:
             await connection.log("spread", SPREAD, 0.1, self._take_spread, seconds)
         for names, every in self._asked.items():
@@ -217,6 +219,7 @@ class RadioDrone(Actor):
             self._due_ns = max(self._due_ns + period_ns, now_ns - period_ns // 2)
         if self._platform.firmware.needs_arming and not stops:
             self._arm()
+        self._stopped = stops
         self._transmit(command)
 
     def _transmit(self, command: Command) -> None:
@@ -296,6 +299,7 @@ class RadioDrone(Actor):
             self._say("planner", f"its planner refuses command {packet.data[0]} with {packet.data[3]}")
 
     def _take_own(self, values: dict[str, float], age: float) -> None:
+        self._well = {name: values[name] for name in WELL}
         p = MILLI * np.array([values[name] for name in OWN[0:3]])
         v = MILLI * np.array([values[name] for name in OWN[3:6]])
         p, v, q = self._in_the_world(p, v, quaternion(int(values[OWN[6]])))
@@ -314,9 +318,6 @@ class RadioDrone(Actor):
         a, b = quaternion_of_yaw(radio.origin_yaw).tolist(), q.tolist()
         turned = np.array(product((a[0], a[1], a[2], a[3]), (b[0], b[1], b[2], b[3])))
         return turn @ p + np.array(radio.origin), turn @ v, turned
-
-    def _take_well(self, values: dict[str, float], age: float) -> None:
-        self._well = values
 
     def _take_spread(self, values: dict[str, float], age: float) -> None:
         self._spread = values
@@ -378,8 +379,8 @@ class RadioDrone(Actor):
     # What its body's port asks -----------------------------------------------------------------------------------
 
     def resting(self, i: int) -> bool:
-        """Does it stand?"""
-        return not self.flying
+        """Does it stand? Its firmware says so 2 s later than who has stopped its motors."""
+        return not self.flying or self._stopped
 
     def state(self, i: int) -> State:
         """Where the cameras have seen it last, or it takes itself to be."""

@@ -14,16 +14,20 @@ from crazychoir.errors import Refused
 from crazychoir.radio.budget import rates
 from crazychoir.radio.contents import TableOfContents, folder
 from crazychoir.radio.drone import LOOKS, RadioDrone
+from crazychoir.radio.writer import Pace
 from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import Clock
 from crazychoir.runtime.places import runtime_folder
 from crazychoir.runtime.supervisor import Supervisor
 from crazychoir.simulation.remote import RemoteBody
 from crazychoir.swarm.config import SwarmConfig
+from crazychoir.swarm.radios import PINGS, capacity_of
 
 log = logging.getLogger(__name__)
 LEFT_ALONE = 1.0
 """s without a command after which nobody flies a drone any more."""
+PACED = 0.9
+"""Of what a dongle carries: so fast packets leave for it."""
 LANDS_WITHIN = 30.0
 """s that drones get to land that fly when the owner is told to end."""
 
@@ -45,13 +49,20 @@ class RadioProcess(Actor):
         rate, contents = rates(config)[dongle], TableOfContents(folder())
         for i in self.ids:
             self.bus.port(BODIES + i, incarnation)
-        self.drones = {i: RadioDrone(self.bus, config, i, sender_of(config, i), rate, contents) for i in self.ids}
+        turn = self._pace().turn
+        self.drones = {
+            i: RadioDrone(self.bus, config, i, sender_of(config, i), rate, contents, turn) for i in self.ids
+        }
         self.bodies = {
             i: RemoteBody(self.bus.ports[BODIES + i], drone, drone, drone.kind, flight=config.flight, ask=drone.ask)
             for i, drone in self.drones.items()
         }  # fmt: skip
         self.rate, self.failure, self._ending = rate, "", 0.0
         self._supervisor = Supervisor(clock, f"dongle {dongle}", self._failed)
+
+    def _pace(self) -> Pace:
+        """Of what a dongle carries beside cflib's own echoes, and a little less: what waits in it grows old."""
+        return Pace(self.clock, PACED * capacity_of(self.config, self.dongle) - PINGS * len(self.ids))
 
     async def serve(self, *services: Actor) -> None:
         """Until its end."""

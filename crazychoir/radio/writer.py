@@ -5,6 +5,29 @@ from collections import deque
 from collections.abc import Callable
 
 from crazychoir.radio.crtp import Packet
+from crazychoir.runtime.clock import SECOND, Clock
+
+
+class Pace:
+    """Turns of the drones that share a dongle, as many a second as it carries.
+
+    A radio's driver keeps who sends until the air is free; one that sends into a network does not, and what waits there
+    for a slower dongle grows old. Whoever waits here sends the newest.
+    """
+
+    def __init__(self, clock: Clock, capacity: float) -> None:
+        self._clock, self._period_ns = clock, round(SECOND / capacity)
+        self._free_ns, self._lock, self._never = 0, threading.Lock(), threading.Event()
+
+    def turn(self) -> None:
+        """Wait for one, from any thread."""
+        with self._lock:
+            now_ns = self._clock.now_ns()
+            start_ns = max(now_ns, self._free_ns)
+            self._free_ns = start_ns + self._period_ns
+        if start_ns > now_ns:
+            self._never.wait((start_ns - now_ns) / SECOND)
+
 
 MOST = 1000
 """Packets that wait in order; beyond that the link is as good as gone."""
@@ -13,11 +36,11 @@ MOST = 1000
 class Writer:
     """Sends packets in order, and between them the newest of each kind, in turn.
 
-    send: puts a packet on the link; may take its time, or raise.
+    send: puts a packet on the link; may take its time, or raise;  turn: waits until one may be sent.
     """
 
-    def __init__(self, name: str, send: Callable[[Packet], None]) -> None:
-        self._send, self._work = send, threading.Condition()
+    def __init__(self, name: str, send: Callable[[Packet], None], turn: Callable[[], None] = lambda: None) -> None:
+        self._send, self._turn, self._work = send, turn, threading.Condition()
         self._ordered: deque[Packet] = deque()
         self._newest: dict[str, Packet] = {}
         self._ends = False
@@ -62,17 +85,25 @@ class Writer:
         return not self._thread.is_alive()
 
     def _run(self) -> None:
-        while (packet := self._next()) is not None:
+        while self._waits():
+            self._turn()
+            if (packet := self._next()) is None:
+                continue
             try:
                 self._send(packet)
                 self.sent += 1
             except Exception as error:  # noqa: BLE001 - whatever a driver raises, the next packet may get through
                 self.failure = f"{type(error).__name__}: {error}"
 
-    def _next(self) -> Packet | None:
+    def _waits(self) -> bool:
+        """Until there is something to send; False at its end."""
         with self._work:
             while not (self._ordered or self._newest or self._ends):
                 self._work.wait()
+            return bool(self._ordered or self._newest)
+
+    def _next(self) -> Packet | None:
+        with self._work:
             if self._ordered:
                 return self._ordered.popleft()
             if self._newest:

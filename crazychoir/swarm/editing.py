@@ -3,6 +3,7 @@
 import re
 import tomllib
 from collections.abc import Iterator, Mapping
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -63,7 +64,7 @@ def _with_key(lines: list[str], i: int, key: str, value: str) -> list[str]:
 def _tables(lines: list[str]) -> Iterator[tuple[int, int]]:
     """First line of each [[drones]], and the line of the next table."""
     headers = [n for n, line in enumerate(lines) if HEADER.match(line)]
-    for n, end in zip(headers, [*headers[1:], len(lines)], strict=True):
+    for n, end in pairwise([*headers, len(lines)]):
         if DRONES.fullmatch(lines[n].rstrip("\r\n")):
             yield n, end
 

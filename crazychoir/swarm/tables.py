@@ -223,8 +223,8 @@ class Mocap(Table, frozen=True, kw_only=True):
     dropout: probability a pose; latency: s, whole periods of the rate; tilt: (roll, pitch) rad, by which the body
     that the cameras know is mounted askew on the drone. Those are of simulated cameras. Of the cameras of drones that a
     radio reaches:  source: which system;  hostname, port: where it is (port: of "virtual");  file: of "replay", a
-    recording (CSV), relative to the swarm file;  options: more that motioncapture's connect takes;  host: where
-    crazychoir-mocap runs. Then rate is how often they look, at most;  the first line is of "virtual".
+    recording (CSV), relative to the swarm file;  options: more that motioncapture's connect takes;
+    connect_deadline: s that a system gets for that;  host: where crazychoir-mocap runs.
     """
 
     rate: Hertz = 100.0
@@ -238,6 +238,7 @@ class Mocap(Table, frozen=True, kw_only=True):
     port: UdpPort = 19849
     file: Text = ""
     options: Free = field(default_factory=dict)
+    connect_deadline: Timeout = 5.0
     host: Name | None = None
 
 

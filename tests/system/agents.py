@@ -17,6 +17,7 @@ from crazychoir.swarm.config import SwarmConfig
 AGENT = (sys.executable, "-m", "crazychoir.cli.agent")
 CRAZYCHOIR = (sys.executable, "-m", "crazychoir.cli.crazychoir")
 WORLD = (sys.executable, "-m", "crazychoir.cli.world")
+MOCAP = (sys.executable, "-m", "crazychoir.cli.mocap")
 OBSERVER = (sys.executable, str(Path(__file__).with_name("observer.py")))
 BRISK = {"takeoff_height": 0.5, "speed_limit": 2.0, "acceleration_limit": 4.0, "landing_speed": 0.6}
 

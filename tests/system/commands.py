@@ -14,6 +14,7 @@ PROGRAMS = {
     "crazychoir": (sys.executable, "-m", "crazychoir.cli.crazychoir"),
     "crazychoir-agent": (sys.executable, "-m", "crazychoir.cli.agent"),
     "crazychoir-world": (sys.executable, "-m", "crazychoir.cli.world"),
+    "crazychoir-mocap": (sys.executable, "-m", "crazychoir.cli.mocap"),
 }
 
 

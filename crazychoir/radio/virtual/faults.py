@@ -54,7 +54,7 @@ KNOBS = {
     "off": _switch("it is switched off: its port is closed, its motors stand; 0 starts it again"),
     "refuse_arming": _switch("its checks before flight fail"),
     "voltage": Knob(0, 4.2, "V of its battery at rest, held there; from 3 on, 0: as it is"),
-    "tumble": _switch("1 turns its body over, once"),
+    "tumble": _switch("its body is turned over, and held so"),
     "motor": Knob(0, 4, "the motor that stands still, 0: none", whole=True),
     "reboot": _switch("1 restarts it, once"),
     "deck_lost": _switch("its deck does not see the lighthouses"),
@@ -62,8 +62,6 @@ KNOBS = {
     "offset": Knob(-10, 10, "m along x, y, z by which the cameras see it elsewhere", size=3),
     "swap": Knob(-1, 9999, "the drone that the cameras take for it, and the other way round; -1: none", whole=True),
 }  # fmt: skip
-ONCE = ("tumble", "reboot")
-"""Those that happen when they are set, and are over then."""
 
 
 @dataclass
@@ -76,6 +74,7 @@ class Faults:
     off: float = 0.0
     refuse_arming: float = 0.0
     voltage: float = 0.0
+    tumble: float = 0.0
     motor: float = 0.0
     deck_lost: float = 0.0
     pose_lost: float = 0.0

@@ -1,5 +1,6 @@
 """Virtual Crazyflies on UDP, on the wall clock: one port a drone, one world for all of them, cameras beside."""
 
+import math
 import random
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -7,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from crazychoir.errors import CodecError, ConfigError
-from crazychoir.math3d import yaw_of
+from crazychoir.math3d import Vec, yaw_of
 from crazychoir.radio.virtual.air import Air, Dongle
 from crazychoir.radio.virtual.cameras import Cameras, seen
 from crazychoir.radio.virtual.drone import Identity, VirtualCrazyflie
@@ -98,7 +99,7 @@ class VirtualServer(Actor):
 
     def step(self) -> None:
         """One step of the world; then everybody says what is due."""
-        self._hold_batteries()
+        self._hold()
         if self.world.tick % DECK_EVERY == 0:
             self._look_around()
         self.world.step()
@@ -109,8 +110,11 @@ class VirtualServer(Actor):
         if self.cameras.watched:
             self.cameras.show(seen(self.world.states, self.world.row, self.faults, self._names))
 
-    def _hold_batteries(self) -> None:
+    def _hold(self) -> None:
+        """What faults hold as it is: batteries, and bodies on their backs."""
         for i, fault in self.faults.items():
+            if fault.tumble:
+                overturn(self.world.states[self.world.row[i]])
             if fault.voltage > 0.0:
                 self.world.charge_to(i, charge_of(fault.voltage, self.world.platforms[self.world.row[i]].battery))
 
@@ -161,9 +165,7 @@ class VirtualServer(Actor):
 
     def _put(self, i: int, name: str, value: Any) -> None:
         drone, fault = self.ports[i].drone, self.faults[i]
-        if name == "tumble":
-            self._tumble(i, bool(value))
-        elif name == "reboot":
+        if name == "reboot":
             if value:
                 drone.restart()
         elif name == "swap":
@@ -177,12 +179,6 @@ class VirtualServer(Actor):
                 drone.restart()
         if name in ("motor", "off"):
             self.world.turn(i, [not fault.off and k + 1 != fault.motor for k in range(4)])
-
-    def _tumble(self, i: int, over: bool) -> None:
-        """Turn its body over, about its x axis: q <- q (1, 0, 0, 0)."""
-        if over:
-            x, y, z, w = self.world.states[self.world.row[i], 6:10].tolist()
-            self.world.states[self.world.row[i], 6:10] = (w, z, -y, -x)
 
     def _swap(self, i: int, j: int) -> None:
         """i is taken for j and j for i; whoever was taken for one of them is himself again."""
@@ -237,3 +233,11 @@ def charge_of(volts: float, battery: Any) -> float:
     """The charge, 0 to 1, at which a cell at rest has so many V; not empty."""
     x = (volts - battery.empty) / (battery.full - battery.empty)
     return max(float(np.interp(x, OPEN_CIRCUIT, np.linspace(0.0, 1.0, len(OPEN_CIRCUIT)))), LEAST_CHARGE)
+
+
+def overturn(x: Vec) -> None:
+    """Put a body that is not on its back there, its heading kept, without turning; x: (13,) changed in place."""
+    if 1.0 - 2.0 * (x[6] ** 2 + x[7] ** 2) > -0.9:
+        half = 0.5 * yaw_of(x[6:10])
+        x[6:10] = (math.cos(half), math.sin(half), 0.0, 0.0)
+        x[10:13] = 0.0

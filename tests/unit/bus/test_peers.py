@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from crazychoir.bus import endpoints
 from crazychoir.bus.codec import encode
 from crazychoir.bus.hello import TIE, Hello
-from crazychoir.bus.local import BODIES, Bus, Interest
+from crazychoir.bus.local import BODIES, EYES, Bus, Interest
 from crazychoir.bus.peers import MAX_PEERS, Peer, Peers
 from crazychoir.bus.public import as_json
 from crazychoir.bus.topics import STATUS
@@ -111,6 +111,16 @@ def test_the_later_of_two_owners_of_a_world_gives_way(here: Here) -> None:
     (refused,) = here.refused
     assert "process b on host there owns the world of drone(s) 3 too" in str(refused)
     assert "Stop one of them." in str(refused)
+
+
+def test_the_later_of_two_that_see_the_same_drones_gives_way(here: Here) -> None:
+    here.bus.close(0)
+    here.bus.port(EYES + 3)
+    here.hear(hello(drones=(), observers=[BODIES + 3, EYES + 4], uptime=1.0))
+    assert here.refused == [], "the owner of a world, or of a radio, is another one"
+    here.hear(hello(drones=(), observers=[EYES + 3, EYES + 4], uptime=1.0))
+    (refused,) = here.refused
+    assert "process b on host there owns the motion capture of drone(s) 3 too" in str(refused)
 
 
 @given(st.floats(0.0, TIE / 2), st.floats(0.0, TIE / 2), st.floats(0.0, 0.9 * TIE))

@@ -74,15 +74,16 @@ def test_four_drones_at_100_hz_are_too_much_for_one_dongle() -> None:
         rates(udp(4, sender="fpqr", radio={"command_rate": 100}))
     assert str(caught.value) == (
         "dongle 0 = drones 0, 1, 2, 3 (fpqr) need 488 packets a second: 4 x 100 set-points, 4 x 22 poses, echoes and "
-        "requests; it carries 250, 40 set-points a second and drone. Use more dongles, send xyz or a lower "
+        "requests; it carries 250, 31 set-points a second and drone. Use more dongles, send xyz or a lower "
         "command_rate ([radio]), or measure its capacity."
     )
 
 
 def test_what_dongles_leave() -> None:
-    assert rates(udp(2, sender="fpqr")) == {0: 100.0}
-    assert rates(udp(4, sender="frpy")) == {0: 40.0}
-    assert rates(udp(6, 3, sender="frpy")) == {0: 100.0, 1: 100.0, 2: 100.0}
+    assert rates(udp(2, sender="fpqr")) == {0: 84.0}
+    assert rates(udp(2, sender="fpqr", radio={"command_rate": 100.0})) == {0: 100.0}, "asked for, and just carried"
+    assert rates(udp(4, sender="frpy")) == {0: 31.0}
+    assert rates(udp(6, 3, sender="frpy")) == {0: 84.0, 1: 84.0, 2: 84.0}
     assert rates(udp(1, sender="fpqr", radio={"pose_rate": 100.0})) == {0: 100.0}, "one alone never changes channels"
     with pytest.raises(ConfigError, match="5 x 50 set-points"):
         rates(udp(5, sender="fpqr"))

@@ -1,0 +1,168 @@
+"""The process of motion capture and who reads it, in virtual time; sources are stand-ins."""
+
+import asyncio
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from crazychoir.bus.local import EYES, OBSERVER
+from crazychoir.bus.topics import POSE, TRUTH
+from crazychoir.errors import ConfigError
+from crazychoir.mocap.frames import Frame
+from crazychoir.mocap.mounting import Mounting
+from crazychoir.mocap.process import PATIENT, MocapProcess
+from crazychoir.runtime.actor import Actor
+from crazychoir.runtime.clock import run_virtual
+from crazychoir.runtime.mailbox import Call
+from crazychoir.swarm.config import SwarmConfig
+
+
+class Cameras:
+    """100 Hz: drone 0 flies along x at 1 m/s, drone 1 stands; fails once at frame `fails`."""
+
+    live, state, where = True, "connected", "test cameras"
+
+    def __init__(self, clock, seconds, fails=None, bodies=None):
+        self.clock, self.again, self._frames, self._fails = clock, 0, round(100 * seconds), fails
+        self._bodies, self._k = bodies or self.flown, 0
+
+    def flown(self, k):
+        x = {"cf0": k / 100, "b": 2.0}
+        return {name: np.array([at, 0.0, 1.0 + 1e-6 * k, 0.0, 0.0, 0.0, 1.0]) for name, at in x.items()}
+
+    async def run(self, take):
+        async for _ in self.clock.ticks(100.0):
+            if self._k == self._fails:
+                self._fails = None
+                raise RuntimeError("lens cap")
+            if self._k >= self._frames:
+                return
+            take(Frame(self._k, self._k / 100, self._bodies(self._k)), 0.001)
+            self._k += 1
+
+
+class Link(Actor):
+    """In the network's place: whose agents are there."""
+
+    name = "zenoh"
+
+    def __init__(self):
+        self.directory = {}
+
+    async def run(self):
+        await asyncio.Event().wait()
+
+
+def swarm(mocap=None, **keys):
+    drones = [{"id": i, "home": [float(i), 0.0, 0.0], "uri": f"udp://127.0.0.1:{19850 + i}"} for i in range(2)]
+    drones[1] |= {"body": "b", **keys}
+    return SwarmConfig.of({"name": "lab", "drones": drones, "mocap": mocap or {"source": "mock"}})
+
+
+def served(seconds=2.0, config=None, act=None, **source):
+    """What a reader gets of each drone while the process runs: {(topic, i): [(time, value, age)]}, and the process."""
+
+    async def main(clock):
+        mocap = MocapProcess(clock, config or swarm(), Cameras(clock, seconds, **source), "m", "here", 1)
+        mocap.bus.port(OBSERVER)
+        got = {}
+        for topic in (POSE, TRUTH):
+            for i in mocap.tracks:
+                kept = got[topic, i] = []
+                box = Call(clock, lambda value, age, kept=kept: kept.append((clock.now(), value, age)))
+                mocap.bus.subscribe(topic, EYES + i, OBSERVER, box)
+        link = Link()
+        serving = asyncio.create_task(mocap.serve(link))
+        await (act(clock, mocap, link) if act else clock.sleep(seconds + 0.5))
+        mocap.end("it is over")
+        await serving
+        return got, mocap, clock.now()
+
+    return run_virtual(main)
+
+
+def test_each_drone_that_is_seen_gets_its_poses_and_its_truth():
+    got, mocap, _ = served()
+    assert [pose.p[0] for _, pose, _ in got[POSE, 0]] == [k / 100 for k in range(200)]
+    assert {pose.p[0] for _, pose, _ in got[POSE, 1]} == {2.0}
+    assert {pose.age for _, pose, _ in got[POSE, 0]} == {0.001}, "as old as the source says"
+    assert len(got[TRUTH, 0]) == pytest.approx(40, abs=1)
+    _, state, _ = got[TRUTH, 0][-1]
+    np.testing.assert_allclose(state.v, [1.0, 0.0, 1e-4], atol=1e-3)
+    assert mocap.report()["seen"] == {0: 200, 1: 200}
+
+
+def test_poses_are_those_of_the_drone_and_not_of_its_body():
+    config = swarm(body_offset=[0.0, 0.0, 0.03], body_rotation=[0.0, 0.0, 1.5])
+    got, _, _ = served(config=config)
+    flat = np.array([2.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0])
+    expected = Mounting((0.0, 0.0, 0.03), (0.0, 0.0, 1.5)).drone(flat)
+    np.testing.assert_allclose(got[POSE, 1][0][1].flat, expected, atol=1e-12)
+    assert expected[2] == pytest.approx(0.97)
+    assert expected[5] != 0.0
+
+
+def test_a_body_that_shows_the_same_digits_again_gets_old():
+    still = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0])
+    got, _, _ = served(1.0, bodies=lambda k: {"cf0": still})
+    ages = [age for _, _, age in got[POSE, 0]]
+    np.testing.assert_allclose(ages, 0.001 + np.arange(100) / 100, atol=1e-6)
+    assert got[POSE, 1] == []
+
+
+def test_truth_of_virtual_drones_has_no_noise_and_their_poses_have():
+    got, _, _ = served(config=swarm({"noise": 0.01, "tilt": [0.1, 0.0]}))
+    x = np.array([pose.p[0] - k / 100 for k, (_, pose, _) in enumerate(got[POSE, 0])])
+    assert np.std(x) == pytest.approx(0.01, rel=0.3)
+    told = [(state.p[0] - now, state.q[0]) for now, state, _ in got[TRUTH, 0] if now > 0.5]
+    assert np.std([x for x, _ in told]) < 1e-6
+    assert {tilt for _, tilt in told} == {0.0}
+
+
+def test_a_source_that_fails_runs_again(caplog):
+    got, mocap, _ = served(fails=50)
+    assert len(got[POSE, 0]) == 200
+    assert not mocap.failure
+    assert "lens cap" in caplog.text
+
+
+def ends(clock, mocap, link, after=0.0, leaves=None):
+    async def act():
+        await clock.sleep(0.5)
+        link.directory[1] = object()
+        mocap.end("SIGTERM")
+        if leaves is not None:
+            await clock.sleep(leaves)
+            link.directory.clear()
+
+    return act()
+
+
+def test_it_ends_at_once_where_no_agent_of_its_drones_is():
+    async def act(clock, mocap, link):
+        link.directory[EYES + 7] = link.directory[7] = object()
+        await clock.sleep(0.5)
+        mocap.end("SIGTERM")
+
+    _, mocap, now = served(30.0, act=act)
+    assert now == pytest.approx(0.5, abs=0.01)
+    assert not mocap.failure
+
+
+def test_it_goes_on_until_the_agents_of_its_drones_have_ended(caplog):
+    got, _, now = served(30.0, act=lambda *them: ends(*them, leaves=7.0))
+    assert 7.5 <= now < 7.8
+    assert got[POSE, 1][-1][0] > 7.4
+    assert "SIGTERM: it goes on until the agents of drone(s) 1 have ended" in caplog.text
+
+
+def test_but_not_for_ever():
+    _, _, now = served(90.0, act=ends)
+    assert now == pytest.approx(0.5 + PATIENT, abs=0.3)
+
+
+def test_a_swarm_without_drones_that_are_seen_is_refused():
+    config = SwarmConfig.of({"name": "lab", "drones": [{"id": 0, "home": [0.0, 0.0, 0.0]}]})
+    with pytest.raises(ConfigError, match="no drone that is seen"):
+        MocapProcess(SimpleNamespace(now=lambda: 0.0), config, Cameras(None, 1), "m", "here", 1)

@@ -1,0 +1,92 @@
+import numpy as np
+import pytest
+
+from crazychoir.errors import ConfigError
+from crazychoir.mocap.frames import Frame
+from crazychoir.mocap.recording import HEAD, Recorder, ReplaySource, read_recording
+from crazychoir.runtime.clock import run_virtual
+
+ROW = "0.5,cf0,1,2,3,0,0,0,1"
+
+
+def frames(count=5):
+    draw = np.random.default_rng(0)
+    return [Frame(k, 0.25 * k, {"cf0": draw.normal(size=7), "a,b": draw.normal(size=7)}) for k in range(count)]
+
+
+def recorded(path, seen):
+    recorder = Recorder(path)
+    for one in seen:
+        recorder.write(one, 7.0 + one.time)
+    recorder.close()
+    return path
+
+
+def test_a_recording_gives_back_what_was_seen_to_the_last_digit(tmp_path):
+    seen = frames()
+    back = read_recording(recorded(tmp_path / "a.csv", seen))
+    assert [one.time for one in back] == [one.time for one in seen]
+    for one, other in zip(seen, back, strict=True):
+        assert list(one.bodies) == list(other.bodies)
+        assert all(np.array_equal(one.bodies[name], other.bodies[name]) for name in one.bodies)
+
+
+def test_it_is_handed_out_as_fast_as_it_was_recorded_and_then_it_is_over(tmp_path):
+    path, said = recorded(tmp_path / "a.csv", frames()), []
+
+    async def main(clock):
+        taken = []
+        source = ReplaySource(clock, str(path), said.append)
+        await clock.sleep(3.0)
+        await source.run(lambda frame, age: taken.append((clock.now(), frame.time, age)))
+        return taken, source.state
+
+    taken, state = run_virtual(main)
+    assert taken == [(3.0 + 0.25 * k, 0.25 * k, 0.0) for k in range(5)]
+    assert state == "over"
+    assert said == [f"replay of {path}: it is over after 1.0 s, no more frames"]
+
+
+def test_a_file_that_is_there_is_not_written_over(tmp_path):
+    (tmp_path / "a.csv").write_text("mine")
+    with pytest.raises(ConfigError, match="a new file"):
+        Recorder(tmp_path / "a.csv")
+    assert (tmp_path / "a.csv").read_text() == "mine"
+
+
+def test_a_full_disk_ends_the_recording_and_nothing_else(tmp_path, monkeypatch):
+    recorder = Recorder(tmp_path / "a.csv")
+
+    class Full:
+        def writerows(self, rows):
+            raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(recorder, "_writer", Full())
+    recorder.write(frames()[0], 0.0)
+    recorder.write(frames()[1], 0.1)
+    recorder.close()
+    assert recorder.error == "No space left on device"
+
+
+@pytest.mark.parametrize(
+    ("text", "where"),
+    [
+        ("", "line 1: found an empty file"),
+        ("t,x\n", "line 1: found t,x"),
+        (",".join(HEAD), "no row"),
+        (f"{','.join(HEAD)}\n{ROW}\n1.0,cf0,1,2,3,0,0,0", "line 3"),
+        (f"{','.join(HEAD)}\n{ROW}\n1.0,cf0,1,2,nan,0,0,0,1", "line 3"),
+        (f"{','.join(HEAD)}\n{ROW}\n0.4,cf0,1,2,3,0,0,0,1", "line 3: found t = 0.4"),
+    ],
+)
+def test_a_file_that_is_none_is_refused_with_its_line(tmp_path, text, where):
+    path = tmp_path / "a.csv"
+    path.write_text(text)
+    with pytest.raises(ConfigError) as refused:
+        read_recording(path)
+    assert where in str(refused.value)
+
+
+def test_a_file_that_is_not_there_is_refused(tmp_path):
+    with pytest.raises(ConfigError, match="No such file"):
+        read_recording(tmp_path / "b.csv")
