@@ -66,15 +66,15 @@ def survey(
     write: Annotated[bool, typer.Option("--write", help="Write the channels into that file.")] = False,
     picture: Annotated[Path | None, typer.Option(help="Where to draw the survey (PNG).")] = None,
     simulated: Annotated[
-        int | None, typer.Option(help="No hardware: a simulated radio among interference of this seed.")
+        int | None, typer.Option(min=0, help="No hardware: a simulated radio among interference of this seed.")
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Find quiet channels: one drone, on the ground where it will fly, answers on each.
 
     Passes are interleaved, so that a burst of WiFi hits all channels alike, and a channel is as good as its worst pass.
-    By default it takes two to three minutes, on channels 2 to 82: what reaches below 2400 MHz, or lies above channel
-    83, is outside the licence-free band of many countries.
+    It takes some minutes, by default on channels 2 to 82: what reaches below 2400 MHz, or lies above channel 83, is
+    outside the licence-free band of many countries.
 
     Then the k channels are picked whose worst is best, with so much spacing. With --write each radio:// drone of the
     swarm file gets the channel of its dongle, and nothing else in the file is changed. The drones themselves keep
@@ -117,7 +117,7 @@ def _wanted(
     """The options, checked against each other before anything is measured."""
     from crazychoir.radio.channels import LEAST_SPACING, LICENSED, parse_channels, pick
 
-    those = {} if swarm is None else _dongles(swarm)
+    those = {} if swarm is None else _dongles(swarm, write)
     count = count or len(those) or 1
     if write and count != len(those):
         found = f"{count} for the dongles {', '.join(those)} of {swarm}"
@@ -134,12 +134,14 @@ def _wanted(
     return Wanted(candidates, count, spacing, those, drone or first, simulated)
 
 
-def _dongles(swarm: Path) -> dict[str, list[str]]:
-    """Of a swarm file that is as it must be."""
-    from crazychoir.radio.addresses import dongles, read_text
+def _dongles(swarm: Path, write: bool) -> dict[str, list[str]]:
+    """Of a swarm file that is as it must be, and that can be written if it is to be."""
+    from crazychoir.radio.addresses import dongles, read_text, require_writable
     from crazychoir.swarm.config import SwarmConfig
 
     SwarmConfig.load(swarm)
+    if write:
+        require_writable(swarm)
     return dongles(read_text(swarm), str(swarm))
 
 

@@ -1,5 +1,6 @@
 """The radio:// addresses of a swarm file: which dongles it names, and the same file with other channels."""
 
+import os
 import re
 import shutil
 from collections.abc import Mapping
@@ -7,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from crazychoir.errors import ConfigError
+from crazychoir.radio.channels import LAST
 from crazychoir.swarm.reading import parse
 
 RADIO = re.compile(r"(radio://([^/]+)/)(\d{1,3})((?:[/?].*)?)")
@@ -50,6 +52,15 @@ def with_channels(text: str, channels: Mapping[str, int], where: str) -> str:
         do = f"Write the channels yourself: {wanted}."
         raise ConfigError(f"{where}: uri", "another way of writing", 'plain texts, as uri = "radio://0/80/2M"', do)
     return changed
+
+
+def require_writable(path: Path) -> None:
+    """Raise ConfigError for a file whose channels could not be written, before anybody measures which."""
+    path = path.resolve()
+    text = read_text(path)
+    with_channels(text, dict.fromkeys(dongles(text, str(path)), LAST), str(path))
+    if not (os.access(path, os.W_OK) and os.access(path.parent, os.W_OK)):
+        raise ConfigError(str(path), "Permission denied", "a file that can be written, in a folder that can")
 
 
 def write_channels(path: Path, channels: Mapping[str, int]) -> None:

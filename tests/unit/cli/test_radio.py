@@ -96,6 +96,7 @@ def test_channels_where_nothing_comes_through_are_not_written(swarm, monkeypatch
         (["--channels", "9-3"], "channels 0 to 125"),
         (["--swarm", "absent.toml"], "No such file"),
         (["--swarm", "BROKEN"], "drones[0].home"),
+        (["--swarm", "ODD", "--write"], "Write the channels yourself"),
         (["--picture", "a.gif"], ".png"),
     ],
 )
@@ -103,7 +104,9 @@ def test_what_cannot_be_is_refused_before_anything_is_measured(swarm, words, say
     monkeypatch.setattr(Survey, "visits", None)
     broken = swarm.with_name("broken.toml")
     broken.write_text(SWARM.replace("home = [0, 0, 0]", ""))
-    files = {"SWARM": swarm, "BROKEN": broken}
+    odd = swarm.with_name("odd.toml")
+    odd.write_text(SWARM.replace('"radio://0/80', '"radio:\\u002f/0/80'))
+    files = {"SWARM": swarm, "BROKEN": broken, "ODD": odd}
     done = said("survey", *FEW, *(files.get(word, word) for word in words), "--json")
     assert done.exit_code == 2
     assert says in json.loads(done.stdout)["error"]

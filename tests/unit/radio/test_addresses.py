@@ -5,7 +5,7 @@ import os
 import pytest
 
 from crazychoir.errors import ConfigError
-from crazychoir.radio.addresses import dongles, with_channels, write_channels
+from crazychoir.radio.addresses import dongles, require_writable, with_channels, write_channels
 
 TOML = """\
 # radio://0/80/2M: not this one, nor uri = "radio://0/80/2M/E7E7E7E701"
@@ -106,6 +106,24 @@ def test_what_cannot_be_changed_alone_is_not_changed(text):
         with_channels(text, {"0": 6}, "lab.toml")
 
 
-def test_a_file_that_cannot_be_written_stays(tmp_path):
+def test_a_file_that_is_not_there_is_refused(tmp_path):
     with pytest.raises(ConfigError, match="No such file"):
         write_channels(tmp_path / "absent.toml", {"0": 6})
+
+
+def test_a_file_that_cannot_be_written_stays(tmp_path, monkeypatch):
+    file = tmp_path / "lab.toml"
+    file.write_text(TOML)
+    require_writable(file)
+    monkeypatch.setattr("os.access", lambda path, mode: path != tmp_path)  # root may all
+    with pytest.raises(ConfigError, match="Permission denied"):
+        require_writable(file)
+
+    def full(path, data):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("pathlib.Path.write_bytes", full)
+    with pytest.raises(ConfigError, match="No space left"):
+        write_channels(file, {"0": 6})
+    assert file.read_text() == TOML
+    assert [path.name for path in tmp_path.iterdir()] == ["lab.toml"]

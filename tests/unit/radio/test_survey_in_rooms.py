@@ -45,12 +45,14 @@ def test_clean_channels_are_picked_in_the_first_rooms():
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(600)
 def test_clean_channels_are_picked_in_95_of_100_rooms():
     counts = clean(range(200))
     assert min(counts.values()) >= 190, counts
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(600)
 def test_as_many_packets_in_one_pass_are_fooled_more_often():
     counts = clean(range(100), passes=1, packets=1000)
     assert max(counts.values()) <= 92, counts
