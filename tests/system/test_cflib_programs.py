@@ -1,6 +1,7 @@
 """cflib's own programs, as its documentation shows them, against virtual Crazyflies: they see what they would see."""
 
 import json
+import re
 import signal
 import socket
 import subprocess
@@ -17,7 +18,7 @@ PROGRAMS = (
     "nobody_there", "connect_with_callbacks", "log_synchronously", "log_by_callback", "log_too_much", "parameters",
     "persistent_parameters", "console", "memories", "lighthouse", "statistics", "multiranger", "three",
 )  # fmt: skip
-DRONES = 18
+DRONES = 19
 
 
 def _free_ports() -> int:
@@ -36,6 +37,14 @@ def _free_ports() -> int:
     raise AssertionError("no free ports")
 
 
+def _readme(port: int) -> str:
+    """The program that the README shows, for this drone; it ends only after a flight."""
+    text = (HERE.parent.parent / "README.md").read_text()
+    (program,) = re.findall(r"```python\n(import time, cflib.*?)```", text, re.DOTALL)
+    assert len(program.splitlines()) <= 10
+    return program.replace("19850", str(port))
+
+
 @pytest.fixture(scope="module")
 def ran():
     """What each program has ended with, and the server; all fly at once, each its own drone."""
@@ -48,8 +57,10 @@ def ran():
         while "poses at" not in (line := server.stderr.readline()):
             assert line, "the server has ended"
         run = [sys.executable, "-m", "cflib_programs.run", str(port)]
+        shown = subprocess.Popen([sys.executable, "-c", _readme(port + DRONES - 1)], stdout=subprocess.DEVNULL)
         found = subprocess.run(run, cwd=HERE, capture_output=True, text=True, timeout=100, check=False)
         assert found.stdout, found.stderr
+        assert shown.wait(30) == 0
         server.send_signal(signal.SIGINT)
         said, _ = server.communicate(timeout=20)
     finally:
@@ -75,4 +86,5 @@ def test_the_server_ends_by_ctrl_c_with_what_became_of_the_drones(ran):
     restarted = [i for i, drone in report["drones"].items() if drone["starts"] > 1]
     assert restarted == ["10"]  # the one that got a packet that was too short
     assert report["drones"]["10"]["malformed"] == 1
+    assert report["drones"][str(DRONES - 1)]["last"] == "rpyt"  # the README's has flown, and closed its link
     assert sum(drone["unknown"] for drone in report["drones"].values()) == 1  # to an application that is not there

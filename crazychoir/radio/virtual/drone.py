@@ -39,6 +39,8 @@ TEXT = 30
 """Bytes of the console in one packet."""
 BOOT = 1000
 """ms after a restart in which it hears nothing."""
+SILENCE = 1000
+"""ms without a packet after which the link counts as lost: who comes back begins its log blocks anew."""
 RELEASE = "2025.12"
 """Of the firmware that the model is of."""
 DECKS = ("bcFlow2", "bcLighthouse4", "bcMultiranger")
@@ -84,7 +86,7 @@ class VirtualCrazyflie:
         self.kept, self.starts, self.received, self.sent = Kept(), 0, 0, 0
         self.positioned, self.flows = POSITIONING in self.identity.decks, FLOW in self.identity.decks
         self.rates = (0.0, 0.0)
-        self._counted, self._deaf_until = (0, 0, 0), 0
+        self._counted, self._deaf_until, self._heard = (0, 0, 0), 0, 0
         self._start()
 
     @property
@@ -125,7 +127,7 @@ class VirtualCrazyflie:
         refuses = self.flight.refuses
         self.onboard.restart()
         self.rates, self._counted = (0.0, 0.0), (0, self.received, self.sent)
-        self._deaf_until = BOOT
+        self._deaf_until, self._heard = BOOT, 0
         self._start()
         self.flight.zeros, self.flight.malformed, self.flight.unknown = counted
         self.refuse_arming(refuses)
@@ -145,7 +147,7 @@ class VirtualCrazyflie:
         """The answers to a packet; none while it starts, and none to one at which it restarts."""
         if self.booting:
             return
-        self.received += 1
+        self.received, self._heard = self.received + 1, self.uptime
         try:
             for answer in self._take(packet):
                 self.sent += 1
@@ -179,6 +181,8 @@ class VirtualCrazyflie:
         self._watch(now)
         if self.booting:
             return
+        if self.logs.running and now - self._heard > SILENCE:
+            self.logs.blocks.clear()
         said, self._said = self._said, []
         self.sent += len(said)
         yield from said

@@ -47,6 +47,11 @@ class Logs:
         self.read = read
         self.blocks: dict[int, Block] = {}
 
+    @property
+    def running(self) -> bool:
+        """Is any block sent from time to time?"""
+        return any(block.period for block in self.blocks.values())
+
     def take(self, packet: Packet, now: int) -> Iterator[Packet]:
         """The answers to a packet; now: ms of uptime."""
         if packet.channel == TOC:

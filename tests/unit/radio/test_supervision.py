@@ -170,3 +170,17 @@ def test_cflib_closing_a_link_cuts_the_motors_and_the_plan():
     assert not hangar.motors
     assert hangar.drone.flight.zeros == 1
     assert not math.isclose(hangar.run(0.5).state[2], 0.5, abs_tol=0.1)
+
+
+def test_a_plan_is_for_all_or_for_who_is_in_one_of_its_groups():
+    hangar = Hangar().hovering()
+    hangar.send("planner_stop", 0b01)
+    hangar.send("group_mask", 0b10)
+    hangar.run(0.1)
+    assert hangar.motors
+    hangar.send("planner_stop", 0b01)
+    hangar.run(0.1)
+    assert hangar.motors
+    hangar.send("planner_stop", 0b11)
+    hangar.run(0.1)
+    assert not hangar.motors

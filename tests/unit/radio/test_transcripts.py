@@ -104,3 +104,16 @@ def test_the_console_splits_no_character():
     texts = [packet.data.decode() for packet in drone.pass_time()]
     assert "".join(texts) == "ä" * 40
     assert all(len(text.encode()) <= 30 for text in texts)
+
+
+def test_log_blocks_are_forgotten_when_nobody_has_been_heard_for_a_second():
+    hangar = Hangar().run(0.1)
+    list(hangar.drone.take(Packet(LOG, 1, b"\x06\x05\x77\0\0")))
+    list(hangar.drone.take(Packet(LOG, 1, b"\x03\x05\x02")))
+    hangar.run(0.95)
+    list(hangar.drone.take(Packet(15, 0, b"ping")))
+    hangar.run(0.95)
+    assert 5 in hangar.drone.logs.blocks
+    hangar.run(0.1)
+    (reply,) = hangar.drone.take(Packet(LOG, 1, b"\x03\x05\x02"))
+    assert reply.data == b"\x03\x05\x02"  # there is no such block

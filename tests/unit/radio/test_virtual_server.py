@@ -6,7 +6,9 @@ import socket
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
+from crazychoir.cli.crazychoir import app
 from crazychoir.errors import ConfigError, Refused
 from crazychoir.mocap.frames import ASK, parse
 from crazychoir.radio.crtp import FORMS, Packet
@@ -286,3 +288,39 @@ def test_decks_by_name():
     assert known_decks("bcFlow2,bcLighthouse4") == ("bcFlow2", "bcLighthouse4")
     with pytest.raises(ConfigError, match="bcLighthouse4 knows where it is"):
         known_decks("flow")
+
+
+async def _called(*words):
+    return await asyncio.to_thread(CliRunner().invoke, app, ["virtual", *map(str, words)])
+
+
+async def test_the_command_line_lists_sets_and_refuses_faults():
+    async with Open() as hall:
+        port = ("--port", hall.port)
+        done = await _called("fault", "0,1", "loss=0.25", "offset=0.1,0,0", *port)
+        assert done.exit_code == 0, done.output
+        assert [fault.loss for fault in hall.server.faults.values()] == [0.25, 0.25]
+        done = await _called("faults", "--json", *port)
+        assert json.loads(done.stdout)["drones"]["1"]["offset"] == [0.1, 0.0, 0.0]
+        assert "0.25" in (await _called("faults", *port)).stdout
+        assert "not initialised" in (await _called("state", *port)).stdout
+        for words, says in ((("fault", "0", "loss=2"), "0 to 1"), (("fault", "0", "loss"), "loss=0.3")):
+            done = await _called(*words, *port, "--json")
+            assert done.exit_code == 2
+            assert says in json.loads(done.stdout)["error"]
+    assert (await _called("state", "--port", 45_001)).exit_code == 2
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (("--dongles", "0,0"), "groups of drones"),
+        (("--dongles", "0", "--per-dongle", "1"), "one of them"),
+        (("--deck", "flow"), "bcFlow2"),
+        (("--firmware", "é"), "plain characters"),
+    ],
+)
+def test_options_that_cannot_be_are_refused(words, says):
+    done = CliRunner().invoke(app, ["virtual", *words, "--json"])
+    assert done.exit_code == 2
+    assert says in json.loads(done.stdout)["error"]

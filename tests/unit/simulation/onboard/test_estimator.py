@@ -133,3 +133,17 @@ def test_in_a_flight_the_estimate_is_near_the_truth():
     body.fly(3.0, look)
     assert worst[0] < 0.02
     assert worst[1] < 0.05
+
+
+def test_a_velocity_corrects_the_velocity_and_what_it_has_led_to():
+    onboard = Onboard(CRAZYFLIE_21)
+    for _ in range(100):
+        onboard.measured_velocity(np.array([0.3, -0.2, 0.1]), 0.02)
+        loop.run(onboard.rows, 10.0, 0.0, 0.0, 0.0, *UP)
+    estimate = onboard.estimate
+    assert estimate.v == pytest.approx([0.3, -0.2, 0.1], abs=0.02)
+    assert estimate.p == pytest.approx([0.3, -0.2, 0.1], abs=0.03)
+    assert onboard.log("kalman.varPX") < 0.02**2
+    before = onboard.estimate.v
+    onboard.measured_velocity(np.array([np.nan, 0.0, 0.0]), 0.02)
+    assert np.array_equal(onboard.estimate.v, before)
