@@ -61,6 +61,13 @@ def test_virtual_poses_are_seen_as_simulated_cameras_see_them():
     assert all(np.array_equal(one.bodies["wand"], LEVEL) for one, _ in shown), "what is nobody's is shown as it is"
 
 
+def test_a_server_that_was_started_again_is_seen_as_late_as_before():
+    view = View(100.0, Blur(swarm(latency=0.02)))
+    times = [0.01 * k for k in range(500)]
+    shown = [view.see(frame(k, t)) for run in range(2) for k, t in enumerate(times)]
+    assert ["cf0" in one.bodies for one, _ in shown] == [False] * 2 + [True] * 998
+
+
 def test_what_the_server_does_not_show_is_not_seen_and_dropouts_come_on_top():
     view = View(100.0, Blur(swarm(dropout=0.25)))
     shown = [view.see(frame(k, 0.01 * k, cf1=LEVEL))[0].bodies for k in range(400)]
