@@ -179,7 +179,7 @@ class MocapProcess(Actor):
             "seen": {i: 0 if one is None else one.frames for i, one in sights.items()},
             "dropped": {i: self.watch.frames if one is None else one.dropped for i, one in sights.items()},
             "others": sorted(name for name in self.watch.sights if name not in self.watch.names.values()),
-            "recorded": None if self.recorder is None else str(self.recorder.path),
+            "recorded": None if self.recorder is None else self.recorder.report(),
         }
 
 
