@@ -45,6 +45,12 @@ def test_after_a_restart_of_its_server_nothing_counts_as_late_or_lost():
     assert (view.lost, view.late) == (0, 0)
 
 
+@pytest.mark.parametrize("t", [np.nan, np.inf, -1e300])
+def test_a_frame_of_no_time_is_dropped_and_the_next_one_is_not(t):
+    view = View(100.0, Blur(swarm()))
+    assert [view.see(frame(k, at)) is not None for k, at in enumerate((0.0, t, 0.01))] == [True, False, True]
+
+
 @pytest.mark.parametrize("bad", [np.full(7, np.nan), np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])])
 def test_what_is_no_pose_is_not_seen(bad):
     seen, _ = View(100.0).see(frame(0, 0.0, cf0=LEVEL, cf1=bad))
