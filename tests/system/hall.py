@@ -10,7 +10,7 @@ from typing import Any, Self
 from crazychoir.launch.network import apart
 from crazychoir.radio.virtual.control import ask
 from crazychoir.swarm.config import SwarmConfig
-from tests.system.agents import CRAZYCHOIR, Program
+from system.agents import CRAZYCHOIR, Program
 
 
 def udp_block(count: int) -> int:
