@@ -396,8 +396,8 @@ class RadioDrone(Actor):
         }  # fmt: skip
         return LinkStatus(
             self.state_of_link, self.silence, battery=float(self.battery), supervisor=self.supervisor, flying=self.flying,
-            problems=self.problems(), release=self.release, refused=self.refused_plans, reconnected=self.reconnected,
-            **known,
+            problems=self.problems(), release=self.release, refused=self.refused_plans,
+            reconnected=self.reconnected, **known,
         )  # fmt: skip
 
     def report(self) -> None:
