@@ -137,7 +137,7 @@ class Peers:
         if doubles:
             return f"{who} flies drone(s) {doubles} too"
         for base, owns in ((EYES, "the motion capture"), (BODIES, "the world")):
-            same = ", ".join(str(j - base) for j in hello.observers if base <= j < 2 * base and j in self.bus.ports)
+            same = ", ".join(str(j - base) for j in hello.observers if j >= base and j in self.bus.ports)
             if same:
                 return f"{who} owns {owns} of drone(s) {same} too"
         if hello.version != self.version:

@@ -4,7 +4,7 @@ import ctypes
 import signal
 import sys
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import msgspec
 import typer
@@ -13,6 +13,9 @@ from crazychoir.cli import ending
 from crazychoir.cli.show import STDERR, Progress, fail, set_up_logging, write_json
 from crazychoir.cli.world import PR_SET_PDEATHSIG
 from crazychoir.errors import ConfigError, CrazyChoirError
+
+if TYPE_CHECKING:
+    from crazychoir.swarm.config import SwarmConfig
 
 app = typer.Typer(add_completion=False)
 SourceOption = Annotated[
@@ -53,7 +56,7 @@ def mocap(
     raise typer.Exit(0 if report["success"] else 1)
 
 
-def with_source(config: Any, source: str | None) -> Any:
+def with_source(config: "SwarmConfig", source: str | None) -> "SwarmConfig":
     """The swarm with another source: SYSTEM, SYSTEM@HOST, SYSTEM@HOST:PORT (of "virtual"), or the file of a replay."""
     if source is None:
         return config

@@ -1,5 +1,6 @@
 """The process of motion capture: its place on the network, its signals, its live table."""
 
+import contextlib
 import math
 import random
 import socket
@@ -47,8 +48,7 @@ def run_mocap(config: SwarmConfig, listen: str | None, record: Path | None, show
     async def main(clock: Clock) -> dict[str, Any]:
         incarnation = random.SystemRandom().getrandbits(62)
         name, host = f"mocap-{incarnation & 0xFFFFFFFF:08x}", config.mocap.host or socket.gethostname().split(".")[0]
-        source = source_of(clock, config)
-        recorder = None if record is None else Recorder(record)
+        source, recorder = source_of(clock, config), None if record is None else stack.enter_context(Recorder(record))
         mocap = MocapProcess(clock, config, source, name, host, incarnation, recorder)
         link = ZenohLink(
             mocap.bus, config.name, listen=[listen or config.endpoints()[MOCAP]], connect=[], incarnation=incarnation,
@@ -62,11 +62,11 @@ def run_mocap(config: SwarmConfig, listen: str | None, record: Path | None, show
             await mocap.serve(link, *([Showing(mocap, show)] if show else []))
         finally:
             watchdog.stop()
-            if recorder is not None:
-                recorder.close()
+            stack.close()
         return mocap.report() | {"network": asdict(link.counters), "late_s": watchdog.worst}
 
-    return run_wall(main)
+    with contextlib.ExitStack() as stack:
+        return run_wall(main)
 
 
 def mocap_table(process: MocapProcess) -> Table:

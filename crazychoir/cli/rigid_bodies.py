@@ -104,10 +104,10 @@ def _gathered(
 
     found, which = find_swarm(swarm)
     config = with_source(found, source)
-    if drone is not None and drone not in config.seen:
-        raise ConfigError("DRONE", drone, f"one that motion capture sees: {list(config.seen)}")
-    if not config.seen:
-        raise Refused(f"swarm {config.name}", "it has no drone that motion capture sees")
+    if drone is None and not config.seen:
+        raise ConfigError(which, "no drone that motion capture sees", 'uri = "udp://..." or "radio://..."')
+    if drone is not None and drone not in config.reached:  # one that flies by its own estimate has a body too
+        raise ConfigError("DRONE", drone, f"drones that a radio reaches: {list(config.reached)}")
     STDERR.print(f"looking for {seconds:g} s ({which}, source {config.mocap.source})", highlight=False)
 
     async def main(clock: Clock) -> "list[Frame]":

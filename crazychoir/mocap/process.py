@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from crazychoir.bus.local import EYES, Bus, Port
-from crazychoir.bus.topics import POSE, TRUTH
+from crazychoir.bus.topics import BODY, POSE, TRUTH
 from crazychoir.bus.zenoh import ZenohLink
 from crazychoir.errors import ConfigError, Refused
 from crazychoir.filters.velocity import VelocityFilter
@@ -20,9 +20,10 @@ from crazychoir.mocap.virtual import VirtualSource
 from crazychoir.mocap.watch import Watch
 from crazychoir.runtime.actor import ON_FAILURE, Actor
 from crazychoir.runtime.clock import Clock
+from crazychoir.runtime.mailbox import Latest
 from crazychoir.runtime.supervisor import Supervisor
 from crazychoir.swarm.config import SwarmConfig
-from crazychoir.types import Pose
+from crazychoir.types import Body, Pose
 
 log = logging.getLogger(__name__)
 LOOKS = 4.0
@@ -48,12 +49,21 @@ def view_of(config: SwarmConfig) -> View:
 
 @dataclass(frozen=True)
 class Track:
-    """One drone that is seen: the name of its body, how that sits on it, where its poses go, and its velocity."""
+    """One drone that is seen: the name of its body, how that sits on it, where its poses go, and its velocity; and what
+    the owner of its radio says of it.
+    """
 
     name: str
     mounting: Mounting
     port: Port
     velocity: VelocityFilter
+    body: Latest[Body]
+
+    @property
+    def flies(self) -> bool:
+        """Whether it is in the air, as far as anybody says so."""
+        body = self.body.fresh()
+        return body is not None and body.flying
 
 
 class Feed(Actor):
@@ -73,7 +83,8 @@ class MocapProcess(Actor):
     """Publishes the pose of each drone that is seen, as it comes, and at the topic's rate its state as truth.
 
     The truth of virtual drones is what they say; else the poses and their derivative. It ends when it is told to, but
-    while an agent of its drones is on the network, at most PATIENT s later.
+    while one of its drones has an agent on the network, or flies (to land by itself it needs poses), at most PATIENT s
+    later.
     """
 
     name = "mocap"
@@ -139,14 +150,14 @@ class MocapProcess(Actor):
         if not self._ending:
             self._ending, self._until = reason, self.clock.now() + PATIENT
             if flown := self.flown:
-                log.warning("mocap: %s: it goes on until the agents of drone(s) %s have ended", reason, _ids(flown))
+                log.warning("mocap: %s: it goes on until drone(s) %s are down and without agents", reason, _ids(flown))
         self._end_if_alone()
 
     @property
     def flown(self) -> list[int]:
-        """Drones that are seen and have an agent on the network."""
+        """Drones that are seen and have an agent on the network, or fly."""
         there = {} if self._link is None else self._link.directory
-        return [i for i in self.tracks if i in there]
+        return [i for i, track in self.tracks.items() if i in there or track.flies]
 
     def _end_if_alone(self) -> None:
         if not self.flown or self.clock.now() > self._until:
@@ -179,13 +190,14 @@ class MocapProcess(Actor):
             "seen": {i: 0 if one is None else one.frames for i, one in sights.items()},
             "dropped": {i: self.watch.frames if one is None else one.dropped for i, one in sights.items()},
             "others": sorted(name for name in self.watch.sights if name not in self.watch.names.values()),
-            "recorded": None if self.recorder is None else str(self.recorder.path),
+            "recorded": None if self.recorder is None else self.recorder.report(),
         }
 
 
 def _track(config: SwarmConfig, port: Port, i: int) -> Track:
-    drone = config.drone(i)
-    return Track(config.body_name(i), Mounting(drone.body_offset, drone.body_rotation), port, VelocityFilter())
+    drone, body = config.drone(i), Latest[Body](port.bus.clock, "body", BODY.max_age)
+    port.bus.subscribe(BODY, config.source(BODY, i), port.address, body)
+    return Track(config.body_name(i), Mounting(drone.body_offset, drone.body_rotation), port, VelocityFilter(), body)
 
 
 def _pose(flat: Vec | None, age: float) -> Pose | None:

@@ -2,9 +2,10 @@
 
 import csv
 import itertools
+import logging
 import math
 from pathlib import Path
-from typing import TextIO
+from typing import Any, Self, TextIO
 
 import numpy as np
 
@@ -13,17 +14,18 @@ from crazychoir.mocap.frames import Frame
 from crazychoir.mocap.source import Complaints, Say, Take
 from crazychoir.runtime.clock import SECOND, Clock
 
+log = logging.getLogger(__name__)
 HEAD = ("t", "name", "x", "y", "z", "qx", "qy", "qz", "qw")
 """t: s since the first frame, the same in all rows of one;  x, y, z: m;  q: body to world."""
 
 
 class Recorder:
-    """Writes frames into a new file; ConfigError if it cannot be made. `close` it."""
+    """Writes frames into a new file, until its `with` ends; ConfigError if it cannot be made."""
 
     def __init__(self, path: Path) -> None:
         self.path, self.frames, self.error = path, 0, ""
         try:
-            self._file: TextIO = open(path, "x", encoding="utf-8", newline="")  # noqa: SIM115 - closed by `close`
+            self._file: TextIO = open(path, "x", encoding="utf-8", newline="")  # noqa: SIM115 - closed by __exit__
         except OSError as error:
             raise ConfigError("--record", str(path), "a new file", f"{error.strerror}.") from error
         self._writer = csv.writer(self._file, lineterminator="\n")
@@ -39,16 +41,26 @@ class Recorder:
         t = repr(at - self._began)
         try:
             self._writer.writerows([t, name, *map(repr, flat.tolist())] for name, flat in frame.bodies.items())
+            self.frames += 1
         except OSError as error:
-            self.error = str(error.strerror)
-        self.frames += 1
+            self._fail(error)
 
-    def close(self) -> None:
-        """All that was written is in the file."""
+    def _fail(self, error: OSError) -> None:
+        self.error = self.error or str(error.strerror)
+        log.warning("recording %s: %s; it ends here", self.path, error.strerror)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
         try:
             self._file.close()
-        except OSError as error:
-            self.error = self.error or str(error.strerror)
+        except OSError as failed:
+            self._fail(failed)
+
+    def report(self) -> dict[str, Any]:
+        """The file, its frames, and why it has ended early."""
+        return {"file": str(self.path), "frames": self.frames, "error": self.error}
 
 
 def read_recording(path: str | Path) -> list[Frame]:

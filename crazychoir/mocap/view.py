@@ -16,6 +16,10 @@ BACK = 1.0
 """s by which time goes back when a source was started again."""
 
 
+LATEST = 1e9
+"""s: what is beyond is no time."""
+
+
 class Pace:
     """Lets at most `rate` frames a second through, on average, and those of that very rate although they jitter.
 
@@ -72,7 +76,7 @@ class View:
     """Takes frames of a source in; says which of them are published, and how.
 
     rate: Hz, at most;  blur: of exact poses, None for cameras;  lost: frames that never came, by their numbers;
-    late: frames that came after a later one. Poses that are no poses are left out.
+    late: frames that came after a later one, or at no time. Poses that are no poses are left out.
     """
 
     def __init__(self, rate: float, blur: Blur | None = None) -> None:
@@ -90,7 +94,7 @@ class View:
     def _follows(self, frame: Frame) -> bool:
         """Whether it comes after the last one, or from a source that was started again."""
         last = self._last
-        if last.time - BACK < frame.time <= last.time:
+        if last.time - BACK < frame.time <= last.time or not abs(frame.time) < LATEST:
             self.late += 1
             return False
         if last.number >= 0 and frame.time > last.time:

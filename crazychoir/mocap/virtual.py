@@ -54,10 +54,10 @@ class VirtualSource:
             transport = await self._opened(take)
             try:
                 async for _ in self.clock.ticks(ASKS):
-                    self._look()
                     if transport is None or transport.is_closing():
                         break
                     transport.sendto(ASK)
+                    self._look()
             finally:
                 if transport is not None:
                     transport.close()

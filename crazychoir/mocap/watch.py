@@ -21,6 +21,8 @@ MISSING = 0.5
 """s after which a body is missing."""
 FROZEN = 0.5
 """s for which no camera measures the same digits."""
+OFTEN = 0.05
+"""Of the frames without a body, also where none of its gaps is long."""
 STRANGE = 1.0
 """s for which a body was seen at least that belongs to nobody."""
 
@@ -31,7 +33,7 @@ class Sight:
 
     first, last: s, when it was in a frame;  changed: s, when it last had another pose;  frames: with it;  dropped:
     frames without it since the first;  gap: s, the longest between two frames with it that has not been said;  rate:
-    Hz, nan before there is one.
+    Hz, nan before there is one;  share: of the frames that are without it.
     """
 
     first: float
@@ -42,7 +44,8 @@ class Sight:
     dropped: int = 0
     gap: float = 0.0
     rate: float = math.nan
-    _counted: int = 0
+    share: float = 0.0
+    _counted: tuple[int, int] = (0, 0)
 
     def see(self, flat: Vec, now: float) -> None:
         """It is in this frame."""
@@ -53,8 +56,10 @@ class Sight:
         self.frames += 1
 
     def average(self, seconds: float) -> None:
-        """Its rate, over what was counted since this was called last."""
-        self.rate, self._counted = (self.frames - self._counted) / seconds, self.frames
+        """Its rate and share, over what was counted since this was called last."""
+        seen, gone = self.frames - self._counted[0], self.dropped - self._counted[1]
+        self.rate, self.share = seen / seconds, gone / max(1, seen + gone)
+        self._counted = self.frames, self.dropped
 
 
 class Watch:
@@ -137,7 +142,10 @@ class Watch:
         if self.live and now - sight.changed > FROZEN:
             still = f"{who} shows the very same pose for {now - sight.changed:.1f} s"
             return [(f"{i} frozen", f"{still}: no camera measures that; it counts as not seen")]
-        return [(f"{i} gap", f"{who} was not seen for {gap:.3f} s")] if gap > GAP / self.rate else []
+        if gap > GAP / self.rate:
+            return [(f"{i} gap", f"{who} was not seen for {gap:.3f} s")]
+        often = self.live and sight.share > OFTEN
+        return [(f"{i} often", f"{who} is missing in {100.0 * sight.share:.0f} % of the frames")] if often else []
 
     def _meant(self, name: str) -> str:
         """What there is, and which of it may be meant."""

@@ -162,6 +162,11 @@ class Connection:
         if self._writer is not None:
             self._writer.newest(kind, packet)
 
+    def forget(self, kind: str) -> None:
+        """What has not gone of this kind does not go any more."""
+        if self._writer is not None:
+            self._writer.forget(kind)
+
     async def ask(
         self, packet: Packet, answers: Callable[[Packet], bool], seconds: float, again: float = AGAIN
     ) -> Packet:

@@ -252,6 +252,7 @@ class RadioDrone(Actor):
         if len(packets) == 1 and not isinstance(command, XYZ):
             connection.newest("command", packets[0])
         else:
+            connection.forget("command")  # a set-point after it would take the drone from its planner
             self._send_now(packets)
 
     def _arm(self) -> None:

@@ -55,7 +55,7 @@ class RadioHandler:
     def planned(self, command: XYZ) -> list[Packet]:
         """What says this to the planner on board; after set-points it is told before that they have ended."""
         relax = [FORMS["notify_setpoint_stop"].packet(0)] if self._streams else []
-        self._streams = False
+        self._streams = self._streams and command.verb == "land"  # said again with each: the first may be lost
         x, y, z, yaw, duration = command.flat.tolist()
         match command.verb:
             case "stop":

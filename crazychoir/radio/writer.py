@@ -66,11 +66,10 @@ class Writer:
             self._newest[kind] = packet
             self._work.notify()
 
-    def forget(self) -> None:
-        """What waits is not sent."""
+    def forget(self, kind: str) -> None:
+        """What waits of this kind is not sent any more."""
         with self._work:
-            self._ordered.clear()
-            self._newest.clear()
+            self._newest.pop(kind, None)
 
     def end(self) -> None:
         """Send what waits in order, then end."""

@@ -86,6 +86,8 @@ LIFTED = 0.03
 """m above where it stood at which a drone flies: below, its controllers learn nothing from an error of the height."""
 
 
+BLIND_DEPTH, BLIND_SPEED = 0.03, 0.35
+"""m, m/s: how a drone lands by its firmware that nobody sees. Its height is off by some cm after 3 s, its place by 1 m."""
 RISING = 0.2
 """m above the floor where a drone that takes off should be, at which one that is still there is none."""
 
@@ -135,7 +137,7 @@ class Pilot(Actor):
         table = REACHED if reached else TABLE
         self.guard = Guard(self.fence, table, a_max=a_max, ground=limits.ground, limit=limit_area)
         self._gate = PoseGate() if reached else None
-        self._handed_over = False  # to its firmware, which lands it
+        self._down_at = math.inf  # s, when its firmware has landed it, to which it was handed over
         self.reference_limits = ReferenceLimits(limits, self.controls.gains)
         self.clock, self._stages = port.bus.clock, port.bus.stages
         self.drone = port.address
@@ -564,7 +566,7 @@ class Pilot(Actor):
             self._landed()
             return self._idle
         command = self._follow(state, now)
-        return None if self._handed_over else command
+        return command if self._down_at == math.inf else None
 
     def _stays_down(self, state: State, now: float) -> bool:
         """Whether what the cameras take for it stands on the floor while it should be in the air."""
@@ -588,6 +590,8 @@ class Pilot(Actor):
         A height that is only predicted does not count: it may be wrong by a fall that breaks the drone.
         """
         seen = state.age <= SEEN
+        if now > self._down_at:
+            return True
         if not self._takes_off:
             return self.flights.done(now) and bool(np.linalg.norm(state.v) < AT_REST)
         low = seen and state.flat[2] < self.limits.ground + ON_THE_FLOOR
@@ -729,13 +733,17 @@ class Pilot(Actor):
             self._brake()
 
     def _hand_over(self) -> None:
-        """Its firmware knows better where it is than who is not shown: it lands by its own estimate."""
-        plan = self.flights.plan
-        if self._handed_over or plan is None or self.state is None:
+        """Its firmware has sensors of its own: it lands by these, soon, for they drift.
+
+        The floor may be BLIND_DEPTH m below where it takes it to be; by then it comes down slowly enough, wherever it is.
+        """
+        if self._down_at < math.inf or self.state is None:
             return
-        self._handed_over = True
-        down = [0.0, 0.0, self.limits.ground, yaw_of(self.state.q), max(1.0, plan.duration)]
-        self.link.send(XYZ("land", np.array(down)))
+        depth = float(self.state.p[2]) - self.limits.ground + BLIND_DEPTH
+        seconds = max(depth / BLIND_SPEED, 1.0)
+        self._down_at = self.clock.now() + seconds
+        floor = self.limits.ground - BLIND_DEPTH
+        self.link.send(XYZ("land", np.array([0.0, 0.0, floor, yaw_of(self.state.q), seconds])))
 
     def _brake(self) -> None:
         self._flown = start = self._departure()
@@ -769,7 +777,7 @@ class Pilot(Actor):
 
     def _landed(self) -> None:
         self._change(Event.DOWN)
-        self._handed_over = False
+        self._down_at = math.inf
         self._flown = None
         self.flights.clear()
         self.controls.trim.frozen = True

@@ -19,14 +19,16 @@ PLACE, ANGLE = 0.05, math.radians(5.0)
 """m, rad: more than this between what a drone says of itself and what is seen of it keeps it on the ground."""
 ROSE, STAYED = 0.05, 0.03
 """m by which a body has risen, and by less than which it has not."""
-FLOWN = 0.5
-"""s of flight after which a body has risen that is its drone's."""
+FLOWN = 2.5
+"""s after which a drone whose motors fly it has risen: firmware that climbs to 0.1 m takes up to 2 s for 0.03 m."""
 SAMPLES = 10
 """Of motion, the least to judge by."""
 MOVED = math.radians(0.3)
 """rad (rad/s of rates), root mean square: who moves less tells nothing."""
 ALIKE, UNLIKE, TURNED = 0.8, 0.4, math.radians(30.0)
 """Correlation from which two move alike, below which they do not; and rad, by which a body that does is turned."""
+CLEARLY = 3.0
+"""How many times more of its motion is left unexplained by its own body than by another's that is taken for it."""
 
 Complex = npt.NDArray[np.complex128]
 
@@ -106,7 +108,8 @@ class Ascent:
     """What one drone and its body do from the ground to 0.1 m; `add` the newest of both, at any rate, all drones alike.
 
     Tilts are (roll, pitch) rad, or their rates rad/s, of R = Rz(yaw) Ry(pitch) Rx(roll): own ones by the drone's own
-    sensors, gyroscope and accelerometer, for an estimate that is told attitudes by the cameras repeats them.
+    sensors, as its gyroscope integrated, or the estimate of one that is told places alone until then. An estimate that
+    is told attitudes by the cameras repeats those of whatever body it is told.
     """
 
     _times: list[float] = field(default_factory=list)
@@ -167,27 +170,32 @@ def in_the_air(i: int, ascents: Mapping[int, Ascent]) -> list[str]:
 def _height(i: int, ascents: Mapping[int, Ascent]) -> list[str]:
     """Whether a body rises that should not, or stays that should rise."""
     me = ascents[i]
-    if me.flown >= FLOWN and not me.rise >= STAYED:
-        stays = "its body is not seen" if math.isnan(me.rise) else f"its body has risen by {me.rise:.2f} m"
-        others = [j for j, one in ascents.items() if j != i and one.flown == 0.0 and one.rise >= ROSE]
-        swapped = f", and that of drone {others[0]}, which does not fly, has: exchanged" if others else ""
-        return [f"it flies for {me.flown:.1f} s, and {stays}{swapped}"]
-    if me.flown == 0.0 and me.rise >= ROSE:
-        return [f"it does not fly, and its body has risen by {me.rise:.2f} m"]
-    return []
+    if me.flown == 0.0:
+        return [f"it does not fly, and its body has risen by {me.rise:.2f} m"] if me.rise >= ROSE else []
+    if me.rise >= STAYED:
+        return []
+    others = [j for j, one in ascents.items() if j != i and one.flown == 0.0 and one.rise >= ROSE]
+    if others:
+        return [f"it flies, its body stays, and that of drone {others[0]}, which does not fly, rises: exchanged"]
+    stays = "its body is not seen" if math.isnan(me.rise) else f"its body has risen by {me.rise:.2f} m"
+    return [f"it flies for {me.flown:.1f} s, and {stays}"] if me.flown >= FLOWN else []
 
 
 def _motion(i: int, ascents: Mapping[int, Ascent]) -> list[str]:
-    """Whether it tilts as its body does."""
+    """Whether it tilts as its body does.
+
+    Drones that take off together tilt together, so a body that goes well with a drone need not be its own: it is that
+    of drone j if 1 - Re rho_ij is less than 1 / CLEARLY of 1 - Re rho_ii.
+    """
     rho = ascents[i].likeness(ascents[i])
     if rho is None:
         return []
+    like = {j: found.real for j in ascents if j != i and (found := ascents[i].likeness(ascents[j])) is not None}
+    j = max(like, key=lambda j: like[j], default=i)
+    if like.get(j, -1.0) >= ALIKE and 1.0 - like[j] < (1.0 - rho.real) / CLEARLY:
+        return [f"it tilts as the body of drone {j} does, not as its own: exchanged"]
+    if abs(rho) < UNLIKE:
+        return [f"its body does not tilt as it does (correlation {abs(rho):.2f})"]
     if abs(rho) >= ALIKE and abs(cmath.phase(rho)) > TURNED:
         return [f"its body tilts as if turned by {math.degrees(cmath.phase(rho)):.0f} deg about z"]
-    if abs(rho) >= UNLIKE:
-        return []
-    for j, other in ascents.items():
-        like = ascents[i].likeness(other) if j != i else None
-        if like is not None and abs(like) >= ALIKE:
-            return [f"it tilts as the body of drone {j} does, not as its own: exchanged"]
-    return [f"its body does not tilt as it does (correlation {abs(rho):.2f})"]
+    return []

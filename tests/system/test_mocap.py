@@ -108,10 +108,9 @@ def told(poses, i):
 
 
 def test_virtual_drones_and_a_recording_give_the_same_poses_and_who_hangs_keeps_nobody(tmp_path, monkeypatch):
-    recorder = Recorder(tmp_path / "flight.csv")
-    for frame in flight():
-        recorder.write(frame, frame.time)
-    recorder.close()
+    with Recorder(tmp_path / "flight.csv") as recorder:
+        for frame in flight():
+            recorder.write(frame, frame.time)
     (tmp_path / "motioncapture.py").write_text(HANGS)
     monkeypatch.setenv("PYTHONPATH", f"{tmp_path}:{os.environ.get('PYTHONPATH', '')}")
     virtual = swarm("virtual", port=udp_port())
@@ -149,6 +148,7 @@ def test_virtual_drones_and_a_recording_give_the_same_poses_and_who_hangs_keeps_
     seen = read_recording(tmp_path / "seen.csv")
     first = round(float(seen[0].bodies["cf0"][1]) / 0.001)
     assert [round(float(f.bodies["cf0"][1]) / 0.001) for f in seen] == list(range(first, first + len(seen)))
+    assert ended[0]["recorded"] == {"file": str(tmp_path / "seen.csv"), "frames": len(seen), "error": ""}
     assert ended[0]["seen"] == {"0": len(seen), "1": len(seen)}
 
 

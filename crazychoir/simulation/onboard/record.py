@@ -96,6 +96,7 @@ drone_fields = np.dtype(
         # sensors
         ("delays", np.float64, (12,)),  # of the low-pass filters
         *_reals("gx gy gz ax ay az"),  # filtered: deg/s, g
+        *_reals("acc_sum acc_count acc_scale"),  # m/s2; samples; what makes the weight of a drone that stands 1 g
         # estimator
         *_reals("p_sum q_sum r_sum fx_sum fy_sum fz_sum"),
         ("samples", np.int64),
@@ -199,7 +200,7 @@ SCALARS: dict[str, float] = {
     "rate_pitch_mode": 1, "rate_yaw_mode": 0, "preflight_timeout": 30000, "landed_timeout": 3000,
     "spinup_timeout": 2000, "tumble_check": 1, "controller": PID, "modes": -1, "x_vel_max": 1.0, "y_vel_max": 1.0,
     "z_vel_max": 1.0, "roll_limit": 20.0, "pitch_limit": 20.0, "thrust_base": 36000.0, "thrust_minimum": 20000.0,
-    "stopping_at": -10000, "az": 1.0, "qw": 1.0, "acz": 0.0,
+    "stopping_at": -10000, "az": 1.0, "acc_scale": 1.0, "qw": 1.0, "acz": 0.0,
 }  # fmt: skip
 
 

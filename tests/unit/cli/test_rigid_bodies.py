@@ -36,15 +36,14 @@ def lab(tmp_path):
     """Both drones at home; the body of drone 1 is mounted askew above it. It turns about in the second file."""
     draw = np.random.default_rng(0)
     for name, turn in (("rest.csv", 0.0), ("turn.csv", 4.0 * np.pi)):
-        recorder = Recorder(tmp_path / name)
-        for k in range(100):
-            drone = np.array([1.0, 0.0, 0.0, *quaternion_of_yaw(0.005 * k * turn)])
-            bodies = {"a": np.array([0.01, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]), "b": MOUNTING.body(drone)}
-            for flat in bodies.values():
-                flat[0:3] += draw.normal(0.0, 0.0002, 3)
-            wand = np.array([3.0, 3.0, 1.0, 0.0, 0.0, 0.0, 1.0])
-            recorder.write(Frame(k, 0.005 * k, {**bodies, "wand": wand}), 0.005 * k)
-        recorder.close()
+        with Recorder(tmp_path / name) as recorder:
+            for k in range(100):
+                drone = np.array([1.0, 0.0, 0.0, *quaternion_of_yaw(0.005 * k * turn)])
+                bodies = {"a": np.array([0.01, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]), "b": MOUNTING.body(drone)}
+                for flat in bodies.values():
+                    flat[0:3] += draw.normal(0.0, 0.0002, 3)
+                wand = np.array([3.0, 3.0, 1.0, 0.0, 0.0, 0.0, 1.0])
+                recorder.write(Frame(k, 0.005 * k, {**bodies, "wand": wand}), 0.005 * k)
 
     def written(line=""):
         path = tmp_path / "lab.toml"
@@ -101,7 +100,7 @@ def test_rest_shows_tilt_and_height_and_a_turn_the_offset(lab, tmp_path):
 @pytest.mark.parametrize(
     ("words", "text"),
     [
-        (("calibrate", 5), "DRONE: found 5; allowed: one that motion capture sees: [0, 1]"),
+        (("calibrate", 5), "DRONE: found 5; allowed: drones that a radio reaches: [0, 1]"),
         (("calibrate", 1), "body cf1 of drone 1: it is not seen; seen are: a, b, wand"),
         (("calibrate", 1, "--turn"), "it is not seen"),
         (("names", "--source", "virtual@a:b"), "--source: found virtual@a:b"),

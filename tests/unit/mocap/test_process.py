@@ -6,8 +6,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from crazychoir.bus.local import EYES, OBSERVER
-from crazychoir.bus.topics import POSE, TRUTH
+from crazychoir.bus.local import BODIES, EYES, OBSERVER
+from crazychoir.bus.topics import BODY, POSE, TRUTH
 from crazychoir.errors import ConfigError
 from crazychoir.mocap.frames import Frame
 from crazychoir.mocap.mounting import Mounting
@@ -16,6 +16,7 @@ from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import run_virtual
 from crazychoir.runtime.mailbox import Call
 from crazychoir.swarm.config import SwarmConfig
+from crazychoir.types import Body
 
 
 class Cameras:
@@ -154,7 +155,34 @@ def test_it_goes_on_until_the_agents_of_its_drones_have_ended(caplog):
     got, _, now = served(30.0, act=lambda *them: ends(*them, leaves=7.0))
     assert 7.5 <= now < 7.8
     assert got[POSE, 1][-1][0] > 7.4
-    assert "SIGTERM: it goes on until the agents of drone(s) 1 have ended" in caplog.text
+    assert "SIGTERM: it goes on until drone(s) 1 are down and without agents" in caplog.text
+
+
+def test_it_goes_on_while_a_drone_flies_that_its_agent_has_left():
+    """Its firmware lands it, and needs its poses."""
+
+    async def act(clock, mocap, link):
+        owner = mocap.bus.port(BODIES + 1)
+        for k in range(1, 21):
+            owner.publish(BODY, Body("", flying=k < 15))
+            if k == 3:
+                mocap.end("SIGTERM")
+            await clock.sleep(0.25)
+
+    got, _, now = served(30.0, act=act)
+    assert got[POSE, 1][-1][0] == pytest.approx(0.25 * 14, abs=0.3)
+    assert now == 5.0
+
+
+def test_nor_does_it_wait_for_one_of_which_nobody_says_anything_any_more():
+    async def act(clock, mocap, link):
+        mocap.bus.port(BODIES + 1).publish(BODY, Body("", flying=True))
+        await clock.sleep(0.1)
+        mocap.end("SIGTERM")
+        await clock.sleep(5.0)
+
+    got, _, _ = served(30.0, act=act)
+    assert got[POSE, 1][-1][0] == pytest.approx(BODY.max_age, abs=0.3)
 
 
 def test_but_not_for_ever():

@@ -15,10 +15,9 @@ def frames(count=5):
 
 
 def recorded(path, seen):
-    recorder = Recorder(path)
-    for one in seen:
-        recorder.write(one, 7.0 + one.time)
-    recorder.close()
+    with Recorder(path) as recorder:
+        for one in seen:
+            recorder.write(one, 7.0 + one.time)
     return path
 
 
@@ -54,18 +53,19 @@ def test_a_file_that_is_there_is_not_written_over(tmp_path):
     assert (tmp_path / "a.csv").read_text() == "mine"
 
 
-def test_a_full_disk_ends_the_recording_and_nothing_else(tmp_path, monkeypatch):
-    recorder = Recorder(tmp_path / "a.csv")
-
+def test_a_full_disk_ends_the_recording_and_nothing_else(tmp_path, monkeypatch, caplog):
     class Full:
         def writerows(self, rows):
             raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(recorder, "_writer", Full())
-    recorder.write(frames()[0], 0.0)
-    recorder.write(frames()[1], 0.1)
-    recorder.close()
-    assert recorder.error == "No space left on device"
+    with Recorder(tmp_path / "a.csv") as recorder:
+        recorder.write(frames()[0], 0.0)
+        monkeypatch.setattr(recorder, "_writer", Full())
+        for k in (1, 2, 3):
+            recorder.write(frames()[k], 0.1 * k)
+    report = recorder.report()
+    assert report == {"file": str(tmp_path / "a.csv"), "frames": 1, "error": "No space left on device"}
+    assert caplog.text.count("No space left on device") == 1
 
 
 @pytest.mark.parametrize(

@@ -45,6 +45,12 @@ def test_after_a_restart_of_its_server_nothing_counts_as_late_or_lost():
     assert (view.lost, view.late) == (0, 0)
 
 
+@pytest.mark.parametrize("t", [np.nan, np.inf, -1e300])
+def test_a_frame_of_no_time_is_dropped_and_the_next_one_is_not(t):
+    view = View(100.0, Blur(swarm()))
+    assert [view.see(frame(k, at)) is not None for k, at in enumerate((0.0, t, 0.01))] == [True, False, True]
+
+
 @pytest.mark.parametrize("bad", [np.full(7, np.nan), np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])])
 def test_what_is_no_pose_is_not_seen(bad):
     seen, _ = View(100.0).see(frame(0, 0.0, cf0=LEVEL, cf1=bad))
@@ -59,6 +65,13 @@ def test_virtual_poses_are_seen_as_simulated_cameras_see_them():
     assert np.std(errors) == pytest.approx(0.01, rel=0.3)
     assert {round(age, 9) for one, age in shown[2:]} == {0.02}
     assert all(np.array_equal(one.bodies["wand"], LEVEL) for one, _ in shown), "what is nobody's is shown as it is"
+
+
+def test_a_server_that_was_started_again_is_seen_as_late_as_before():
+    view = View(100.0, Blur(swarm(latency=0.02)))
+    times = [0.01 * k for k in range(500)]
+    shown = [view.see(frame(k, t)) for run in range(2) for k, t in enumerate(times)]
+    assert ["cf0" in one.bodies for one, _ in shown] == [False] * 2 + [True] * 998
 
 
 def test_what_the_server_does_not_show_is_not_seen_and_dropouts_come_on_top():

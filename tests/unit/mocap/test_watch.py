@@ -43,6 +43,13 @@ def test_a_gap_in_the_frames_and_one_of_a_body_are_said_with_their_length():
     assert [text for _, text in said] == ["body 'cf1' of drone 1 was not seen for 0.060 s"]
 
 
+def test_a_body_that_is_missing_now_and_then_is_said_with_its_share():
+    _, said = watched(8.0, lambda k: moving(k, "cf0", "cf1") if k % 10 else moving(k, "cf0"))
+    assert {text for _, text in said} == {"body 'cf1' of drone 1 is missing in 10 % of the frames"}
+    assert [t for t, _ in said] == [2.0, 3.0, 5.0]
+    assert watched(8.0, lambda k: moving(k, "cf0", "cf1") if k % 10 else moving(k, "cf0"), live=False)[1] == []
+
+
 def test_a_body_that_is_never_seen_is_named_with_the_name_that_may_be_meant():
     _, said = watched(3.0, lambda k: moving(k, "cf0", "CF_1"))
     assert said[0][1] == (

@@ -76,7 +76,23 @@ def test_a_link_that_takes_nothing_does_not_grow() -> None:
     assert slow.busy.wait(5.0)
     writer.put(packet(0))
     assert not writer.put(packet(0))
-    writer.forget()
     slow.free.set()
     writer.end()
     assert writer.join(5.0)
+
+
+def test_what_is_forgotten_is_not_sent() -> None:
+    slow = Slow()
+    writer = Writer("test", slow)
+    writer.put(packet(1))
+    assert slow.busy.wait(5.0)
+    writer.newest("command", packet(20))
+    writer.newest("pose", packet(10))
+    writer.forget("command")
+    writer.put(packet(2))
+    slow.free.set()
+    while len(slow.sent) < 3:
+        pass
+    writer.end()
+    assert writer.join(5.0)
+    assert slow.sent == [1, 2, 10]

@@ -105,7 +105,7 @@ def test_of_two_that_take_off_together_with_exchanged_bodies_each_moves_as_the_o
 def test_of_one_that_takes_off_alone_the_other_body_rises():
     rising = ascents(body_of={0: 1, 1: 0}, flying=(0,))
     assert in_the_air(0, rising)[0] == (
-        "it flies for 1.7 s, and its body has risen by 0.00 m, and that of drone 1, which does not fly, has: exchanged"
+        "it flies, its body stays, and that of drone 1, which does not fly, rises: exchanged"
     )
     assert in_the_air(1, rising) == ["it does not fly, and its body has risen by 0.10 m"]
     assert in_the_air(2, rising) == []
@@ -137,5 +137,20 @@ def test_a_body_that_is_not_seen_in_the_air_is_named():
     blind = Ascent()
     for k in range(20):
         blind.add(k / 10, k > 1, (0.01 * (-1) ** k, 0.0), math.nan, (math.nan, math.nan))
-    assert in_the_air(0, {**rising, 0: blind}) == ["it flies for 1.7 s, and its body is not seen"]
+    assert in_the_air(0, {**rising, 0: blind}) == [], "it may not have left the ground yet"
+    for k in range(20, 28):
+        blind.add(k / 10, True, (0.01 * (-1) ** k, 0.0), math.nan, (math.nan, math.nan))
+    assert in_the_air(0, {**rising, 0: blind}) == ["it flies for 2.5 s, and its body is not seen"]
     assert in_the_air(0, {0: Ascent()}) == []
+
+
+def test_of_two_that_tilt_together_each_body_is_its_own_drones():
+    """As gusts, or the same take-off, make them."""
+    draw, common = np.random.default_rng(5), np.random.default_rng(6).normal(0.0, 0.03, (20, 2))
+    rising = {i: Ascent() for i in (0, 1)}
+    for k in range(20):
+        for ascent in rising.values():
+            own = common[k] + draw.normal(0.0, 0.004, 2)
+            ascent.add(k / 10, True, tuple(own), 0.005 * k, tuple(own + draw.normal(0.0, 0.002, 2)))
+    assert abs(rising[0].likeness(rising[1])) > 0.95
+    assert [in_the_air(i, rising) for i in rising] == [[], []]
