@@ -156,10 +156,10 @@ def owners(config: SwarmConfig, started: tuple[int, ...] | None) -> list[Owner]:
     """Those that are started here: with all drones, or with the lowest one of their host."""
     found = [WORLD_OWNER] if config.owned and _starts(config, config.world.host, started) else []
     if config.seen and _starts(config, config.mocap.host, started):
-        found.append(Owner("mocap", "crazychoir.cli.mocap"))
+        found.append(Owner("mocap", "crazychoir.cli.mocap", again=True))
     for k in config.dongles:
         if _starts(config, config.dongle_host(k), started):
-            found.append(Owner(f"dongle {k}", "crazychoir.cli.radios", ("--dongle", str(k))))
+            found.append(Owner(f"dongle {k}", "crazychoir.cli.radios", ("--dongle", str(k)), again=True))
     return found
 
 

@@ -24,6 +24,8 @@ GRACE = 20.0
 ORPHANED = 8.0
 """s that agents get after the end of their world's owner: they notice within 3 s and end, but for those that have never
 heard of it and wait."""
+STARTS_AGAIN = 5
+"""How often in a run an owner is started again that ends before it is told to."""
 REFUSED = 2
 """Exit code of a program that has refused what the user wrote."""
 CHUNK = 1 << 16
@@ -39,11 +41,15 @@ Children = dict[tuple[int, ...], Process]
 
 @dataclass(frozen=True)
 class Owner:
-    """A process that owns what agents need: who it is, its module, and its options."""
+    """A process that owns what agents need: who it is, its module, and its options.
+
+    again: whether it is started again if it ends before them: what it owns is still there.
+    """
 
     name: str
     module: str
     options: tuple[str, ...] = ()
+    again: bool = False
 
 
 WORLD_OWNER = Owner("world", "crazychoir.cli.world")
@@ -110,11 +116,18 @@ async def _run_agents(
 @contextlib.asynccontextmanager
 async def _owner(owner: Owner, path: Path, agents: Children, say: Say) -> AsyncIterator[None]:
     """An owner that the agents need: it is there before them and ends after them."""
-    child = await _start(owner.module, "--swarm", str(path), *owner.options, "--child")
-    over = asyncio.Event()
+    command = (owner.module, "--swarm", str(path), *owner.options, "--child")
+    child, over = await _start(*command), asyncio.Event()
 
     async def watch() -> None:
+        nonlocal child
+        left = STARTS_AGAIN if owner.again else 0
         await _listen(child, say)
+        while left > 0 and not over.is_set() and child.returncode != REFUSED:
+            say(f"{owner.name}: its owner ended with code {child.returncode}: started again")
+            left -= 1
+            child = await _start(*command)
+            await _listen(child, say)
         if over.is_set():
             return
         say(f"{owner.name}: its owner ended with code {child.returncode}: its drones stop")
