@@ -65,6 +65,7 @@ def virtual(
         write_json(report)
     else:
         STDOUT.print(_summary(report))
+    raise typer.Exit(0 if report["success"] else 1)
 
 
 Shared = list[tuple[tuple[int, ...], float | None]]

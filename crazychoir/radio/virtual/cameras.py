@@ -61,10 +61,10 @@ class Cameras:
         self._watchers = {who: until for who, until in self._watchers.items() if until > now_ns}
         return bool(self._watchers)
 
-    def show(self, bodies: dict[str, Any]) -> None:
-        """One frame for all who look."""
+    def show(self, time: float, bodies: dict[str, Any]) -> None:
+        """One frame for all who look; time: s of the clock, when it was so."""
         self.frames += 1
-        datagram = Frame(self.frames, self.clock.now(), bodies).packed()
+        datagram = Frame(self.frames, time, bodies).packed()
         for who in self._watchers:
             self._send(datagram, who)
 

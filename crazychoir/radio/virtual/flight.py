@@ -1,6 +1,5 @@
 """Ports 3, 6, 7, 8, 9 and 13: what flies a virtual drone, from the firmware's units to the model's SI."""
 
-import math
 import struct
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -21,10 +20,9 @@ from crazychoir.radio.crtp import (
     Form,
     Packet,
 )
+from crazychoir.radio.virtual.commands import COMMANDS, MILLI, UNKNOWN, manual
 from crazychoir.simulation.onboard.onboard import Onboard
 
-UNKNOWN = 8
-"""The answer ENOEXEC of the planner's port to a command that there is not."""
 SHORT_LPP, PACKED_POSE = 2, 9
 """Commands of LOCALIZATION's channel 1."""
 POSITIONS = 2
@@ -33,8 +31,6 @@ EMULATED = 3
 """The set-point of a receiver of another make, whose length depends on its content."""
 UNCHECKED = ("position", "stop")
 """Set-points whose length the firmware does not look at."""
-MILLI = 1e-3
-RADIANS = math.pi / 180.0
 _POSE, _POSITION = struct.Struct("<BhhhI"), struct.Struct("<Bhhh")
 CAN_ARM = 1
 """Bit of the supervisor's information."""
@@ -110,7 +106,9 @@ class Flight:
             self.zeros += form.name == "rpyt" and not any(values)
         if port == HIGH_LEVEL and form.name not in ("group_mask", "define_trajectory") and not self._meant(values[0]):
             return 0
-        return OBEY[form.name](self, *values)
+        if form.name in COMMANDS:
+            return COMMANDS[form.name](self.onboard, *values)
+        return OWN[form.name](self, *values)
 
     def _nobody_knows(self, packet: Packet) -> None:
         """An unknown set-point is one all the same, without thrust; an empty one is an assertion."""
@@ -211,67 +209,7 @@ class Flight:
         turn, read = [(1500 - stick) / 500.0 for stick in (roll, pitch, yaw)], self.read
         names = ("cppm.rateRoll", "cppm.ratePitch") if rates else ("cppm.angRoll", "cppm.angPitch")
         r, p, w = turn[0] * read(names[0]), turn[1] * read(names[1]), turn[2] * read("cppm.rateYaw")
-        self.manual(r, p, w, max(thrust - 1000, 0) / 1000.0 * 65535.0, int(rates))
-
-    def manual(self, roll: float, pitch: float, yaw: float, thrust: float, rates: int) -> None:
-        """deg or deg/s, pitch nose up;  thrust: 0 to 65535."""
-        newtons = thrust / 65535.0 * 4.0 * self.onboard.firmware.thrust_max
-        self.onboard.manual(newtons, RADIANS * roll, -RADIANS * pitch, RADIANS * yaw, rates == 1)
-
-
-def _full_state(me: Flight, *values: float) -> None:
-    """mm, mm/s, mm/s2, and milli-rad/s of the body."""
-    milli = np.array([*values[:9], *values[10:]]) * MILLI
-    me.onboard.full_state(np.array([*milli[:9], *quaternion(int(values[9])), *milli[9:]]))
-
-
-def _spiral(me: Flight, group: int, sideways: int, clockwise: int, *arc: float) -> int:
-    angle, r0, r1, climb, duration = arc
-    return me.onboard.spiral(angle, r0, r1, climb, duration, bool(sideways), bool(clockwise))
-
-
-def _take_off(me: Flight, group: int, height: float, yaw: float, keep: bool, duration: float) -> int:
-    return me.onboard.take_off(height, duration, None if keep else yaw)
-
-
-def _land(me: Flight, group: int, height: float, yaw: float, keep: bool, duration: float) -> int:
-    return me.onboard.land(height, duration, None if keep else yaw)
-
-
-def _rise(me: Flight, group: int, height: float, relative: bool, yaw: float, keep: bool, speed: float) -> int:
-    here, fast = _height(me), speed if speed > 0.0 else me.onboard.get("hlCommander.vtoff")
-    goal = here + height if relative else height
-    return me.onboard.take_off(goal, abs(goal - here) / fast, None if keep else yaw)
-
-
-def _sink(me: Flight, group: int, height: float, relative: bool, yaw: float, keep: bool, speed: float) -> int:
-    here, fast = _height(me), speed if speed > 0.0 else me.onboard.get("hlCommander.vland")
-    goal = here - height if relative else height
-    return me.onboard.land(goal, abs(goal - here) / fast, None if keep else yaw)
-
-
-def _height(me: Flight) -> float:
-    """m, of the planner's last set-point."""
-    return float(me.onboard.record["planner"]["last"][2])
-
-
-def _go_to(me: Flight, group: int, relative: int, linear: int, *goal: float) -> int:
-    x, y, z, yaw, duration = goal
-    return me.onboard.go_to((x, y, z), yaw, duration, bool(relative), bool(linear))
-
-
-def _start(me: Flight, group: int, relative: int, rel_yaw: int, reverse: int, slot: int, timescale: float) -> int:
-    return me.onboard.start_trajectory(slot, timescale, bool(relative), bool(rel_yaw), bool(reverse))
-
-
-def _define(me: Flight, slot: int, location: int, kind: int, offset: int, pieces: int) -> int:
-    known = location == 1 and kind in (0, 1)
-    return me.onboard.define_trajectory(slot, offset, pieces, kind == 1) if known else UNKNOWN
-
-
-def _stop_planner(me: Flight, group: int) -> int:
-    me.onboard.stop()
-    return 0
+        manual(self.onboard, r, p, w, max(thrust - 1000, 0) / 1000.0 * 65535.0, int(rates))
 
 
 def _group_mask(me: Flight, group: int) -> int:
@@ -279,62 +217,14 @@ def _group_mask(me: Flight, group: int) -> int:
     return 0
 
 
-def _tilted(me: Flight, roll: float, pitch: float, rate: float, z: float) -> None:
-    me.onboard.z_distance(RADIANS * roll, -RADIANS * pitch, RADIANS * rate, z)
-
-
-def _climb(me: Flight, roll: float, pitch: float, rate: float, vz: float) -> None:
-    me.onboard.altitude_hold(RADIANS * roll, -RADIANS * pitch, RADIANS * rate, vz)
-
-
-def _velocity(me: Flight, vx: float, vy: float, vz: float, rate: float) -> None:
-    me.onboard.velocity((vx, vy, vz), RADIANS * rate)
-
-
-def _hover(me: Flight, vx: float, vy: float, rate: float, z: float) -> None:
-    me.onboard.hover(vx, vy, RADIANS * rate, z)
-
-
-OBEY: dict[str, Callable[..., Any]] = {
-    "rpyt": lambda me, roll, pitch, yaw, thrust: _done(me.onboard.rpyt_raw(roll, pitch, yaw, thrust)),
-    "stop": lambda me: _done(me.onboard.stop_setpoint()),
-    "velocity_world_legacy": lambda me, vx, vy, vz, rate: _velocity(me, vx, vy, vz, -rate),
-    "z_distance_legacy": lambda me, roll, pitch, rate, z: _tilted(me, roll, pitch, -rate, z),
-    "hover_legacy": lambda me, vx, vy, rate, z: _hover(me, vx, vy, -rate, z),
-    "altitude_hold": _climb,
-    "full_state": _full_state,
-    "velocity_world": _velocity,
-    "z_distance": _tilted,
-    "hover": _hover,
-    "position": lambda me, x, y, z, yaw: _done(me.onboard.position((x, y, z), RADIANS * yaw)),
-    "manual": Flight.manual,
-    "notify_setpoint_stop": lambda me, remain: me.onboard.notify_setpoint_stop(),
+OWN: dict[str, Callable[..., Any]] = {
     "group_mask": _group_mask,
-    "planner_stop": _stop_planner,
-    "define_trajectory": _define,
-    "take_off": _take_off,
-    "land": _land,
-    "take_off_with_velocity": _rise,
-    "land_with_velocity": _sink,
-    "spiral": _spiral,
-    "go_to": _go_to,
-    "go_to_legacy": lambda me, group, relative, *goal: _go_to(me, group, relative, 0, *goal),
-    "start_trajectory": _start,
-    "start_trajectory_legacy": lambda me, group, relative, *rest: _start(me, group, relative, 0, *rest),
     "external_position": lambda me, *p: me.position(p),
     "external_pose": lambda me, *values: me.pose(values[:3], values[3:]),
     "lighthouse_persist": lambda me, geometries, calibrations: b"\x01",
-    "emergency_stop": lambda me: me.onboard.emergency_stop(),
-    "emergency_stop_watchdog": lambda me: me.onboard.emergency_stop_watchdog(),
-    "supervisor_stop": lambda me: me.onboard.emergency_stop(),
-    "supervisor_watchdog": lambda me: me.onboard.emergency_stop_watchdog(),
     "arm": Flight.arm,
     "platform_arm": Flight.arm,
     "recover": Flight.recover,
     "platform_recover": Flight.recover,
 }
-"""What each kind of packet does; what it returns is the answer, where its port answers."""
-
-
-def _done(taken: bool) -> None:
-    """Nobody is told whether a set-point was taken."""
+"""What is done beyond the model; what it returns is the answer, where its port answers."""

@@ -69,6 +69,14 @@ class Parameters:
         elif not entry.read_only:
             self._take(entry, data[2:])
             yield Packet(PARAM, WRITE, data)
+            yield from self._done()
+
+    def _done(self) -> Iterator[Packet]:
+        """The firmware takes back a reset of the estimator as soon as it has begun, and says so."""
+        if self.values[RESET_ESTIMATION]:
+            self.values[RESET_ESTIMATION] = 0.0
+            index = self.toc.index[RESET_ESTIMATION].to_bytes(2, "little")
+            yield Packet(PARAM, MISC, bytes([UPDATED]) + index + b"\0")
 
     def _take(self, entry: Entry, body: bytes) -> None:
         """As the firmware does it: so many bytes as the type has, whatever is there."""
@@ -99,6 +107,7 @@ class Parameters:
         if len(parts) == 3:
             names = b"\0".join(parts[:2]) + b"\0"
             yield Packet(PARAM, MISC, bytes([SET_BY_NAME]) + names + bytes([self._named(parts)]))
+            yield from self._done()
 
     def _named(self, parts: list[bytes]) -> int:
         k = self.toc.index.get(b".".join(parts[:2]).decode(errors="replace"))

@@ -90,15 +90,15 @@ class VirtualServer(Actor):
             for _ in range(AT_ONCE):
                 if due_ns > now_ns:
                     break
-                self.step()
+                self.step(due_ns / SECOND)
                 due_ns += step_ns
             late = (self.clock.now_ns() - due_ns) // step_ns
             if late > BEHIND:
                 self.behind, due_ns = self.behind + late, due_ns + late * step_ns
             self.busy_ns += self.clock.now_ns() - began_ns
 
-    def step(self) -> None:
-        """One step of the world; then everybody says what is due."""
+    def step(self, time: float) -> None:
+        """One step of the world, which ends at this time of the clock; then everybody says what is due."""
         self._hold()
         if self.world.tick % DECK_EVERY == 0:
             self._look_around()
@@ -108,7 +108,7 @@ class VirtualServer(Actor):
             for packet in port.drone.pass_time():
                 port.say(packet)
         if self.cameras.watched:
-            self.cameras.show(seen(self.world.states, self.world.row, self.faults, self._names))
+            self.cameras.show(time, seen(self.world.states, self.world.row, self.faults, self._names))
 
     def _hold(self) -> None:
         """What faults hold as it is: batteries, and bodies on their backs."""

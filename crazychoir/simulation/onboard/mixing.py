@@ -47,8 +47,8 @@ def _cap(fw: Record) -> None:
 
 
 @kernel()
-def distribute(fw: Record, allowed: bool) -> None:
-    """The request of each motor, 0..65535; all 0 where the supervisor does not allow motors."""
+def _wish(fw: Record, allowed: bool) -> None:
+    """What the controller requests; all 0 where the supervisor does not allow motors."""
     if not allowed:
         for i in range(4):
             fw.request[i] = 0.0
@@ -61,6 +61,17 @@ def distribute(fw: Record, allowed: bool) -> None:
         for i in range(4):
             fw.request[i] = fw.law_motors[i]
     _cap(fw)
+
+
+@kernel()
+def distribute(fw: Record, allowed: bool) -> None:
+    """The request of each motor, 0..65535; motorPowerSet has the last word, whoever allows what."""
+    _wish(fw, allowed)
+    if fw.power_set == 1:
+        fw.request[0], fw.request[1], fw.request[2], fw.request[3] = fw.power_1, fw.power_2, fw.power_3, fw.power_4
+    elif fw.power_set == 2:
+        for i in range(4):
+            fw.request[i] = fw.power_1
 
 
 @kernel()

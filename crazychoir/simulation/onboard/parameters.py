@@ -45,6 +45,8 @@ TABLE: dict[str, Path] = {
     "kalman.mNGyro_rollpitch": ("noise_gyro",),
     "locSrv.extPosStdDev": ("ext_pos_std",),
     "locSrv.extQuatStdDev": ("ext_quat_std",),
+    "motorPowerSet.enable": ("power_set",),
+    **{f"motorPowerSet.m{k}": (f"power_{k}",) for k in (1, 2, 3, 4)},
     "powerDist.idleThrust": ("idle",),
     "stabilizer.controller": ("controller",),
     "stabilizer.stop": ("estop",),

@@ -135,6 +135,8 @@ drone_fields = np.dtype(
         # power distribution
         ("request", np.float64, (4,)),  # 0..65535
         ("volts", np.float64, (4,)),
+        ("power_set", np.int64),  # motorPowerSet.enable: 1 each motor by its own of the next, 2 all by the first
+        *_reals("power_1 power_2 power_3 power_4"),  # 0..65535
         *_reals("vbat_low idle thrust_max thrust_min arm torque_ratio c0 c1 c2 c3"),
         # What is not needed in each ms lies behind what is, so that of a thousand drones this fits into a cache.
         ("level", setpoint_fields),

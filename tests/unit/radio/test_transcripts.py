@@ -117,3 +117,25 @@ def test_log_blocks_are_forgotten_when_nobody_has_been_heard_for_a_second():
     hangar.run(0.1)
     (reply,) = hangar.drone.take(Packet(LOG, 1, b"\x03\x05\x02"))
     assert reply.data == b"\x03\x05\x02"  # there is no such block
+
+
+def test_a_reset_of_the_estimator_is_taken_back_by_the_drone_which_says_so():
+    drone = Hangar().run(0.5).drone
+    index = drone.parameters.toc.index["kalman.resetEstimation"].to_bytes(2, "little")
+    echoed, updated = drone.take(Packet(PARAM, 2, index + b"\1"))
+    assert echoed.data == index + b"\1"
+    assert (updated.channel, updated.data) == (3, b"\1" + index + b"\0")
+    assert drone.onboard.log("kalman.varX") == pytest.approx(1e4)
+    assert len(list(drone.take(Packet(PARAM, 2, index + b"\0")))) == 1
+
+
+def test_motors_turn_by_parameters_whatever_the_supervisor_says():
+    hangar = Hangar().run(0.5)
+    hangar.drone.parameters.set("motorPowerSet.enable", 1.0)
+    hangar.drone.parameters.set("motorPowerSet.m2", 20000.0)
+    hangar.send("emergency_stop")
+    hangar.run(0.1)
+    assert [hangar.log(f"motor.m{k}") for k in (1, 2, 3, 4)] == [0.0, 20000.0, 0.0, 0.0]
+    hangar.drone.parameters.set("motorPowerSet.enable", 0.0)
+    hangar.run(0.1)
+    assert not hangar.motors

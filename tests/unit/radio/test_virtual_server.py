@@ -63,7 +63,7 @@ class Open:
 
     def run(self, seconds):
         for _ in range(round(seconds / self.server.world.dt)):
-            self.server.step()
+            self.server.step(self.server.world.time)
 
     async def said(self, data, drone=0, port=None):
         """What a datagram is answered; empty for silence, a text for an error."""
@@ -173,7 +173,8 @@ async def test_the_cameras_show_the_truth_as_long_as_somebody_asks():
         frame = parse(hall.door.recv(65_000))
         assert list(frame.bodies) == ["cf0", "cf1", "cf2"]
         assert np.allclose(frame.bodies["cf1"], hall.server.world.states[1, [0, 1, 2, 6, 7, 8, 9]])
-        assert parse(hall.door.recv(65_000)).number == frame.number + 1
+        after = parse(hall.door.recv(65_000))
+        assert (after.number, after.time) == (frame.number + 1, pytest.approx(frame.time + 0.01))
 
 
 async def test_what_goes_wrong_with_the_cameras():

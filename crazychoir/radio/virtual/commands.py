@@ -1,0 +1,129 @@
+"""What set-points, plans and stops do: from the packets' units to the model's SI."""
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from crazychoir.radio.compressed import quaternion
+from crazychoir.simulation.onboard.onboard import Onboard
+
+UNKNOWN = 8
+"""The answer ENOEXEC of the planner's port to a command that there is not."""
+MILLI = 1e-3
+RADIANS = math.pi / 180.0
+
+
+def _full_state(on: Onboard, *values: float) -> None:
+    """mm, mm/s, mm/s2, and milli-rad/s of the body."""
+    milli = np.array([*values[:9], *values[10:]]) * MILLI
+    on.full_state(np.array([*milli[:9], *quaternion(int(values[9])), *milli[9:]]))
+
+
+def _spiral(on: Onboard, group: int, sideways: int, clockwise: int, *arc: float) -> int:
+    angle, r0, r1, climb, duration = arc
+    return on.spiral(angle, r0, r1, climb, duration, bool(sideways), bool(clockwise))
+
+
+def _take_off(on: Onboard, group: int, height: float, yaw: float, keep: bool, duration: float) -> int:
+    return on.take_off(height, duration, None if keep else yaw)
+
+
+def _land(on: Onboard, group: int, height: float, yaw: float, keep: bool, duration: float) -> int:
+    return on.land(height, duration, None if keep else yaw)
+
+
+def _rise(on: Onboard, group: int, height: float, relative: bool, yaw: float, keep: bool, speed: float) -> int:
+    here, fast = _height(on), speed if speed > 0.0 else on.get("hlCommander.vtoff")
+    goal = here + height if relative else height
+    return on.take_off(goal, abs(goal - here) / fast, None if keep else yaw)
+
+
+def _sink(on: Onboard, group: int, height: float, relative: bool, yaw: float, keep: bool, speed: float) -> int:
+    here, fast = _height(on), speed if speed > 0.0 else on.get("hlCommander.vland")
+    goal = here - height if relative else height
+    return on.land(goal, abs(goal - here) / fast, None if keep else yaw)
+
+
+def _height(on: Onboard) -> float:
+    """m, of the planner's last set-point."""
+    return float(on.record["planner"]["last"][2])
+
+
+def _go_to(on: Onboard, group: int, relative: int, linear: int, *goal: float) -> int:
+    x, y, z, yaw, duration = goal
+    return on.go_to((x, y, z), yaw, duration, bool(relative), bool(linear))
+
+
+def _start(on: Onboard, group: int, relative: int, rel_yaw: int, reverse: int, slot: int, timescale: float) -> int:
+    return on.start_trajectory(slot, timescale, bool(relative), bool(rel_yaw), bool(reverse))
+
+
+def _define(on: Onboard, slot: int, location: int, kind: int, offset: int, pieces: int) -> int:
+    known = location == 1 and kind in (0, 1)
+    return on.define_trajectory(slot, offset, pieces, kind == 1) if known else UNKNOWN
+
+
+def _stop_planner(on: Onboard, group: int) -> int:
+    on.stop()
+    return 0
+
+
+def _tilted(on: Onboard, roll: float, pitch: float, rate: float, z: float) -> None:
+    on.z_distance(RADIANS * roll, -RADIANS * pitch, RADIANS * rate, z)
+
+
+def _climb(on: Onboard, roll: float, pitch: float, rate: float, vz: float) -> None:
+    on.altitude_hold(RADIANS * roll, -RADIANS * pitch, RADIANS * rate, vz)
+
+
+def _velocity(on: Onboard, vx: float, vy: float, vz: float, rate: float) -> None:
+    on.velocity((vx, vy, vz), RADIANS * rate)
+
+
+def _hover(on: Onboard, vx: float, vy: float, rate: float, z: float) -> None:
+    on.hover(vx, vy, RADIANS * rate, z)
+
+
+def manual(on: Onboard, roll: float, pitch: float, yaw: float, thrust: float, rates: int) -> None:
+    """deg or deg/s, pitch nose up;  thrust: 0 to 65535."""
+    newtons = thrust / 65535.0 * 4.0 * on.firmware.thrust_max
+    on.manual(newtons, RADIANS * roll, -RADIANS * pitch, RADIANS * yaw, rates == 1)
+
+
+def _done(taken: bool) -> None:
+    """Nobody is told whether a set-point was taken."""
+
+
+COMMANDS: dict[str, Callable[..., Any]] = {
+    "rpyt": lambda on, roll, pitch, yaw, thrust: _done(on.rpyt_raw(roll, pitch, yaw, thrust)),
+    "stop": lambda on: _done(on.stop_setpoint()),
+    "velocity_world_legacy": lambda on, vx, vy, vz, rate: _velocity(on, vx, vy, vz, -rate),
+    "z_distance_legacy": lambda on, roll, pitch, rate, z: _tilted(on, roll, pitch, -rate, z),
+    "hover_legacy": lambda on, vx, vy, rate, z: _hover(on, vx, vy, -rate, z),
+    "altitude_hold": _climb,
+    "full_state": _full_state,
+    "velocity_world": _velocity,
+    "z_distance": _tilted,
+    "hover": _hover,
+    "position": lambda on, x, y, z, yaw: _done(on.position((x, y, z), RADIANS * yaw)),
+    "manual": manual,
+    "notify_setpoint_stop": lambda on, remain: on.notify_setpoint_stop(),
+    "planner_stop": _stop_planner,
+    "define_trajectory": _define,
+    "take_off": _take_off,
+    "land": _land,
+    "take_off_with_velocity": _rise,
+    "land_with_velocity": _sink,
+    "spiral": _spiral,
+    "go_to": _go_to,
+    "go_to_legacy": lambda on, group, relative, *goal: _go_to(on, group, relative, 0, *goal),
+    "start_trajectory": _start,
+    "start_trajectory_legacy": lambda on, group, relative, *rest: _start(on, group, relative, 0, *rest),
+    "emergency_stop": lambda on: on.emergency_stop(),
+    "emergency_stop_watchdog": lambda on: on.emergency_stop_watchdog(),
+    "supervisor_stop": lambda on: on.emergency_stop(),
+    "supervisor_watchdog": lambda on: on.emergency_stop_watchdog(),
+}
+"""By the names of forms; what one returns is the answer, where its port answers."""

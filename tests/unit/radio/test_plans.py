@@ -1,0 +1,67 @@
+"""Plans of the planner on board that cflib's current programs do not ask for, but others do."""
+
+import numpy as np
+import pytest
+from virtual_drones import Hangar
+
+from crazychoir.radio.crtp import MEMORY, Packet
+
+
+def _wanted(hangar):
+    """m: where the planner wants it now."""
+    return [float(hangar.onboard.record["wanted"][axis]) for axis in "xyz"]
+
+
+def test_it_rises_and_sinks_at_a_speed():
+    hangar = Hangar().run(0.5)
+    hangar.send("take_off_with_velocity", 0, 0.6, False, 0.0, True, 0.3)
+    hangar.run(1.0)
+    assert _wanted(hangar)[2] == pytest.approx(0.3, abs=0.02)  # half of 2 s
+    hangar.run(4.0)
+    assert hangar.state[2] == pytest.approx(0.6, abs=0.08)
+    hangar.send("land_with_velocity", 0, 0.3, True, 0.0, True, 0.0)  # by 0.3 m, by hlCommander.vland
+    hangar.run(0.3)
+    assert _wanted(hangar)[2] == pytest.approx(0.45, abs=0.02)
+
+
+def test_a_go_to_of_older_programs():
+    hangar = Hangar().hovering()
+    (reply,) = hangar.send("go_to_legacy", 0, 1, 0.3, 0.0, 0.1, 0.0, 1.0)
+    assert reply.data[3] == 0
+    hangar.run(4.0)
+    assert hangar.state[:3] == pytest.approx([0.3, 0.0, 0.6], abs=0.05)
+
+
+@pytest.mark.parametrize("name", ["start_trajectory_legacy", "start_trajectory"])
+def test_a_trajectory_written_piece_by_piece(name):
+    hangar = Hangar().hovering()
+    rest, ahead = np.zeros(8), np.array([0.0, 0.0, 0.0, 0.0, 14.0, -33.6, 28.0, -8.0])
+    raw = np.concatenate([rest, ahead, rest, rest, [1.0]]).astype("<f4").tobytes()
+    for at in range(0, len(raw), 24):
+        head = bytes([2]) + (132 + at).to_bytes(4, "little")
+        (reply,) = hangar.drone.take(Packet(MEMORY, 2, head + raw[at : at + 24]))
+        assert reply.data[5] == 0
+    (reply,) = hangar.send("define_trajectory", 7, 1, 0, 132, 1)
+    assert reply.data[3] == 0
+    flags = (1, 0) if name.endswith("legacy") else (1, 0, 0)
+    (reply,) = hangar.send(name, 0, *flags, 7, 1.5)
+    assert reply.data[3] == 0
+    hangar.run(0.75)
+    assert _wanted(hangar)[1] == pytest.approx(0.2, abs=0.02)
+    hangar.run(3.0)
+    assert hangar.state[:3] == pytest.approx([0.0, 0.4, 0.5], abs=0.05)
+
+
+def test_a_compressed_one_is_flown_at_its_own_pace_alone():
+    hangar = Hangar().hovering()
+    raw = np.zeros(4, "<i2").tobytes() + b"\x01" + (1500).to_bytes(2, "little") + np.array([300], "<i2").tobytes()
+    list(hangar.drone.take(Packet(MEMORY, 2, bytes(1) + bytes(4) + raw)))  # into the EEPROM: not flown
+    list(hangar.drone.take(Packet(MEMORY, 2, b"\x02" + bytes(4) + raw)))
+    hangar.send("define_trajectory", 1, 1, 1, 0, 1)
+    for wrong in ((0, 1, 2.0), (1, 1, 1.0)):
+        (reply,) = hangar.send("start_trajectory", 0, 1, 0, *wrong)
+        assert reply.data[3] == 8
+    (reply,) = hangar.send("start_trajectory", 0, 1, 0, 0, 1, 1.0)
+    assert reply.data[3] == 0
+    hangar.run(3.0)
+    assert hangar.state[0] == pytest.approx(0.3, abs=0.06)
