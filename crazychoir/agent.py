@@ -10,12 +10,12 @@ from typing import Any
 from crazychoir.bus.commands import CommandServer
 from crazychoir.bus.hello import VERSION
 from crazychoir.bus.local import Bus
-from crazychoir.bus.topics import LOG, POSE, RESULT, STATUS, TELEMETRY
+from crazychoir.bus.topics import LINK, LOG, POSE, RESULT, STATUS, TELEMETRY
 from crazychoir.control.choice import ON_BOARD, Controls, controls
 from crazychoir.control.margin import Plant as PlantKind
 from crazychoir.control.position import HEADROOM, HEIGHT_SHARE
 from crazychoir.control.robots import ROBOTS
-from crazychoir.errors import Refused
+from crazychoir.errors import ConfigError, Refused
 from crazychoir.guidance.drone import Drone
 from crazychoir.guidance.life import GuidanceActor
 from crazychoir.guidance.member import Member
@@ -36,6 +36,7 @@ from crazychoir.safety.estimate import filter_of
 from crazychoir.safety.flights import braking
 from crazychoir.safety.guard import Fence
 from crazychoir.safety.pilot import Pilot
+from crazychoir.safety.radio_watch import RadioWatch
 from crazychoir.simulation.remote import OwnerWatch, RemoteLink
 from crazychoir.simulation.telemetry import names_of
 from crazychoir.simulation.trace import Trace
@@ -110,13 +111,16 @@ class Agent:
         self.alarm: Callable[[int, str], None] = lambda drone, text: None
         for i in ids:
             self.bus.port(i, incarnation)
-        self.owned = () if alone else tuple(i for i in ids if i in config.owned)
+        if alone and config.reached:
+            raise _not_simulated(config)
+        self.owned = () if alone else tuple(i for i in ids if i in config.elsewhere)
         self.owners = owners(self.bus, config, tuple(i for i in ids if i not in self.owned), trace=trace)
         self._owner_of = {i: owner for owner in self.owners for i in owner.world.ids}
         self._graph = config.graph()
         self._start_deadline = config.start_deadline if start_deadline is None else start_deadline
         self._digest = mission_hash(config, mission)
-        self._remotes = {i: RemoteLink(self.bus.ports[i]) for i in self.owned}
+        self._remotes = {i: self._remote(i) for i in self.owned}
+        self._radios: list[RadioWatch] = []
         self.drones: dict[int, Drone] = {i: self._drone(i) for i in ids}
         pilots = [drone.pilot for drone in self.drones.values()]
         self.pacemaker = Pacemaker(clock, pilots, config.mocap.rate)
@@ -140,15 +144,29 @@ class Agent:
         seen_at = config.source(POSE, i) if i in self.owned else i
         limit = Fence.box(*limit_area(config))
         collision = self._collision(i, chosen)
-        pilot = Pilot(port, link, config.flight, fence, rate, chosen, seen, seen_at, collision, limit)
+        reached = i in config.reached
+        pilot = Pilot(port, link, config.flight, fence, rate, chosen, seen, seen_at, collision, limit, reached)
         if i in self._remotes:
             self._remotes[i].found_flying = pilot.take_over
+        watch = RadioWatch(port, config.source(LINK, i), pilot.guard) if reached else None
+        if watch is not None:
+            pilot.unfit = watch.problems
+            self._radios.append(watch)
         supervisor = self._supervisor(i)
         guidance = self.mission.guidance(i, config)
         guidance.foresee(Member(i, config, self.clock, communicator, pilot))
-        drone = Drone(i, port, barrier, communicator, pilot, guidance, supervisor, harm, self._sensors(i))
+        drone = Drone(
+            i, port, barrier, communicator, pilot, guidance, supervisor, harm, self._sensors(i), pilot.unfit
+        )  # fmt: skip
         CommandServer(port, partial(self._execute, drone), partial(self._stop, drone))
         return drone
+
+    def _remote(self, i: int) -> RemoteLink:
+        port, reached = self.bus.ports[i], self.config.reached
+        dongle = next((k for k, ids in self.config.dongles.items() if i in ids), 0)
+        return RemoteLink(port, f"the owner of dongle {dongle} (crazychoir-radio --dongle {dongle})") if (
+            i in reached
+        ) else RemoteLink(port)
 
     def _controls(self, i: int) -> Controls:
         drone, plant = self.config.drone(i), self.config.plant
@@ -211,7 +229,7 @@ class Agent:
 
     def _shared(self) -> list[Actor]:
         watch = [OwnerWatch(self.clock, self._remotes, self._orphaned)] if self._remotes else []
-        return [*self.services, *self.owners, *watch, self.pacemaker]
+        return [*self.services, *self.owners, *watch, *self._radios, self.pacemaker]
 
     def _flying(self, drone: Drone) -> list[Actor]:
         return [drone.barrier.monitor, drone.pilot, StatusActor(drone)]
@@ -298,3 +316,10 @@ class Agent:
     def _stop(self, drone: Drone, on: bool) -> None:
         if on:
             drone.pilot.cut("emergency stop")
+
+
+def _not_simulated(config: SwarmConfig) -> ConfigError:
+    """Virtual time has no radios."""
+    i = config.reached[0]
+    do = 'Leave --fast out, or write uri = "sim://" for a flight in virtual time.'
+    return ConfigError(f"drone {i}: uri", config.drone(i).uri, "a simulated drone, in virtual time", do)

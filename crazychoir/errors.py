@@ -8,6 +8,7 @@
     ├── ChannelEnded(RuntimeError)         a neighbour has ended an exchange in an earlier round than we
     ├── PeerLost(ConnectionError)          a member of the swarm is gone for longer than `lost_after`
     ├── RosterChanged(RuntimeError)        the team is another one now, and this algorithm cannot go on across that
+    ├── LinkFailed(ConnectionError)        the way to a drone could not be opened, or does not do what it is asked
     ├── Refused(RuntimeError)              somebody said no: a command, a swarm, a start check
     ├── SolverError(RuntimeError)          an optimisation problem could not be solved: agent, status
     ├── AgentFailed(RuntimeError)          an agent of a distributed algorithm has failed, and with it the team
@@ -103,6 +104,14 @@ class RosterChanged(CrazyChoirError, RuntimeError):
             f"drone {drone}: epoch {epoch}: joined {list(self.joined)}, left {list(self.left)}. "
             "Start the algorithm again from round 0 with the new team."
         )
+
+
+class LinkFailed(CrazyChoirError, ConnectionError):
+    """The way to a drone fails; `uri` says which, `reason` why."""
+
+    def __init__(self, uri: str, reason: str) -> None:
+        self.uri, self.reason = uri, reason
+        super().__init__(f"{uri}: {reason}")
 
 
 class Refused(CrazyChoirError, RuntimeError):

@@ -229,6 +229,30 @@ class Body(Wire, frozen=True, array_like=True, gc=False):
     flying: bool = False
 
 
+class LinkStatus(Wire, frozen=True, array_like=True, gc=False):
+    """How the way to a drone is that a radio reaches, and what the drone says of itself.
+
+    state: "connecting", "up", "degraded", "lost" or "absent", and "refused" if it cannot fly so;  silence: s since its
+    last packet;  latency: s, there and back, 95 of 100;  answered: share of packets that were;  rssi: dBm;  battery:
+    V;  supervisor: bits of its firmware's;  flying: its motors turn;  problems: why it may not take off, in words;
+    release: of its firmware;  refused: plans that its firmware has not taken;  reconnected: how often. What is not
+    known is NaN.
+    """
+
+    state: str
+    silence: float = float("inf")
+    latency: float = float("nan")
+    answered: float = float("nan")
+    rssi: float = float("nan")
+    battery: float = float("nan")
+    supervisor: int = 0
+    flying: bool = False
+    problems: list[str] = []
+    release: str = ""
+    refused: int = 0
+    reconnected: int = 0
+
+
 class Plan(Wire, frozen=True, array_like=True, gc=False):
     """What a drone that flies by its planner on board will fly, said to all others that do.
 

@@ -53,6 +53,7 @@ LAYOUTS: Final[dict[str, tuple[int, ...]]] = {
     "Drive": (41, 2),
     "Velocity": (42, 3),
     "Plan": (43, 0),
+    "LinkStatus": (44, 0),
 }
 """Wire types by class name: kind (16 to 63), and n if the fields are one (n,) float64 vector, then floats, and m if a
 (m,) vector comes last; else 0.
@@ -285,5 +286,6 @@ for _cls in (
     types.Pose, types.State, types.Acceleration, types.FullState, types.Goto, types.FPQR, types.Status,
     types.FRPY, types.Vel, types.XYZ, types.Body, types.Failure, types.Acc, types.Drive, types.Velocity,
     types.Plan,
+    types.LinkStatus,
 ):  # fmt: skip
     register(_cls)

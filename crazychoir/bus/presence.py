@@ -53,6 +53,8 @@ class PresenceMonitor(Actor):
         self.listeners: list[OnChange] = []
         self._members: dict[int, _Member] = {}
         self._number = 0
+        self.silent = False
+        """Whether it only listens: who cannot fly yet is no member."""
 
     async def run(self) -> None:
         """Beat and look, four times a second."""
@@ -63,7 +65,8 @@ class PresenceMonitor(Actor):
     def tick(self) -> None:
         """One heartbeat to everybody watched, and one look at each."""
         self._number += 1
-        self.port.send(HEARTBEAT, self.watched, self.beat(), self._number, "heartbeat")
+        if not self.silent:
+            self.port.send(HEARTBEAT, self.watched, self.beat(), self._number, "heartbeat")
         for j in self.watched:
             self._look(j)
 

@@ -7,7 +7,7 @@ from typing import Any, Literal, get_args
 
 from crazychoir.runtime.clock import Clock
 from crazychoir.runtime.mailbox import AnyMailbox, DropOldest, Latest
-from crazychoir.types import Body, Command, FullState, Plan, Pose, State, Status
+from crazychoir.types import Body, Command, FullState, LinkStatus, Plan, Pose, State, Status
 
 
 class Class(IntEnum):
@@ -74,6 +74,7 @@ STATUS = Topic(6, "status", Status, 4, 2.0, 0, Class.CONTROL, latched=True, impa
 RESULT = Topic(7, "result", dict, 0, NEVER_STALE, 0, Class.BULK, latched=True, impaired=False)
 LOG = Topic(8, "log", str, 0, NEVER_STALE, 256, Class.BULK, impaired=False)
 BODY = Topic(9, "body", Body, 4, 1.0, 0, Class.CONTROL, latched=True, impaired=False, of_body=True)
+LINK = Topic(15, "link", LinkStatus, 10, 0.5, 0, Class.CONTROL, latched=True, impaired=False, of_body=True)
 TELEMETRY = Topic(11, "telemetry", dict, 100, 0.25, 0, Class.CONTROL, impaired=False, of_body=True)
 PLAN = Topic(12, "plan", Plan, 20, 0.5, 0, Class.CONTROL)
 # From a drone to its body, where that is in another process: COMMAND, and instead of it from the cut on
@@ -94,7 +95,7 @@ HEARSAY = Topic(14, "hearsay", None, 0, NEVER_STALE, 0, Class.CONTROL, wire="edg
 HELLO = Topic(32, "hello", None, 1, NEVER_STALE, 0, Class.ROUNDS, impaired=False, wire="process")
 
 TOPICS = (
-    POSE, STATE, REFERENCE, COMMAND, TRUTH, STATUS, RESULT, LOG, BODY, TELEMETRY, CUT, PLAN,
+    POSE, STATE, REFERENCE, COMMAND, TRUTH, STATUS, RESULT, LOG, BODY, LINK, TELEMETRY, CUT, PLAN,
     ROUND, HEARTBEAT, ROSTER, ACK, REQUEST, ANSWER, ESTOP, SOUGHT, HEARSAY, HELLO,
 )  # fmt: skip
 BY_NAME = {topic.name: topic for topic in TOPICS}

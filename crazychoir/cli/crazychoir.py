@@ -5,7 +5,20 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from crazychoir.cli import ending, look, orders, param, plot, render, rigid_bodies, simulate, solve, task
+from crazychoir.cli import (
+    ending,
+    look,
+    orders,
+    param,
+    plot,
+    radio,
+    render,
+    rigid_bodies,
+    simulate,
+    solve,
+    task,
+    virtual,
+)
 from crazychoir.cli.show import (
     STDOUT,
     Progress,
@@ -35,7 +48,9 @@ for verb in orders.TEXTS:
     app.command(name=verb)(orders.order(verb, orders.LONGEST[verb]))
 
 app.add_typer(param.app, name="param")
+app.add_typer(radio.app, name="radio")
 app.add_typer(task.app, name="task")
+app.add_typer(virtual.app, name="virtual")
 app.add_typer(rigid_bodies.app, name="mocap")
 
 

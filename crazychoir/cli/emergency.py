@@ -36,7 +36,7 @@ class Place(Protocol):
 
 
 class EmergencyStop:
-    """A stop, or its clearing, that is sent to the agents of these drones, and to their bodies in an owned world.
+    """A stop, or its clearing, that is sent to the agents of these drones, and to their bodies at an owner.
 
     It ends when all have obeyed; DISCOVERY s after the last agent was found and the last body has obeyed; or, while
     there is nobody, after the patience of its place. An agent that was found gets OBEYS s, unless its body has obeyed.
@@ -45,7 +45,7 @@ class EmergencyStop:
 
     def __init__(self, place: Place, meant: tuple[int, ...], clear: bool, alone: bool) -> None:
         self.place, self.meant, self.clear, self.alone = place, meant, clear, alone
-        self.owned = [i for i in place.config.owned if i in meant]
+        self.owned = [i for i in place.config.elsewhere if i in meant]
         self.found: dict[int, float] = {}  # s, when the agent of each drone was
         self.obeyed: dict[int, None] = {}
         self._told, self._tells, self._waited = 0, 0.0, False
@@ -106,5 +106,5 @@ class EmergencyStop:
         said = "acknowledged" if obeys else "no acknowledgement" if i in self.found else ABSENT
         if i not in self.owned or (obeys and body):
             return obeys, said
-        known = "its body has obeyed" if body else "its world's owner does not answer"
+        known = "its body has obeyed" if body else "its body's owner does not answer"
         return False, f"{said}; {known}"

@@ -15,9 +15,10 @@ from crazychoir.bus.zenoh import ZenohLink
 from crazychoir.cli.signals import AGAIN, NAMES, end_on_signals
 from crazychoir.errors import Refused
 from crazychoir.guidance.mission import Mission
+from crazychoir.radio.owner import RadioProcess, owned
 from crazychoir.runtime.clock import SECOND, Clock, run_wall
 from crazychoir.runtime.watchdog import Watchdog
-from crazychoir.swarm.config import WORLD, SwarmConfig
+from crazychoir.swarm.config import DONGLES, MOCAP, WORLD, SwarmConfig
 from crazychoir.worlds import WorldProcess
 
 log = logging.getLogger(__name__)
@@ -101,6 +102,29 @@ def run_world(config: SwarmConfig, listen: str | None) -> dict[str, Any]:
         return world.report() | {"network": asdict(link.counters), "late_s": watchdog.worst}
 
     return run_wall(main)
+
+
+def run_radios(config: SwarmConfig, dongle: int, listen: str | None) -> dict[str, Any]:
+    """Own a dongle and its links in real time, over Zenoh; returns how they were. Raises Refused if it is owned."""
+
+    async def main(clock: Clock) -> dict[str, Any]:
+        incarnation = random.SystemRandom().getrandbits(62)
+        process = f"dongle{dongle}-{incarnation & 0xFFFFFFFF:08x}"
+        host = config.dongle_host(dongle) or socket.gethostname().split(".")[0]
+        radios = RadioProcess(clock, config, dongle, process, host, incarnation)
+        endpoints = config.endpoints()
+        link = ZenohLink(
+            radios.bus, config.name, listen=[listen or endpoints[DONGLES - dongle]],
+            connect=[endpoints[MOCAP]] if MOCAP in endpoints else [], incarnation=incarnation, version=VERSION,
+            lease=config.lease, on_refused=radios.refuse,
+        )  # fmt: skip
+        link.open()
+        end_on_signals(clock, radios)
+        await radios.serve(link)
+        return radios.report() | {"network": asdict(link.counters)}
+
+    with owned(config, dongle):
+        return run_wall(main)
 
 
 def _obey_signals(clock: Clock, agent: Agent) -> None:

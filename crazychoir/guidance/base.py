@@ -26,6 +26,8 @@ from crazychoir.types import Point, Reference, State, Vec
 P = ParamSpec("P")
 R = TypeVar("R")
 FLYING = (Mode.TAKEOFF, Mode.HOVER, Mode.FOLLOW)
+UNFIT = 5.0
+"""s that a drone gets to mend what keeps it on the ground, as a pose that does not come for a moment."""
 ARRIVED = 0.2
 """m from a goal that counts as there."""
 RISEN = 0.04
@@ -158,6 +160,9 @@ class CFGuidance:
             await self._told("start", PATIENCE, lambda: pilot.awaits_start and pilot.airborne)
         ends = self.member.clock.now() + PATIENCE
         while (pilot.state is None or pilot.held) and self.member.clock.now() < ends:
+            await self.sleep(SETTLE)
+        ends = self.member.clock.now() + UNFIT
+        while pilot.unfit() and self.member.clock.now() < ends:
             await self.sleep(SETTLE)
         self._may_fly()
         if pilot.state is None:

@@ -15,6 +15,8 @@ from crazychoir.swarm.communicator import Communicator
 from crazychoir.swarm.roster import Barrier
 from crazychoir.types import Status
 
+UNFIT = "not ready to fly"
+"""The task of a drone that a radio reaches, until it could fly."""
 WAITING = "waiting for the others"
 """The task of a drone before GO."""
 
@@ -33,9 +35,18 @@ class Drone:
     harm: Callable[[], str] = str
     """Says what has happened to its body; empty if nothing has, or nobody knows."""
     sensors: Sensors | None = None
+    unfit: Callable[[], list[str]] = list
+    """Says why it could not take off now; it joins the team when nothing is said."""
     result: dict[str, Any] = field(default_factory=dict)
     waits: str = ""
     """What it waits for now that its mission is over."""
+
+    @property
+    def _task_before(self) -> str:
+        """Its task while its mission has said none."""
+        if self.barrier.roster is not None:
+            return ""
+        return UNFIT if self.barrier.monitor.silent else WAITING
 
     def status(self) -> Status:
         """What others see of it."""
@@ -44,7 +55,7 @@ class Drone:
         cost = news.get("cost")
         return Status(
             phase=self.pilot.mode.value,
-            task=str(news.get("task", WAITING if self.barrier.roster is None else "")),
+            task=str(news.get("task", self._task_before)),
             round=int(news.get("round", self.communicator.rounds)),
             cost=float("nan") if cost is None else float(cost),
             sent=counters.sent,

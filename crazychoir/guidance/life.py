@@ -23,6 +23,8 @@ LANDING_DEADLINE = 30.0
 """s, beyond the planned time of the descent, after which a drone that is still up has its motors cut."""
 LAST_WORDS = 1.0
 """s after its drone is down that an aborted mission has for its last messages, before it is cancelled again."""
+FIT = 5.0
+"""s, beyond the deadline of its link, after which a drone that could not take off is left out."""
 FAREWELL = 1.5
 """s that a drone whose mission is over stays: others may lack its last messages, or the next roster from it."""
 STOPPED = "emergency stop in force: it does not take off until `crazychoir stop --clear`"
@@ -102,6 +104,7 @@ class GuidanceActor(Actor):
         """Wait for GO, then run the mission's own code; returns its checked result."""
         drone = self.drone
         await self._until_cleared(STOPPED)
+        await self._until_fit()
         await drone.barrier.go()
         if drone.port.bus.stopped:
             raise Refused(f"drone {drone.id}", STOPPED)
@@ -135,6 +138,18 @@ class GuidanceActor(Actor):
         while bus.stopped and not self._aborted:
             await bus.clock.sleep(0.1, drone=drone.id)
         drone.waits = ""
+
+    async def _until_fit(self) -> None:
+        """Who could not fly is no member of the team; Refused, with what is wrong, when it takes too long."""
+        drone, clock, monitor = self.drone, self.drone.port.bus.clock, self.drone.barrier.monitor
+        if drone.id not in self.config.reached:
+            return
+        monitor.silent, ends = True, clock.now() + self.config.radio.connect_deadline + FIT
+        while (problems := drone.unfit()) and clock.now() < ends:
+            await clock.sleep(0.05, drone=drone.id)
+        if problems:
+            raise Refused(f"drone {drone.id}", "; ".join(problems))
+        monitor.silent = False
 
     # Its end --------------------------------------------------------------------------------------------------
 

@@ -13,6 +13,7 @@ from typing import Any, Protocol, cast
 from crazychoir.errors import ConfigError, Hung
 from crazychoir.guidance.base import CFGuidance
 from crazychoir.guidance.hooks import MissionFile
+from crazychoir.radio.budget import rates
 from crazychoir.runtime.hanging import HOOK, limited
 from crazychoir.swarm.checks import refuse_conflicts
 from crazychoir.swarm.config import SwarmConfig
@@ -68,7 +69,11 @@ def has(mission: Mission, what: str) -> bool:
 
 
 def look_before(mission: Mission, config: SwarmConfig, force: bool = False) -> list[str]:
-    """The warnings of the mission's check; raises what it raises, and ConfigError for goals that are in conflict."""
+    """The warnings of the mission's check; raises what it raises, and ConfigError for goals that are in conflict.
+
+    And for dongles that do not carry what their drones would be sent.
+    """
+    rates(config)
     warnings = mission.check(config, force) if has(mission, "check") else []
     if has(mission, "goal"):
         goals = {i: (float(p[0]), float(p[1]), float(p[2])) for i, p in mission.goal(config).items()}

@@ -13,7 +13,7 @@ from crazychoir.guidance.drone import WAITING
 from crazychoir.guidance.feedback import idle
 from crazychoir.guidance.mission import Mission, has
 from crazychoir.launch.network import attached, observer
-from crazychoir.launch.processes import run_children
+from crazychoir.launch.processes import WORLD_OWNER, Owner, run_children
 from crazychoir.launch.score import Score, Watch, goal_of
 from crazychoir.recording.file import RecordingFile
 from crazychoir.recording.recorder import Recorder
@@ -85,7 +85,7 @@ def fly_real(
         recorder = Recorder(link.bus, config.ids, file, address, config.source) if file else None
         async with attached(link, score, *([recorder] if recorder else [])):
             results = await run_children(
-                groups, path, config, list(options), say, lambda: all_wait(config, score), starts_world(config, started)
+                groups, path, config, list(options), say, lambda: all_wait(config, score), owners(config, started)
             )
         ready = began if score.go_at is None else score.go_at
         wall = clock.now() - ready
@@ -152,11 +152,21 @@ def summary(
     }
 
 
-def starts_world(config: SwarmConfig, started: tuple[int, ...] | None) -> bool:
-    """Whether the world's owner is started here: with all drones, or with the lowest one of its host."""
+def owners(config: SwarmConfig, started: tuple[int, ...] | None) -> list[Owner]:
+    """Those that are started here: with all drones, or with the lowest one of their host."""
+    found = [WORLD_OWNER] if config.owned and _starts(config, config.world.host, started) else []
+    if config.seen and _starts(config, config.mocap.host, started):
+        found.append(Owner("mocap", "crazychoir.cli.mocap"))
+    for k in config.dongles:
+        if _starts(config, config.dongle_host(k), started):
+            found.append(Owner(f"dongle {k}", "crazychoir.cli.radios", ("--dongle", str(k))))
+    return found
+
+
+def _starts(config: SwarmConfig, host: str | None, started: tuple[int, ...] | None) -> bool:
     here = config.ids if started is None else started
-    beside = [i for i in config.ids if config.drone(i).host == config.world.host]
-    return bool(config.owned) and (here == config.ids or any(i in here for i in beside[:1]))
+    beside = [i for i in config.ids if config.drone(i).host == host]
+    return here == config.ids or any(i in here for i in beside[:1])
 
 
 def all_wait(config: SwarmConfig, score: Score) -> bool:

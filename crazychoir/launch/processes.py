@@ -5,7 +5,8 @@ import contextlib
 import signal
 import sys
 from asyncio.subprocess import DEVNULL, PIPE, STDOUT, Process
-from collections.abc import AsyncIterator, Callable, Iterable
+from collections.abc import AsyncIterator, Callable, Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +37,18 @@ Results = dict[int, dict[str, Any]]
 Children = dict[tuple[int, ...], Process]
 
 
+@dataclass(frozen=True)
+class Owner:
+    """A process that owns what agents need: who it is, its module, and its options."""
+
+    name: str
+    module: str
+    options: tuple[str, ...] = ()
+
+
+WORLD_OWNER = Owner("world", "crazychoir.cli.world")
+
+
 async def run_children(
     groups: list[tuple[int, ...]],
     path: Path,
@@ -43,17 +56,19 @@ async def run_children(
     options: list[str],
     say: Say,
     all_wait: Callable[[], bool] = lambda: False,
-    world: bool = False,
+    owners: Sequence[Owner] = (),
 ) -> Results:
     """One process a group, until all have ended; their results, of those that had one.
 
     path: the swarm file; results lie beside it while this runs;  all_wait: whether they still wait for each other:
-    then one that ends without a result ends all, for nobody would come that they could wait for;  world: whether their
-    world's owner is started here too.
+    then one that ends without a result ends all, for nobody would come that they could wait for;  owners: of their
+    world, cameras and dongles, that are started here too.
     """
     files = {group: path.with_name(f"result-{group[0]}") for group in groups}
     children: Children = {}
-    async with _world(path, children, say) if world else contextlib.nullcontext():
+    async with contextlib.AsyncExitStack() as stack:
+        for owner in owners:
+            await stack.enter_async_context(_owner(owner, path, children, say))
         await _run_agents(children, path, files, config, options, say, all_wait)
     results: Results = {}
     for group, child in children.items():
@@ -93,16 +108,16 @@ async def _run_agents(
 
 
 @contextlib.asynccontextmanager
-async def _world(path: Path, agents: Children, say: Say) -> AsyncIterator[None]:
-    """The owner of the agents' world: it is there before them and ends after them."""
-    child = await _start("crazychoir.cli.world", "--swarm", str(path), "--child")
+async def _owner(owner: Owner, path: Path, agents: Children, say: Say) -> AsyncIterator[None]:
+    """An owner that the agents need: it is there before them and ends after them."""
+    child = await _start(owner.module, "--swarm", str(path), *owner.options, "--child")
     over = asyncio.Event()
 
     async def watch() -> None:
         await _listen(child, say)
         if over.is_set():
             return
-        say(f"world: its owner ended with code {child.returncode}: its drones see nothing and stop")
+        say(f"{owner.name}: its owner ended with code {child.returncode}: its drones stop")
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(0.0 if child.returncode == REFUSED else ORPHANED):
                 await over.wait()

@@ -4,10 +4,11 @@ import contextlib
 import fcntl
 import json
 import os
-import tempfile
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
+
+from crazychoir.runtime.places import runtime_folder
 
 
 @dataclass(frozen=True)
@@ -27,7 +28,7 @@ class Run:
 @contextlib.contextmanager
 def recorded(run: Run) -> Iterator[None]:
     """Others find this run, until it ends however it ends: its record is locked, and a lock dies with its process."""
-    folder = _folder()
+    folder = runtime_folder()
     if folder is None:
         yield
         return
@@ -46,7 +47,7 @@ def recorded(run: Run) -> Iterator[None]:
 
 def runs() -> list[Run]:
     """What runs now, in the order of names; several of one swarm, each with some of its drones, count once."""
-    folder = _folder()
+    folder = runtime_folder()
     found = [run for path in sorted(folder.iterdir()) if (run := _read(path))] if folder else []
     return list({run.swarm: run for run in found}.values())
 
@@ -77,14 +78,3 @@ def _locked(file: int) -> bool:
     except BlockingIOError:
         return True
     return False
-
-
-def _folder() -> Path | None:
-    """Where records lie, this user's alone; None if there can be no such place."""
-    runtime = os.environ.get("XDG_RUNTIME_DIR")
-    folder = Path(runtime) / "crazychoir" if runtime else Path(tempfile.gettempdir()) / f"crazychoir-{os.getuid()}"
-    try:
-        folder.mkdir(mode=0o700, exist_ok=True)
-        return folder if folder.stat().st_uid == os.getuid() and os.access(folder, os.W_OK) else None
-    except OSError:
-        return None

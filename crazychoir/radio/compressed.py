@@ -19,7 +19,7 @@ def compressed(q: Vec) -> int:
         if i != k:
             magnitude = min(round(_MOST * abs(float(q[i])) / _HALF), _MOST)
             word = word << _BITS + 1 | ((q[i] < 0.0) != turned) << _BITS | magnitude
-    return word
+    return int(word)
 
 
 def quaternion(word: int) -> Vec:

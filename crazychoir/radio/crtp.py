@@ -84,9 +84,12 @@ def _forms(*rows: tuple[str, int, int, bytes, str]) -> dict[str, Form]:
 
 
 FORMS: Final = _forms(
-    # Set-points: deg and deg/s; RPYT's pitch is positive nose up and its yaw rate is turned around, both nowhere else.
+    # Set-points: deg and deg/s. Pitch is positive nose up; the yaw rate of RPYT and of legacy ones is turned around.
     ("rpyt", COMMANDER, 0, b"", "roll:f pitch:f yaw:f thrust:H"),
     ("stop", SETPOINT, 0, b"\x00", ""),
+    ("velocity_world_legacy", SETPOINT, 0, b"\x01", "vx:f vy:f vz:f yaw_rate:f"),
+    ("z_distance_legacy", SETPOINT, 0, b"\x02", "roll:f pitch:f yaw_rate:f z:f"),
+    ("hover_legacy", SETPOINT, 0, b"\x05", "vx:f vy:f yaw_rate:f z:f"),
     ("altitude_hold", SETPOINT, 0, b"\x04", "roll:f pitch:f yaw_rate:f vz:f"),
     ("full_state", SETPOINT, 0, b"\x06", "x:h y:h z:h vx:h vy:h vz:h ax:h ay:h az:h q:I p:h q_rate:h r:h"),
     ("velocity_world", SETPOINT, 0, b"\x08", "vx:f vy:f vz:f yaw_rate:f"),
@@ -98,6 +101,8 @@ FORMS: Final = _forms(
     # The planner on board: m, rad, s; `group` is a mask, 0 is all.
     ("group_mask", HIGH_LEVEL, 0, b"\x00", "group:B"),
     ("planner_stop", HIGH_LEVEL, 0, b"\x03", "group:B"),
+    ("go_to_legacy", HIGH_LEVEL, 0, b"\x04", "group:B relative:B x:f y:f z:f yaw:f duration:f"),
+    ("start_trajectory_legacy", HIGH_LEVEL, 0, b"\x05", "group:B relative:B reversed:B id:B timescale:f"),
     ("define_trajectory", HIGH_LEVEL, 0, b"\x06", "id:B location:B type:B offset:I pieces:B"),
     ("take_off", HIGH_LEVEL, 0, b"\x07", "group:B height:f yaw:f keep_yaw:? duration:f"),
     ("land", HIGH_LEVEL, 0, b"\x08", "group:B height:f yaw:f keep_yaw:? duration:f"),
@@ -110,6 +115,7 @@ FORMS: Final = _forms(
     ("external_position", LOCALIZATION, 0, b"", "x:f y:f z:f"),
     ("emergency_stop", LOCALIZATION, 1, b"\x03", ""),
     ("emergency_stop_watchdog", LOCALIZATION, 1, b"\x04", ""),
+    ("lighthouse_persist", LOCALIZATION, 1, b"\x0b", "geometries:H calibrations:H"),
     ("external_pose", LOCALIZATION, 1, b"\x08", "x:f y:f z:f qx:f qy:f qz:f qw:f"),
     # The supervisor.
     ("arm", SUPERVISOR, 1, b"\x01", "on:?"),

@@ -29,6 +29,7 @@ from crazychoir.types import (
     Drive,
     FullState,
     Goto,
+    LinkStatus,
     Plan,
     Pose,
     State,
@@ -106,6 +107,20 @@ float64 duration  # s""",
 std_msgs/Header header
 string harm  # what has broken it
 bool flying  # in the air, flown there by commands""",
+    "crazychoir_msgs/LinkStatus": """\
+std_msgs/Header header
+string state  # connecting, up, degraded, lost, absent or refused
+float64 silence  # s
+float64 latency  # s
+float64 answered  # share of packets
+float64 rssi  # dBm
+float64 battery  # V
+int64 supervisor  # bits of the firmware's
+bool flying
+string[] problems  # why it may not take off
+string release  # of the firmware
+int64 refused  # plans
+int64 reconnected""",
     "crazychoir_msgs/Status": """\
 std_msgs/Header header
 string phase
@@ -255,6 +270,7 @@ MESSAGES: dict[Any, Message] = {
     Acc: Message("crazychoir_msgs/Acc", lambda command: command.flat.tolist()),
     Drive: Message("crazychoir_msgs/Drive", lambda command: command.flat.tolist()),
     XYZ: Message("crazychoir_msgs/XYZ", lambda command: (command.verb, *command.flat.tolist())),
+    LinkStatus: Message("crazychoir_msgs/LinkStatus", lambda link: [getattr(link, n) for n in link.__struct_fields__]),
     Body: Message("crazychoir_msgs/Body", lambda body: (body.harm, body.flying)),
     Status: Message("crazychoir_msgs/Status", lambda status: [getattr(status, n) for n in status.__struct_fields__]),
     str: Message("std_msgs/String", lambda line: (line,)),

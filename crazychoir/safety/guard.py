@@ -33,9 +33,9 @@ class Rule:
     """One row of the safety table.
 
     measure: "pose" (s since the last pose), "reference" (s since the last one), "fence" (m outside the fence), "stop"
-    (m outside the fence, there or where it comes to rest if it brakes now, the worse), "limit area" (m outside it) or
-    "broken" (1 if the state is not finite);  limit: exceeded, the rule acts;  clear: it acts until the measure has been
-    at or below this for `settle` seconds;  latched: it acts for good.
+    (m outside the fence, there or where it comes to rest if it brakes now, the worse), "limit area" (m outside it),
+    "broken" (1 if the state is not finite), or one that the guard is told, see TOLD;  limit: exceeded, the rule acts;
+    clear: it acts until the measure has been at or below this for `settle` seconds;  latched: it acts for good.
     """
 
     measure: str
@@ -59,7 +59,20 @@ TABLE = (
     Rule("fence", 0.25, Action.LAND, latched=True),
     Rule("limit area", 0.00, Action.CUT, latched=True),
     Rule("broken", 0.00, Action.CUT, latched=True),
+    Rule("link", 0.50, Action.BRAKE, clear=0.30),
+    Rule("link", 2.00, Action.LAND, latched=True),
+    Rule("battery", 5.00, Action.LAND, latched=True),
+    Rule("empty", 0.00, Action.LAND, latched=True),
+    Rule("tumbled", 0.00, Action.CUT, latched=True),
+    Rule("body", 0.00, Action.CUT, latched=True),
 )
+REACHED = tuple(Rule("pose", 20.0, Action.CUT, latched=True) if r.measure == "pose" and r.latched else r for r in TABLE)
+"""The table of a drone that a radio reaches: its firmware lands it by its own sensors when nobody sees it."""
+TOLD = ("link", "battery", "empty", "tumbled", "body")
+"""Of a drone that a radio reaches: s since its last packet; s that its battery is below LOW V, V below EMPTY; 1 if it
+lies on its back, or has crashed; 1 if what the cameras take for it does not rise when it takes off."""
+LOW, EMPTY = 3.2, 3.0
+"""V, of one cell under load: what the firmware calls low and critical."""
 
 TEXT = {
     "pose": "pose {value:.2f} s old, limit {limit:.2f} s: {doing}",
@@ -68,6 +81,11 @@ TEXT = {
     "stop": "comes to rest {value:.2f} m outside the fence, limit {limit:.2f} m: {doing}",
     "limit area": "{value:.2f} m outside the limit area, in the keep-out zone: {doing}",
     "broken": "state is not finite: {doing}",
+    "link": "its radio is silent for {value:.2f} s, limit {limit:.2f} s: {doing}",
+    "battery": "battery below 3.2 V for {value:.1f} s, limit {limit:.1f} s: {doing}",
+    "empty": "battery {value:.2f} V below 3.0 V: {doing}",
+    "body": "its body does not rise as it takes off: another drone's, or too little thrust: {doing}",
+    "tumbled": "tumbled or crashed, as its firmware says: {doing}",
 }
 EDGE = 0.005
 """m: how far from the fence is said from here on."""
@@ -171,6 +189,9 @@ class Guard:
         self._found: dict[Rule, float] = {}  # the last value for which it did
         self._latched: dict[Rule, str] = {}  # a latched one, and why it began to act
         least = {m: min((r.limit for r in table if r.measure == m), default=math.inf) for m in TEXT}
+        self._least = least
+        self._told: dict[str, float] = dict.fromkeys(TOLD, -math.inf)
+        self._told_well = True
         self._least_pose, self._least_reference = least["pose"], least["reference"]
         self._least_stop = min(least["fence"], least["stop"], least["limit area"])
         self._reach = STOP / a_max
@@ -194,7 +215,14 @@ class Guard:
         age, reach = (0.0, 0.0) if reference_age is None else (reference_age, self._reach)
         stop = -math.inf if state is None else _outside(state.flat, self._low if low else self._flying, reach)
         well = pose_age <= self._least_pose and age <= self._least_reference and stop <= self._least_stop
-        return ALL_WELL if well and not self._acting else self._judge(now, self._measured(state, pose_age, age, stop))
+        if well and self._told_well and not self._acting:
+            return ALL_WELL
+        return self._judge(now, self._measured(state, pose_age, age, stop))
+
+    def tell(self, measure: str, value: float) -> None:
+        """A measure of TOLD now."""
+        self._told[measure] = value
+        self._told_well = all(value <= self._least[m] for m, value in self._told.items())
 
     @property
     def acts(self) -> bool:
@@ -214,7 +242,7 @@ class Guard:
             broken = 0.0 if math.isfinite(x + y + z + sum(rest)) else 1.0
         return {
             "pose": pose_age, "reference": reference_age, "fence": outside, "stop": stop, "limit area": beyond,
-            "broken": broken,
+            "broken": broken, **self._told,
         }  # fmt: skip
 
     def _judge(self, now: float, values: dict[str, float]) -> Verdict:

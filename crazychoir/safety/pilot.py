@@ -7,6 +7,7 @@ table allows. A pose triggers the tick; if none comes in time, the clock does.
 import asyncio
 import logging
 import math
+from collections.abc import Callable
 from functools import partial
 from typing import Any, Protocol
 
@@ -31,7 +32,7 @@ from crazychoir.safety.collision.filter import CollisionFilter
 from crazychoir.safety.collision.planned import PlannedFlights
 from crazychoir.safety.estimate import SEEN, believed, filter_of
 from crazychoir.safety.flights import Flights, braking
-from crazychoir.safety.guard import BELOW_GROUND, EDGE, Action, Fence, Guard, Throttle, Verdict
+from crazychoir.safety.guard import BELOW_GROUND, EDGE, REACHED, TABLE, Action, Fence, Guard, Throttle, Verdict
 from crazychoir.safety.homecoming import Homecoming
 from crazychoir.safety.limits import ReferenceLimits
 from crazychoir.safety.modes import (
@@ -49,10 +50,12 @@ from crazychoir.safety.modes import (
     after,
     refusal,
 )
+from crazychoir.safety.pose_gate import PoseGate
 from crazychoir.safety.references import ahead, flyable, unflyable
 from crazychoir.swarm.tables import Flight
 from crazychoir.types import (
     STILL,
+    XYZ,
     Acceleration,
     Command,
     FullState,
@@ -83,6 +86,11 @@ LIFTED = 0.03
 """m above where it stood at which a drone flies: below, its controllers learn nothing from an error of the height."""
 
 
+BLIND_DEPTH, BLIND_SPEED = 0.03, 0.35
+"""m, m/s: how a drone lands by its firmware that nobody sees. Its height is off by some cm after 3 s, its place by 1 m."""
+RISING = 0.2
+"""m above the floor where a drone that takes off should be, at which one that is still there is none."""
+
 NOMINAL = Action.NOMINAL  # members of an enumeration are slow to look up
 LOW = (TAKEOFF, LAND)
 """Modes in which it leaves the fence downwards."""
@@ -104,7 +112,8 @@ class Pilot(Actor):
     """Flies one drone; guidance calls `take_off`, `go_to`, `follow`, `hover`, `land`, its operator `hold` too.
 
     limits: [flight];  fence: where it flies, from the ground up at most;  rate: Hz, of its poses;  body: the address
-    that they come from, None: its own;  limit_area: beyond which its motors are cut, None: the guard's.
+    that they come from, None: its own;  limit_area: beyond which its motors are cut, None: the guard's;  reached: by a
+    radio: then poses that jump are not believed, and its firmware lands it when it is not seen.
     """
 
     name = "pilot"
@@ -113,6 +122,7 @@ class Pilot(Actor):
         self, port: Port, link: Link, limits: Flight, fence: Fence, rate: float = 100.0,
         chosen: Controls | None = None, state_filter: StateFilter | None = None, body: int | None = None,
         collision: CollisionFilter | PlannedFlights | None = None, limit_area: Fence | None = None,
+        reached: bool = False,
     ) -> None:  # fmt: skip
         self.port, self.link, self.limits = port, link, limits
         self.controls = controls() if chosen is None else chosen
@@ -124,7 +134,10 @@ class Pilot(Actor):
         self.fence = fence.with_floor(ground if self._takes_off else ground - BELOW_GROUND)
         self.flights = Flights(limits, self.fence, a_max)
         self.clearance = Clearance(collision, self.flights, 1.0 / rate)
-        self.guard = Guard(self.fence, a_max=a_max, ground=limits.ground, limit=limit_area)
+        table = REACHED if reached else TABLE
+        self.guard = Guard(self.fence, table, a_max=a_max, ground=limits.ground, limit=limit_area)
+        self._gate = PoseGate() if reached else None
+        self._down_at = math.inf  # s, when its firmware has landed it, to which it was handed over
         self.reference_limits = ReferenceLimits(limits, self.controls.gains)
         self.clock, self._stages = port.bus.clock, port.bus.stages
         self.drone = port.address
@@ -134,6 +147,8 @@ class Pilot(Actor):
         self.brought_down = ""
         """Why the safety table has first ended a flight by landing it; empty if it never did."""
         self.held = False
+        self.unfit: Callable[[], list[str]] = list
+        """Says why its drone may not take off, beside what is known here."""
         self.awaits_start = limits.operator
         """Whether its mission waits for an operator's start: until then guidance moves nothing."""
         self.started_at: Point | None = None
@@ -175,9 +190,18 @@ class Pilot(Actor):
     def _posed(self, pose: Pose | None, age: float) -> None:
         if pose is not None and not pose.age >= age:  # it was on its way; or its age is no number
             pose = Pose(pose.flat, age)
+        if pose is not None and self._gate is not None:
+            pose = self._believed(pose, self._gate)
         run = self._run
         if run is not None and not run.done():
             self.tick(pose)
+
+    def _believed(self, pose: Pose, gate: PoseGate) -> Pose | None:
+        """The pose, unless it cannot be its."""
+        if gate.believes(pose, self.clock.now(), self.airborne):
+            return pose
+        self._say("jump", "the pose has jumped: another body, or a mistake of the cameras: not believed")
+        return None
 
     def _fail(self, error: BaseException) -> None:
         """A tick has failed: its supervisor decides; who brought the pose, and the other drones, go on."""
@@ -282,6 +306,9 @@ class Pilot(Actor):
             return 0.0
         if self._cut_for or self.guard.latched:
             self._say("again", f"{self._cut_for or self.guard.latched}: no take-off until its agent is started again")
+            return 0.0
+        if problems := self.unfit():
+            self._say("unfit", f"{'; '.join(problems)}: no take-off")
             return 0.0
         if height is not None and not math.isfinite(height):
             self._say("rise", f"a take-off to {height} m: not flown")
@@ -525,6 +552,8 @@ class Pilot(Actor):
             self._obey(verdict)
             if not self.airborne:
                 return self._idle
+        if self.mode is TAKEOFF and self._gate is not None:
+            self.guard.tell("body", float(self._stays_down(state, now)))
         if self._held_at_fence(verdict, now):
             self.at_fence += 1
         if self.mode is not LAND and self.clearance.deaf(now):
@@ -536,7 +565,13 @@ class Pilot(Actor):
         if self.mode is LAND and self._is_down(state, now):
             self._landed()
             return self._idle
-        return self._follow(state, now)
+        command = self._follow(state, now)
+        return command if self._down_at == math.inf else None
+
+    def _stays_down(self, state: State, now: float) -> bool:
+        """Whether what the cameras take for it stands on the floor while it should be in the air."""
+        plan, floor = self.flights.sample(now), self._lift_off - LIFTED
+        return plan is not None and plan.p[2] - floor > RISING and state.flat[2] < self._lift_off
 
     def _held_at_fence(self, verdict: Verdict, now: float) -> bool:
         """Whether the safety table keeps it inside, or it is where a flight to a place outside had to end."""
@@ -555,6 +590,8 @@ class Pilot(Actor):
         A height that is only predicted does not count: it may be wrong by a fall that breaks the drone.
         """
         seen = state.age <= SEEN
+        if now > self._down_at:
+            return True
         if not self._takes_off:
             return self.flights.done(now) and bool(np.linalg.norm(state.v) < AT_REST)
         low = seen and state.flat[2] < self.limits.ground + ON_THE_FLOOR
@@ -690,8 +727,23 @@ class Pilot(Actor):
             self.cut(verdict.reason)
         elif verdict.action is Action.LAND:
             self._give_up(verdict.reason)
+            if verdict.measure == "pose" and self._gate is not None:
+                self._hand_over()
         elif verdict.action is Action.BRAKE and self.mode is not LAND:
             self._brake()
+
+    def _hand_over(self) -> None:
+        """Its firmware has sensors of its own: it lands by these, soon, for they drift.
+
+        The floor may be BLIND_DEPTH m below where it takes it to be; by then it comes down slowly enough, wherever it is.
+        """
+        if self._down_at < math.inf or self.state is None:
+            return
+        depth = float(self.state.p[2]) - self.limits.ground + BLIND_DEPTH
+        seconds = max(depth / BLIND_SPEED, 1.0)
+        self._down_at = self.clock.now() + seconds
+        floor = self.limits.ground - BLIND_DEPTH
+        self.link.send(XYZ("land", np.array([0.0, 0.0, floor, yaw_of(self.state.q), seconds])))
 
     def _brake(self) -> None:
         self._flown = start = self._departure()
@@ -725,6 +777,7 @@ class Pilot(Actor):
 
     def _landed(self) -> None:
         self._change(Event.DOWN)
+        self._down_at = math.inf
         self._flown = None
         self.flights.clear()
         self.controls.trim.frozen = True

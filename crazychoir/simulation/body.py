@@ -10,7 +10,7 @@ from crazychoir.math3d import GRAVITY, Vec, clip, columns, dot, kernel
 
 # isort: off
 from crazychoir.simulation.lanes import (
-    AIRX, AIRY, AIRZ, ALIVE, ARM, BOOST, CEILING, CURVE1, CURVE2, DRAGX, DRAGY, DRAGZ, EX, EY, EZ, F1, FREE, FULL,
+    AIRX, AIRY, AIRZ, ALIVE1, ARM, BOOST, CEILING, CURVE1, CURVE2, DRAGX, DRAGY, DRAGZ, EX, EY, EZ, F1, FREE, FULL,
     G1, G2, G3, G4, GROUND, HALF, IJX, IJY, IJZ, INERTIA, JX, JY, JZ, LANES, LEAST, LIFT, LIGHT, MOST, N1, N2, N3,
     N4, OX, OY, OZ, PX, PY, PZ, QW, QX, QY, QZ, S1, S2, S3, S4, SLOPE1, SLOPE2, SLOPE3, SLOPE4, SPEED, SPIN, STAGE,
     SX, SY, SZ, TORQUE1, TORQUE2, TX, TY, TZ, U1, VX, VY, VZ, WX, WY, WZ,
@@ -33,7 +33,7 @@ def obey(m: Vec) -> None:
         for n in range(0, 4 * LANES, LANES):
             f = clip(m[U1 + n + k], 0.0, 1.0) * m[MOST + k]
             f = 0.0 if f < m[LEAST + k] else f
-            m[G1 + n + k] = min(f, m[CEILING + k]) * m[ALIVE + k]
+            m[G1 + n + k] = min(f, m[CEILING + k]) * m[ALIVE1 + n + k]
 
 
 @kernel()

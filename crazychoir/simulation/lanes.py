@@ -43,8 +43,9 @@ SX, SY, SZ = (next(_next) for _ in range(3))
 GYROX, GYROY, GYROZ, ACCX, ACCY, ACCZ = (next(_next) for _ in range(6))
 BIAS1, BIAS2, BIAS3, BIAS4, BIAS5, BIAS6 = (next(_next) for _ in range(6))
 
-# 1 in the air and 0 on the floor; greatest touch-down speed m/s; 1 until the motors are cut.
-FREE, IMPACT, ALIVE = (next(_next) for _ in range(3))
+# 1 in the air and 0 on the floor; greatest touch-down speed m/s; of each motor, 1 until it is cut.
+FREE, IMPACT = (next(_next) for _ in range(2))
+ALIVE1, ALIVE2, ALIVE3, ALIVE4 = (next(_next) for _ in range(4))
 # Battery: what is left of the charge (1: full), V at its poles, greatest thrust N of one motor at that voltage.
 CHARGE, VOLTAGE, CEILING = (next(_next) for _ in range(3))
 

@@ -33,13 +33,15 @@ from crazychoir.simulation.truth import Truth
 
 # isort: off
 from crazychoir.simulation.lanes import (
-    ACCX, ACCY, ACCZ, AIRX, AIRY, AIRZ, ALIVE, BIAS1, CHARGE, F1, FREE, GYROX, GYROY, GYROZ, LANES, N1, S1, SIZE,
-    SX, VOLTAGE, Blocks, block_fields, blocks, constants, give, in_lanes, take,
+    ACCX, ACCY, ACCZ, AIRX, AIRY, AIRZ, ALIVE1, ALIVE2, ALIVE3, ALIVE4, BIAS1, CHARGE, F1, FREE, GYROX, GYROY, GYROZ,
+    LANES, N1, S1, SIZE, SX, VOLTAGE, Blocks, block_fields, blocks, constants, give, in_lanes, take,
 )  # fmt: skip
 # isort: on
 
 H = 0.001
 """s, one step of the motor-level model, as long as a tick of the firmware."""
+MOTORS = (ALIVE1, ALIVE2, ALIVE3, ALIVE4)
+"""Where it stands whether they turn."""
 SENSORS, BIASES, GUSTS = range(3)
 """What random numbers are drawn for."""
 
@@ -167,9 +169,10 @@ class MotorWorld(Truth):
             self._put(BIAS1 + c * LANES, bias[:, c])
         self._put(CHARGE, np.full(len(self.ids), charge))
         self._put(FREE, 1.0 - self._resting)
-        self._put(ALIVE, np.ones(len(self.ids)))
+        for motor in MOTORS:
+            self._put(motor, np.ones(len(self.ids)))
         for row in range(len(self.ids), len(self._blocks) * LANES):
-            self._blocks[-1, [FREE + row % LANES, ALIVE + row % LANES]] = 0.0
+            self._blocks[-1, [lane + row % LANES for lane in (FREE, *MOTORS)]] = 0.0
 
     def _put(self, name: int, values: Vec) -> None:
         self._blocks[:, name : name + LANES] = in_lanes(values)
@@ -184,8 +187,17 @@ class MotorWorld(Truth):
 
     def cut(self, i: int) -> None:
         """Stop the motors of drone i for good."""
+        self.turn(i, (False,) * len(MOTORS))
+
+    def turn(self, i: int, motors: Sequence[bool]) -> None:
+        """Which of motors 1 to 4 of drone i turn when they are told to."""
         block, lane = divmod(self.row[i], LANES)
-        self._blocks[block, ALIVE + lane] = 0.0
+        self._blocks[block, [motor + lane for motor in MOTORS]] = motors
+
+    def charge_to(self, i: int, charge: float) -> None:
+        """Another battery for drone i, so full: 0 to 1."""
+        block, lane = divmod(self.row[i], LANES)
+        self._blocks[block, CHARGE + lane] = charge
 
     def vbat(self, i: int) -> float:
         """V at the poles of drone i's battery, under load; 0 when it is empty."""

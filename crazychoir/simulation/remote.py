@@ -4,7 +4,7 @@ import asyncio
 import logging
 import math
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -18,9 +18,9 @@ from crazychoir.planning.point_to_point import PEAK_SPEED
 from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import SECOND, Clock
 from crazychoir.runtime.mailbox import Call, Latest
-from crazychoir.simulation.world import KINDS, Link, World
+from crazychoir.simulation.world import KINDS, Link
 from crazychoir.swarm.tables import Flight
-from crazychoir.types import FPQR, FRPY, XYZ, Acc, Body, Command, Drive, FullState, Vel
+from crazychoir.types import FPQR, FRPY, XYZ, Acc, Body, Command, Drive, FullState, State, Vel
 
 log = logging.getLogger(__name__)
 SIZES: dict[type[Any], int] = {FPQR: 4, FRPY: 4, Vel: 4, XYZ: 5, FullState: 14, Acc: 3, Drive: 2}
@@ -42,14 +42,14 @@ _NOTHING = encode(None)
 
 
 class RemoteLink:
-    """The way to a drone whose body is in the process of the world's owner.
+    """The way to a drone whose body is in the process of an owner, of the world or of its dongle.
 
     The newest command counts, and each tick of the pilot brings one, so none is resent. From a cut on the cut itself is
     what goes out with each tick, so that a lost message delays it by a tick.
     """
 
-    def __init__(self, port: Port) -> None:
-        self.port, self._body = port, BODIES + port.address
+    def __init__(self, port: Port, owner: str = "its world's owner (crazychoir-world)") -> None:
+        self.port, self.owner, self._body = port, owner, BODIES + port.address
         self._cut = self._heard = False
         self._commander, self._asking = Commander(port), list[asyncio.Task[None]]()
         self.found_flying: Callable[[], None] = lambda: None
@@ -81,7 +81,7 @@ class RemoteLink:
         try:
             answer = await self._commander.request(self._body, "log", ASKS, names=list(names), period=period)
         except TimeoutError:
-            log.error("drone %d: log: no answer of its world's owner within %g s", self.port.address, ASKS)
+            log.error("drone %d: log: no answer of %s within %g s", self.port.address, self.owner, ASKS)
             return
         if answer.kind != DONE:
             log.error("%s", answer.detail)
@@ -102,8 +102,8 @@ class RemoteLink:
         if body is not None:
             return body.harm
         if not math.isfinite(self.silence):
-            return "nothing was ever heard of its world's owner (crazychoir-world)"
-        return f"its world's owner (crazychoir-world) is silent for {self.silence:.1f} s"
+            return f"nothing was ever heard of {self.owner}"
+        return f"{self.owner} is silent for {self.silence:.1f} s"
 
 
 class OwnerWatch(Actor):
@@ -123,11 +123,27 @@ class OwnerWatch(Actor):
         async for _ in self.clock.ticks(BODY.rate):
             waiting = [i for i, link in self.links.items() if link.silence == math.inf]
             if waiting and self.clock.now() > patient_until:
-                patient_until, names = math.inf, ", ".join(map(str, waiting))
-                log.warning("drone(s) %s: waiting for the owner of their world: crazychoir-world --swarm ...", names)
+                patient_until = math.inf
+                for i in waiting:
+                    log.warning("drone %d: waiting for %s", i, self.links[i].owner)
             for i in [i for i, link in self.links.items() if GONE < link.silence < math.inf]:
                 del self.links[i]
                 self.gone(i)
+
+
+class Place(Protocol):
+    """What is asked about the body of a drone: of a simulated world, or of a radio."""
+
+    flies: tuple[str, ...]
+    command_timeout: float | None
+
+    def resting(self, i: int) -> bool:
+        """Does drone i stand on the floor?"""
+        ...
+
+    def state(self, i: int) -> State:
+        """Where it is."""
+        ...
 
 
 class RemoteBody:
@@ -140,7 +156,7 @@ class RemoteBody:
     """
 
     def __init__(
-        self, port: Port, world: World, link: Link, kind: str, obeyed: Callable[[], None] = lambda: None,
+        self, port: Port, world: Place, link: Link, kind: str, obeyed: Callable[[], None] = lambda: None,
         flight: Flight | None = None, ask: Callable[[list[str], float], None] | None = None,
     ) -> None:  # fmt: skip
         self.port, self.world, self.link, self.kind, self.obeyed = port, world, link, kind, obeyed
@@ -201,7 +217,7 @@ class RemoteBody:
             return
         if source != self.drone or not _whole(command):
             self.port.counters.malformed += 1
-        elif not isinstance(command, KINDS[self.kind]):
+        elif not isinstance(command, KINDS[self.kind]) and not self._lands_by_itself(command):
             sent = type(command).__name__
             self._refuse(f"drone {self.drone}: its agent sends {sent}, the swarm file says {self.kind}")
         elif self._was_cut:
@@ -210,6 +226,10 @@ class RemoteBody:
             self._commanded_ns, self._idle = self._clock.now_ns(), False
             self.link.send(command)
             self.obeyed()
+
+    def _lands_by_itself(self, command: Any) -> bool:
+        """Whatever it is sent, its firmware can land it."""
+        return isinstance(command, XYZ) and command.verb == "land" and "xyz" in self.world.flies
 
     def _refuse(self, reason: str) -> None:
         """Say so, once."""

@@ -1,6 +1,8 @@
 """The drones that a radio reaches, and the dongles that they share: what must hold between their keys."""
 
+import math
 import re
+from collections.abc import Mapping
 
 from crazychoir.errors import ConfigError
 from crazychoir.swarm.reading import show
@@ -115,3 +117,49 @@ def _radio_hosts(swarm: Swarm, where: str) -> None:
         if host is not None and host not in swarm.hosts:
             allowed = f"[hosts] has {', '.join(swarm.hosts) or 'none, there is no [hosts]'}"
             raise ConfigError(f"{where}: {key}", show(host), allowed, "Mend the name.", "there is no such host")
+
+
+PINGS, PLANS, OTHERS = 10.0, 10.0, 2.0
+"""Packets a second and drone: cflib's echoes, lines of the planner on board, and what else is asked."""
+ALONE = 1000.0
+"""Packets a second of a dongle that never changes its channel and address: users of cflib, not measured here."""
+LEAST = {"fpqr": 50.0, "frpy": 30.0, "vel": 10.0, "fullstate": 20.0}
+"""Hz of set-points, by what is sent: with fewer it is not flown."""
+
+
+def capacity_of(swarm: Swarm, dongle: int) -> float:
+    """Packets a second of a dongle: as its row says, else [radio]; more if it never changes its channel."""
+    row = next((row for row in swarm.radio.dongles if row.dongle == dongle), None)
+    capacity = row.capacity if row is not None and row.capacity is not None else swarm.radio.capacity
+    return max(capacity, ALONE) if len(dongles(swarm)[dongle]) == 1 else capacity
+
+
+def carried(swarm: Swarm, dongle: int, senders: Mapping[int, str]) -> float:
+    """Hz of set-points of each drone that a dongle reaches, of those that are streamed any.
+
+    senders: by drone, what it is sent. What drones say rides on the acknowledgements of what they are told.
+    Raises ConfigError, with the numbers, where the dongle does not carry them.
+    """
+    radio, ids, capacity = swarm.radio, dongles(swarm)[dongle], capacity_of(swarm, dongle)
+    streamed = [i for i in ids if senders[i] in LEAST]
+    beside = len(ids) * (radio.pose_rate + PINGS + OTHERS) + PLANS * (len(ids) - len(streamed))
+    least = max((LEAST[senders[i]] for i in streamed), default=0.0)
+    spare = (PLANNED * capacity - beside) / len(streamed) if streamed else 0.0
+    rate = radio.command_rate or min(math.floor(spare), MOST_COMMANDS)
+    if rate >= least and beside + rate * len(streamed) <= capacity:
+        return rate
+    asked = max(rate, least)
+    kinds = ", ".join(sorted({senders[i] for i in ids}))
+    found = f"drones {', '.join(map(str, ids))} ({kinds}) need {beside + asked * len(streamed):g} packets a second"
+    sums = f"{len(streamed)} x {asked:g} set-points, " if streamed else ""
+    each = f"{len(ids)} x {radio.pose_rate + PINGS + OTHERS:g} poses, echoes and requests"
+    plans = f", {len(ids) - len(streamed)} x {PLANS:g} plans" if len(streamed) < len(ids) else ""
+    room = f"it carries {capacity:g}" + (f", {max(spare, 0.0):.0f} set-points a second and drone" if streamed else "")
+    do = "Use more dongles, send xyz or a lower command_rate ([radio]), or measure its capacity."
+    raise ConfigError(f"dongle {dongle}", found, room, do, f"{sums}{each}{plans}")
+
+
+PLANNED = 0.85
+"""Of the capacity, where the rate is chosen here: near all of it packets wait for each other."""
+MOST_COMMANDS = 100.0
+"""Hz: a command a pose."""

@@ -1,100 +1,116 @@
-"""What lies between a client and a virtual drone: a shared dongle's time, losses, delays, silence. All can change in flight."""
+"""What lies between a client and a virtual drone: a shared dongle's time, losses, delays, silence; all may change."""
 
 import random
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections import deque
+from collections.abc import Callable, Sequence
 
-from crazychoir.errors import ConfigError
+from crazychoir.radio.virtual.faults import Faults
 from crazychoir.runtime.clock import MESSAGE, SECOND, Clock
 
 CAPACITY = 250.0
-"""Packets a second of one dongle that more than one drone shares, by cflib: figure of its users, not measured here."""
-PATIENCE = 0.5
-"""s that a packet waits for its turn at most; then it is lost, as cflib's queue is full."""
+"""Exchanges a second of one dongle that several drones share through cflib: its users' figure, not measured here."""
+ALONE = 1000.0
+"""Those of a dongle with one drone, likewise."""
+UP, DOWN = 25, 120
+"""Packets of one drone that wait at most: at the client's end (chosen) and on board (the firmware's queue)."""
+Deliver = Callable[[], None]
 
 
 class Dongle:
-    """One radio: packets of all its drones go one after the other.
+    """One radio, whose drones take turns: an exchange carries a packet up, and one down on its acknowledgement.
 
-    A packet down rides on the acknowledgement of one up, once; where none has gone up it takes a turn of its own.
-    capacity: packets a second.
+    At most one each. A drone that has something to say is polled; one with nothing to hear or say takes no time.
+    capacity: exchanges a second, None: by the number of its drones.
     """
 
-    def __init__(self, clock: Clock, capacity: float = CAPACITY) -> None:
-        self.clock, self.capacity = clock, capacity
+    def __init__(self, clock: Clock, drones: Sequence[int], capacity: float | None = None) -> None:
+        self.clock, self.drones = clock, tuple(drones)
+        self.capacity = capacity or (ALONE if len(self.drones) == 1 else CAPACITY)
         self.exchanges = self.refused = 0
-        self._free_ns = 0
-        self._empty: dict[int, int] = {}
+        self._up: dict[int, deque[Deliver]] = {i: deque() for i in self.drones}
+        self._down: dict[int, deque[Deliver]] = {i: deque() for i in self.drones}
+        self._turns = deque(self.drones)
+        self._busy, self._free_ns = False, 0
 
-    def up(self, drone: int) -> int | None:
-        """ns until a packet to this drone has gone; None: too many wait."""
-        wait = self._turn()
-        if wait is not None:
-            self._empty[drone] = self._empty.get(drone, 0) + 1
-        return wait
+    def up(self, drone: int, deliver: Deliver) -> bool:
+        """Let a packet wait for its way to this drone; False: too many wait."""
+        return self._wait(self._up[drone], UP, deliver)
 
-    def down(self, drone: int) -> int | None:
-        """ns until a packet from this drone has come; None: too many wait."""
-        if self._empty.get(drone, 0) > 0:
-            self._empty[drone] -= 1
-            return max(self._free_ns - self.clock.now_ns(), 0)
-        return self._turn()
+    def down(self, drone: int, deliver: Deliver) -> bool:
+        """Let a packet wait for its way from this drone; False: too many wait."""
+        return self._wait(self._down[drone], DOWN, deliver)
 
-    def _turn(self) -> int | None:
-        now_ns = self.clock.now_ns()
-        start_ns = max(now_ns, self._free_ns)
-        if start_ns - now_ns > PATIENCE * SECOND:
+    def _wait(self, queue: deque[Deliver], most: int, deliver: Deliver) -> bool:
+        if len(queue) >= most:
             self.refused += 1
-            return None
-        self._free_ns = start_ns + round(SECOND / self.capacity)
-        self._empty = {drone: min(n, 1) for drone, n in self._empty.items()}
+            return False
+        queue.append(deliver)
+        if not self._busy:
+            self._begin()
+        return True
+
+    def _begin(self) -> None:
+        self._busy = True
+        self._free_ns = max(self.clock.now_ns(), self._free_ns) + round(SECOND / self.capacity)
+        self.clock.call_at(self._free_ns, self._exchange, priority=MESSAGE, drone=self.drones[0])
+
+    def _exchange(self) -> None:
+        """Serve the next drone that has anything: what goes down has been waiting before what goes up has come."""
+        self._busy = False
+        for _ in self.drones:
+            drone = self._turns[0]
+            self._turns.rotate(-1)
+            if self._up[drone] or self._down[drone]:
+                break
+        carried = [queue.popleft() for queue in (self._down[drone], self._up[drone]) if queue]
         self.exchanges += 1
-        return self._free_ns - now_ns
-
-
-@dataclass
-class Faults:
-    """Of the link of one drone. loss: probability a packet, each way;  delay: s, each way;  silent: nothing passes."""
-
-    loss: float = 0.0
-    delay: float = 0.0
-    silent: bool = False
-
-    def set(self, name: str, value: float) -> None:
-        """Change one; ConfigError for what there is not."""
-        allowed = {"loss": (0.0, 1.0), "delay": (0.0, 10.0), "silent": (0.0, 1.0)}
-        if name not in allowed:
-            raise ConfigError("fault", name, ", ".join(allowed))
-        low, high = allowed[name]
-        if not low <= value <= high:
-            raise ConfigError(f"fault {name}", value, f"{low:g} to {high:g}")
-        setattr(self, name, bool(value) if name == "silent" else value)
+        for deliver in carried:
+            deliver()
+        if not self._busy and any(self._up.values()) | any(self._down.values()):
+            self._begin()
 
 
 class Air:
-    """The way of one drone's packets. dongle: whose time it takes, None: that of nobody;  seed: of the losses."""
+    """The way of one drone's packets. dongle: whose time it takes, None: that of nobody;  seed: of the losses.
 
-    def __init__(self, clock: Clock, drone: int, dongle: Dongle | None = None, seed: int = 0) -> None:
-        self.clock, self.drone, self.dongle, self.faults = clock, drone, dongle, Faults()
-        self.lost = 0
+    up, down: packets that have come through;  lost: those that have not.
+    """
+
+    def __init__(self, clock: Clock, drone: int, faults: Faults, dongle: Dongle | None = None, seed: int = 0) -> None:
+        self.clock, self.drone, self.dongle, self.faults = clock, drone, dongle, faults
+        self.up = self.down = self.lost = 0
         self._draw = random.Random(f"{seed} {drone}")  # noqa: S311 - of a simulated loss
 
-    def up(self, deliver: Callable[[], None]) -> None:
+    def rise(self, deliver: Deliver) -> None:
         """Let a packet go to the drone."""
-        self._pass(None if self.dongle is None else self.dongle.up(self.drone), deliver)
-
-    def down(self, deliver: Callable[[], None]) -> None:
-        """Let a packet come from the drone."""
-        self._pass(None if self.dongle is None else self.dongle.down(self.drone), deliver)
-
-    def _pass(self, wait_ns: int | None, deliver: Callable[[], None]) -> None:
-        faults = self.faults
-        full = self.dongle is not None and wait_ns is None
-        if full or faults.silent or (faults.loss > 0.0 and self._draw.random() < faults.loss):
+        if self.dongle is None:
+            self._rises(deliver)
+        elif not self.dongle.up(self.drone, lambda: self._rises(deliver)):
             self.lost += 1
-            return
-        late_ns = (wait_ns or 0) + round(faults.delay * SECOND)
-        if late_ns == 0:
-            deliver()
+
+    def sink(self, deliver: Deliver) -> None:
+        """Let a packet come from the drone."""
+        if self.dongle is None:
+            self._sinks(deliver)
+        elif not self.dongle.down(self.drone, lambda: self._sinks(deliver)):
+            self.lost += 1
+
+    def _rises(self, deliver: Deliver) -> None:
+        if self._passes(deliver):
+            self.up += 1
+
+    def _sinks(self, deliver: Deliver) -> None:
+        if self._passes(deliver):
+            self.down += 1
+
+    def _passes(self, deliver: Deliver) -> bool:
+        faults = self.faults
+        if faults.silent or (faults.loss > 0.0 and self._draw.random() < faults.loss):
+            self.lost += 1
+            return False
+        if faults.delay > 0.0:
+            late_ns = self.clock.now_ns() + round(faults.delay * SECOND)
+            self.clock.call_at(late_ns, deliver, priority=MESSAGE, drone=self.drone)
         else:
-            self.clock.call_at(self.clock.now_ns() + late_ns, deliver, priority=MESSAGE, drone=self.drone)
+            deliver()
+        return True

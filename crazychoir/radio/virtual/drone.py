@@ -1,7 +1,10 @@
 """One virtual Crazyflie without any I/O: packets in, packets out, and what it says by itself as time goes by."""
 
-from collections.abc import Callable, Iterator
+import logging
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
 
+from crazychoir.platforms import Platform
 from crazychoir.radio.crtp import (
     COMMANDER,
     CONSOLE,
@@ -16,14 +19,17 @@ from crazychoir.radio.crtp import (
     SUPERVISOR,
     Packet,
 )
-from crazychoir.radio.virtual.flight import Flight
+from crazychoir.radio.virtual.flight import Assertion, Flight
 from crazychoir.radio.virtual.logs import Logs
 from crazychoir.radio.virtual.memories import Memories
 from crazychoir.radio.virtual.parameters import Parameters
+from crazychoir.radio.virtual.power import Power
+from crazychoir.radio.virtual.readings import readings
 from crazychoir.radio.virtual.toc import names
 from crazychoir.simulation.onboard.logs import TABLE
 from crazychoir.simulation.onboard.onboard import Onboard
 
+log = logging.getLogger(__name__)
 ECHO, SOURCE, SINK = range(3)
 """Channels of the link's port."""
 NAME = b"Bitcraze Crazyflie".ljust(30, b"\0")
@@ -31,31 +37,128 @@ NAME = b"Bitcraze Crazyflie".ljust(30, b"\0")
 FLIES = (COMMANDER, SETPOINT, HIGH_LEVEL, LOCALIZATION, SUPERVISOR, PLATFORM)
 TEXT = 30
 """Bytes of the console in one packet."""
+BOOT = 1000
+"""ms after a restart in which it hears nothing."""
+SILENCE = 1000
+"""ms without a packet after which the link counts as lost: who comes back begins its log blocks anew."""
+RELEASE = "2025.12"
+"""Of the firmware that the model is of."""
+DECKS = ("bcFlow2", "bcLighthouse4", "bcMultiranger")
+"""That a drone carries unless it is told otherwise; with the second it knows where it is."""
+POSITIONING, FLOW = "bcLighthouse4", "bcFlow2"
+
+
+@dataclass
+class Identity:
+    """What tells a drone from others. number: the last byte of its address;  release: of its firmware."""
+
+    name: str = "virtual Crazyflie"
+    number: int = 0xE7
+    release: str = RELEASE
+    device: str = "CF21"
+    decks: tuple[str, ...] = ()
+
+
+@dataclass
+class Kept:
+    """What survives a restart: persistent parameters by name, memories by type."""
+
+    parameters: dict[str, float] = field(default_factory=dict)
+    memories: dict[int, bytearray] = field(default_factory=dict)
+
+
+def device_of(platform: Platform) -> str:
+    """What a drone of this platform says that it is."""
+    return "C21B" if platform.firmware.needs_arming else "CF21"
 
 
 class VirtualCrazyflie:
     """What the firmware answers to; its model flies the body in a world that somebody steps.
 
-    number: the last byte of its address;  log: more log variables by name, those that no firmware model has;
-    stored: persistent parameters, changed in place.
+    truth: where its body is, m world;  starts: how often it was switched on;  received, sent: packets.
     """
 
     def __init__(
-        self, onboard: Onboard, number: int = 0xE7, log: dict[str, Callable[[], float]] | None = None,
-        stored: dict[str, float] | None = None,
+        self, onboard: Onboard, identity: Identity | None = None,
+        truth: Callable[[], Sequence[float]] = lambda: (0.0, 0.0, 0.0),
     ) -> None:  # fmt: skip
-        logs, parameters = names()
-        more = log or {}
-        self.onboard, self.uptime = onboard, 0
+        self.onboard, self.identity, self.truth = onboard, Identity() if identity is None else identity, truth
+        self.kept, self.starts, self.received, self.sent = Kept(), 0, 0, 0
+        self.positioned, self.flows = POSITIONING in self.identity.decks, FLOW in self.identity.decks
+        self.rates = (0.0, 0.0)
+        self._counted, self._deaf_until, self._heard = (0, 0, 0), 0, 0
+        self._start()
+
+    @property
+    def decks(self) -> tuple[str, ...]:
+        """That it carries."""
+        return self.identity.decks
+
+    @property
+    def uptime(self) -> int:
         """ms since it was switched on."""
+        return int(self.onboard.record["tick"])
+
+    @property
+    def booting(self) -> bool:
+        """Whether it hears nothing yet."""
+        return self.uptime < self._deaf_until
+
+    def _start(self) -> None:
+        me, on = self.identity, self.onboard
+        logs, parameters = names()
+        self.starts += 1
+        self.power = Power()
+        self.parameters = Parameters(on, parameters, self.kept.parameters)
+        for deck in me.decks:
+            self.parameters.set(f"deck.{deck}", 1.0)
+        self.memories = Memories(on, self.kept.memories, me.number)
+        self.flight = Flight(on, me.number, me.release, me.device, self.parameters.read, self.parameters.set)
+        more = readings(self)
         served = tuple(entry for entry in logs if entry.full in TABLE or entry.full in more)
-        self.logs = Logs(served, lambda name: more[name]() if name in more else onboard.log(name))
-        self.parameters = Parameters(onboard, parameters, stored)
-        self.memories, self.flight = Memories(onboard), Flight(onboard, number)
+        self.logs = Logs(served, lambda name: more[name]() if name in more else on.log(name))
         self._said: list[Packet] = []
+        self.say("SYS: ----------------------------\n")
+        self.say(f"SYS: {me.device} is up and running!\nSYS: Build {me.release} (virtual)\n")
+
+    def restart(self, why: str = "") -> None:
+        """Switch it off and on; why: what the firmware says of it."""
+        counted = self.flight.zeros, self.flight.malformed, self.flight.unknown
+        refuses = self.flight.refuses
+        self.onboard.restart()
+        self.rates, self._counted = (0.0, 0.0), (0, self.received, self.sent)
+        self._deaf_until, self._heard = BOOT, 0
+        self._start()
+        self.flight.zeros, self.flight.malformed, self.flight.unknown = counted
+        self.refuse_arming(refuses)
+        if why:
+            log.warning("%s: reset: %s", self.identity.name, why)
+            self.say("SYS: The system resumed after a failed assert [WARNING]\n")
+
+    def refuse_arming(self, refuses: bool) -> None:
+        """Whether checks before flight fail; a drone that flies goes on."""
+        self.flight.refuses = refuses
+        record = self.onboard.record
+        record["auto_arm"] = not (refuses or self.onboard.firmware.needs_arming)
+        if refuses and not record["flying"]:
+            self.onboard.arm(False)
 
     def take(self, packet: Packet) -> Iterator[Packet]:
-        """The answers to a packet."""
+        """The answers to a packet; none while it starts, and none to one at which it restarts."""
+        if self.booting:
+            return
+        self.received, self._heard = self.received + 1, self.uptime
+        try:
+            for answer in self._take(packet):
+                self.sent += 1
+                yield answer
+        except Assertion as error:
+            self.restart(str(error))
+            return
+        if self.parameters.read("system.doAssert"):
+            self.restart("the parameter system.doAssert")
+
+    def _take(self, packet: Packet) -> Iterator[Packet]:
         port = packet.port
         if port in FLIES:
             yield from self.flight.take(packet)
@@ -69,13 +172,34 @@ class VirtualCrazyflie:
             yield packet
         elif port == LINK and packet.channel == SOURCE:
             yield Packet(LINK, SOURCE, NAME)
+        elif port != LINK:
+            self.flight.unknown += 1
 
-    def pass_time(self, uptime: int) -> Iterator[Packet]:
-        """What it says by itself up to this ms of uptime."""
-        self.uptime = uptime
+    def pass_time(self) -> Iterator[Packet]:
+        """What it says by itself as far as its model has been stepped."""
+        now = self.uptime
+        self._watch(now)
+        if self.booting:
+            return
+        if self.logs.running and now - self._heard > SILENCE:
+            self.logs.blocks.clear()
         said, self._said = self._said, []
+        self.sent += len(said)
         yield from said
-        yield from self.logs.due(uptime)
+        for packet in self.logs.due(now):
+            self.sent += 1
+            yield packet
+
+    def _watch(self, now: int) -> None:
+        """The battery at each look, the rates of packets once a second."""
+        read = self.parameters.read
+        vbat = float(self.onboard.record["vbat"])
+        self.power.look(now, vbat, read("pm.lowVoltage"), read("pm.criticalLowVoltage"))
+        then, received, sent = self._counted
+        if now - then >= 1000:
+            seconds = 1e-3 * (now - then)
+            self.rates = ((self.received - received) / seconds, (self.sent - sent) / seconds)
+            self._counted = (now, self.received, self.sent)
 
     def say(self, text: str) -> None:
         """On its console; no character is split."""

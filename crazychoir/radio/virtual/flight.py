@@ -1,6 +1,7 @@
 """Ports 3, 6, 7, 8, 9 and 13: what flies a virtual drone, from the firmware's units to the model's SI."""
 
 import math
+import struct
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -9,11 +10,13 @@ import numpy as np
 from crazychoir.errors import CodecError
 from crazychoir.radio.compressed import quaternion
 from crazychoir.radio.crtp import (
+    COMMANDER,
     FORMS,
     HIGH_LEVEL,
     LOCALIZATION,
     PLATFORM,
     PROTOCOL,
+    SETPOINT,
     SUPERVISOR,
     Form,
     Packet,
@@ -22,141 +25,291 @@ from crazychoir.simulation.onboard.onboard import Onboard
 
 UNKNOWN = 8
 """The answer ENOEXEC of the planner's port to a command that there is not."""
-PACKED_POSE, PACKED = 9, 9
-"""Command of LOCALIZATION's channel 1, and bytes of a packed pose after its number: 3 times mm, a quaternion."""
+SHORT_LPP, PACKED_POSE = 2, 9
+"""Commands of LOCALIZATION's channel 1."""
+POSITIONS = 2
+"""Channel of packed positions."""
+EMULATED = 3
+"""The set-point of a receiver of another make, whose length depends on its content."""
+UNCHECKED = ("position", "stop")
+"""Set-points whose length the firmware does not look at."""
 MILLI = 1e-3
+RADIANS = math.pi / 180.0
+_POSE, _POSITION = struct.Struct("<BhhhI"), struct.Struct("<Bhhh")
+CAN_ARM = 1
+"""Bit of the supervisor's information."""
+
+
+class Assertion(CodecError):
+    """What a real firmware's assertion fails at: it restarts."""
 
 
 class Flight:
-    """Takes set-points, plans, poses and requests; `number`: the last byte of its address, by which poses are packed."""
+    """Takes set-points, plans, poses and requests, and counts.
 
-    def __init__(self, onboard: Onboard, number: int, firmware: str = "virtual", device: str = "CF21") -> None:
+    number: the last byte of its address, by which packed poses are told;  firmware: its release;  device: its type;
+    read, write: a parameter by name.  zeros: RPYT packets all zero;  last: the kind of the last set-point;
+    malformed: packets of a length that is not theirs;  unknown: those that nobody knows;  refuses: arming, by a fault;
+    external: the last pose (7,) or position (3,) from outside.
+    """
+
+    def __init__(
+        self, onboard: Onboard, number: int, firmware: str, device: str, read: Callable[[str], float],
+        write: Callable[[str, float], None],
+    ) -> None:  # fmt: skip
         self.onboard, self.number, self.firmware, self.device = onboard, number, firmware, device
+        self.read, self.write = read, write
         self._forms: dict[tuple[int, int, int], Form] = {}
         for form in FORMS.values():
             self._forms[form.port, form.channel, form.head[0] if form.head else -1] = form
-        self.malformed = 0
+        self.zeros = self.malformed = self.unknown = self.poses = 0
+        self.last, self.refuses = "", False
+        self.external: tuple[float, ...] = ()
 
     def take(self, packet: Packet) -> Iterator[Packet]:
-        """Do what a packet asks for; the answers to it."""
+        """Do what a packet asks for; the answers to it. Assertion where the firmware would restart."""
         port, channel, data = packet
-        if port == PLATFORM and channel == 1:
-            yield from self._about(packet)
-        elif port == LOCALIZATION and channel == 1 and data[:1] == bytes([PACKED_POSE]):
-            self._packed_poses(data[1:])
+        command = data[0] if data else -1
+        if port == PLATFORM:
+            yield from self._platform(packet)
+        elif port == LOCALIZATION and (channel, command) == (1, SHORT_LPP):
+            yield Packet(port, channel, data[:2].ljust(2, b"\0") + b"\0")  # nobody is there to send it on
+        elif port == LOCALIZATION and (channel, command) == (1, PACKED_POSE):
+            self._packed(data[1:], _POSE)
+        elif port == LOCALIZATION and channel == POSITIONS:
+            self._packed(data, _POSITION)
+        elif port == SETPOINT and channel == 0 and command == EMULATED:
+            self._emulated(data[1:])
         else:
-            answer = self._obey(packet)
-            if port == HIGH_LEVEL:
-                yield Packet(port, channel, data[:3].ljust(3, b"\0") + bytes([UNKNOWN if answer is None else answer]))
-            elif answer is not None and port in (SUPERVISOR, PLATFORM):
-                yield Packet(port, channel, bytes([0x80 | data[0]]) + answer)
+            yield from self._answered(packet)
+
+    def _answered(self, packet: Packet) -> Iterator[Packet]:
+        port, channel, data = packet
+        answer = self._obey(packet)
+        if port == HIGH_LEVEL:
+            yield Packet(port, channel, data[:3].ljust(3, b"\0") + bytes([UNKNOWN if answer is None else answer]))
+        elif answer is not None and port == SUPERVISOR:
+            yield Packet(port, channel, bytes([0x80 | data[0]]) + answer)
+        elif answer is not None and port == LOCALIZATION:
+            yield Packet(port, channel, data[:1] + answer)
 
     def _obey(self, packet: Packet) -> Any:
         """The answer of the model, None where there is none."""
         forms, (port, channel, data) = self._forms, packet
+        if port == SUPERVISOR and channel == 0:
+            return self._asked(data)
         form = forms.get((port, channel, data[0] if data else -1)) or forms.get((port, channel, -1))
         if form is None:
-            return None
+            return self._nobody_knows(packet)
         try:
             values = form.values(packet)
-        except CodecError:
-            self.malformed += 1
+        except CodecError as error:
+            return self._wrong(form, error)
+        if port in (COMMANDER, SETPOINT) and channel == 0:
+            self.last = form.name
+            self.zeros += form.name == "rpyt" and not any(values)
+        if port == HIGH_LEVEL and form.name not in ("group_mask", "define_trajectory") and not self._meant(values[0]):
+            return 0
+        return OBEY[form.name](self, *values)
+
+    def _nobody_knows(self, packet: Packet) -> None:
+        """An unknown set-point is one all the same, without thrust; an empty one is an assertion."""
+        self.unknown += 1
+        if packet.port == SETPOINT and packet.channel == 0:
+            if not packet.data:
+                raise Assertion("CRTP set-point: 0 bytes; allowed: 1 or more.")
+            self.last = f"unknown {packet.data[0]}"
+            self.onboard.stop_setpoint()
+
+    def _wrong(self, form: Form, error: CodecError) -> None:
+        self.malformed += 1
+        if form.port == SETPOINT and form.channel == 0 and form.name not in UNCHECKED:
+            raise Assertion(str(error)) from error
+
+    def _meant(self, group: int) -> bool:
+        """Is it in a group of this mask? 0: everybody is."""
+        return group == 0 or bool(group & int(self.read("hlCommander.groupmask")))
+
+    # The supervisor
+
+    @property
+    def info(self) -> int:
+        """The supervisor's bits."""
+        return self.onboard.info & ~(CAN_ARM * self.refuses)
+
+    def _asked(self, data: bytes) -> bytes | None:
+        """All bits by 12, one of them by 1 to 11."""
+        if len(data) != 1 or not 1 <= data[0] <= 12:
+            self.unknown += 1
             return None
-        return OBEY[form.name](self.onboard, *values)
+        return self.info.to_bytes(2, "little") if data[0] == 12 else bytes([self.info >> data[0] - 1 & 1])
 
-    def _about(self, packet: Packet) -> Iterator[Packet]:
-        match packet.data[:1]:
+    def arm(self, wanted: bool) -> bytes:
+        """Whether it is done, and whether it is armed then."""
+        done = not (wanted and self.refuses) and self.onboard.arm(wanted)
+        return bytes([done, bool(self.onboard.record["armed"] or (done and wanted))])
+
+    def recover(self) -> bytes:
+        """Whether it is done, and whether it has recovered."""
+        done = self.onboard.recover()
+        return bytes([done, done])
+
+    # The platform
+
+    def _platform(self, packet: Packet) -> Iterator[Packet]:
+        port, channel, data = packet
+        if channel == 1:
+            yield from self._version(data[:1])
+        elif channel == 0 and data:
+            answer = self._obey(packet) if data[0] in (1, 2) else None
+            yield packet if answer is None else Packet(port, channel, data[:1] + answer)
+        else:
+            self.unknown += 1  # the channel of an application on board, of which there is none
+
+    def _version(self, command: bytes) -> Iterator[Packet]:
+        match command:
             case b"\x00":
-                yield Packet(PLATFORM, 1, b"\x00" + PROTOCOL.to_bytes(4, "little"))
+                yield Packet(PLATFORM, 1, command + PROTOCOL.to_bytes(4, "little"))
             case b"\x01":
-                yield Packet(PLATFORM, 1, b"\x01" + self.firmware.encode()[:28] + b"\0")
+                yield Packet(PLATFORM, 1, command + self.firmware.encode()[:29])
             case b"\x02":
-                yield Packet(PLATFORM, 1, b"\x02" + self.device.encode()[:28] + b"\0")
+                yield Packet(PLATFORM, 1, command + self.device.encode()[:29])
 
-    def _packed_poses(self, body: bytes) -> None:
-        """Of up to two drones in one packet: number, mm, quaternion; its own counts."""
-        for k in range(0, len(body) - 10, 11):
-            if body[k] == self.number:
-                p = np.frombuffer(body, "<i2", 3, k + 1) * MILLI
-                self.onboard.external_pose(p, quaternion(int.from_bytes(body[k + 7 : k + 11], "little")))
+    # Where it is, by others
+
+    def pose(self, p: Any, q: Any) -> None:
+        """From outside: m, quaternion."""
+        self.poses, self.external = self.poses + 1, (*p, *q)
+        self.onboard.external_pose(np.array(p, float), np.array(q, float))
+
+    def position(self, p: Any) -> None:
+        """From outside: m."""
+        self.poses, self.external = self.poses + 1, tuple(p)
+        self.onboard.external_position(np.array(p, float))
+
+    def _packed(self, body: bytes, layout: struct.Struct) -> None:
+        """Of several drones in one packet, each by its number; its own counts."""
+        for number, x, y, z, *q in layout.iter_unpack(body[: len(body) // layout.size * layout.size]):
+            if number == self.number:
+                p = (x * MILLI, y * MILLI, z * MILLI)
+                if q:
+                    self.pose(p, quaternion(q[0]))
+                else:
+                    self.position(p)
+
+    # A receiver's channels
+
+    def _emulated(self, body: bytes) -> None:
+        """Roll, pitch, yaw and thrust as pulses of 1000 to 2000 us; the first channel beyond says angles or rates."""
+        count = body[0] & 0x0F if body else 0
+        if len(body) != 9 + 2 * count:
+            self.malformed += 1
+            allowed = f"allowed for {count} more channels: {9 + 2 * count}"
+            raise Assertion(f"CRTP emulated receiver: {len(body)} bytes; {allowed}.")
+        roll, pitch, yaw, thrust, *more = struct.unpack(f"<{4 + count}H", body[1:])
+        self.last, rates = "receiver", bool(more) and more[0] < 1500
+        turn, read = [(1500 - stick) / 500.0 for stick in (roll, pitch, yaw)], self.read
+        names = ("cppm.rateRoll", "cppm.ratePitch") if rates else ("cppm.angRoll", "cppm.angPitch")
+        r, p, w = turn[0] * read(names[0]), turn[1] * read(names[1]), turn[2] * read("cppm.rateYaw")
+        self.manual(r, p, w, max(thrust - 1000, 0) / 1000.0 * 65535.0, int(rates))
+
+    def manual(self, roll: float, pitch: float, yaw: float, thrust: float, rates: int) -> None:
+        """deg or deg/s, pitch nose up;  thrust: 0 to 65535."""
+        newtons = thrust / 65535.0 * 4.0 * self.onboard.firmware.thrust_max
+        self.onboard.manual(newtons, RADIANS * roll, -RADIANS * pitch, RADIANS * yaw, rates == 1)
 
 
-def _full_state(on: Onboard, *values: float) -> None:
+def _full_state(me: Flight, *values: float) -> None:
     """mm, mm/s, mm/s2, and milli-rad/s of the body."""
     milli = np.array([*values[:9], *values[10:]]) * MILLI
-    on.full_state(np.array([*milli[:9], *quaternion(int(values[9])), *milli[9:]]))
+    me.onboard.full_state(np.array([*milli[:9], *quaternion(int(values[9])), *milli[9:]]))
 
 
-def _spiral(on: Onboard, group: int, sideways: int, clockwise: int, *rest: float) -> int:
-    return on.spiral(*rest, sideways=bool(sideways), clockwise=bool(clockwise))
+def _spiral(me: Flight, group: int, sideways: int, clockwise: int, *arc: float) -> int:
+    angle, r0, r1, climb, duration = arc
+    return me.onboard.spiral(angle, r0, r1, climb, duration, bool(sideways), bool(clockwise))
 
 
-def _take_off(on: Onboard, group: int, height: float, yaw: float, keep: bool, duration: float) -> int:
-    return on.take_off(height, duration, None if keep else yaw)
+def _take_off(me: Flight, group: int, height: float, yaw: float, keep: bool, duration: float) -> int:
+    return me.onboard.take_off(height, duration, None if keep else yaw)
 
 
-def _land(on: Onboard, group: int, height: float, yaw: float, keep: bool, duration: float) -> int:
-    return on.land(height, duration, None if keep else yaw)
+def _land(me: Flight, group: int, height: float, yaw: float, keep: bool, duration: float) -> int:
+    return me.onboard.land(height, duration, None if keep else yaw)
 
 
-def _rise(on: Onboard, group: int, height: float, relative: bool, yaw: float, keep: bool, speed: float) -> int:
-    away = abs(height) if relative else abs(height - on.estimate.p[2])
-    goal = on.estimate.p[2] + height if relative else height
-    return on.take_off(goal, away / _speed(on, speed, "hlCommander.vtoff"), None if keep else yaw)
+def _rise(me: Flight, group: int, height: float, relative: bool, yaw: float, keep: bool, speed: float) -> int:
+    here, fast = _height(me), speed if speed > 0.0 else me.onboard.get("hlCommander.vtoff")
+    goal = here + height if relative else height
+    return me.onboard.take_off(goal, abs(goal - here) / fast, None if keep else yaw)
 
 
-def _sink(on: Onboard, group: int, height: float, relative: bool, yaw: float, keep: bool, speed: float) -> int:
-    away = abs(height) if relative else abs(height - on.estimate.p[2])
-    goal = on.estimate.p[2] - height if relative else height
-    return on.land(goal, away / _speed(on, speed, "hlCommander.vland"), None if keep else yaw)
+def _sink(me: Flight, group: int, height: float, relative: bool, yaw: float, keep: bool, speed: float) -> int:
+    here, fast = _height(me), speed if speed > 0.0 else me.onboard.get("hlCommander.vland")
+    goal = here - height if relative else height
+    return me.onboard.land(goal, abs(goal - here) / fast, None if keep else yaw)
 
 
-def _speed(on: Onboard, speed: float, default: str) -> float:
-    return speed if speed > 0.0 else on.get(default)
+def _height(me: Flight) -> float:
+    """m, of the planner's last set-point."""
+    return float(me.onboard.record["planner"]["last"][2])
 
 
-def _go_to(on: Onboard, group: int, relative: int, linear: int, x: float, y: float, z: float, *rest: float) -> int:
-    return on.go_to((x, y, z), *rest, relative=bool(relative), linear=bool(linear))
+def _go_to(me: Flight, group: int, relative: int, linear: int, *goal: float) -> int:
+    x, y, z, yaw, duration = goal
+    return me.onboard.go_to((x, y, z), yaw, duration, bool(relative), bool(linear))
 
 
-def _start(on: Onboard, group: int, relative: int, rel_yaw: int, reverse: int, slot: int, timescale: float) -> int:
-    return on.start_trajectory(slot, timescale, bool(relative), bool(rel_yaw), bool(reverse))
+def _start(me: Flight, group: int, relative: int, rel_yaw: int, reverse: int, slot: int, timescale: float) -> int:
+    return me.onboard.start_trajectory(slot, timescale, bool(relative), bool(rel_yaw), bool(reverse))
 
 
-def _define(on: Onboard, slot: int, location: int, kind: int, offset: int, pieces: int) -> int:
-    return on.define_trajectory(slot, offset, pieces) if (location, kind) == (1, 0) else UNKNOWN
+def _define(me: Flight, slot: int, location: int, kind: int, offset: int, pieces: int) -> int:
+    known = location == 1 and kind in (0, 1)
+    return me.onboard.define_trajectory(slot, offset, pieces, kind == 1) if known else UNKNOWN
 
 
-def _stop_planner(on: Onboard, group: int) -> int:
-    on.stop()
+def _stop_planner(me: Flight, group: int) -> int:
+    me.onboard.stop()
     return 0
 
 
-def _arm(on: Onboard, wanted: bool) -> bytes:
-    done = on.arm(wanted)
-    return bytes([done, bool(on.record["armed"])])
+def _group_mask(me: Flight, group: int) -> int:
+    me.write("hlCommander.groupmask", group)
+    return 0
 
 
-def _recover(on: Onboard) -> bytes:
-    done = on.recover()
-    return bytes([done, done])
+def _tilted(me: Flight, roll: float, pitch: float, rate: float, z: float) -> None:
+    me.onboard.z_distance(RADIANS * roll, -RADIANS * pitch, RADIANS * rate, z)
 
 
-def _info(on: Onboard) -> bytes:
-    return on.info.to_bytes(2, "little")
+def _climb(me: Flight, roll: float, pitch: float, rate: float, vz: float) -> None:
+    me.onboard.altitude_hold(RADIANS * roll, -RADIANS * pitch, RADIANS * rate, vz)
 
 
-RADIANS = math.pi / 180.0
+def _velocity(me: Flight, vx: float, vy: float, vz: float, rate: float) -> None:
+    me.onboard.velocity((vx, vy, vz), RADIANS * rate)
+
+
+def _hover(me: Flight, vx: float, vy: float, rate: float, z: float) -> None:
+    me.onboard.hover(vx, vy, RADIANS * rate, z)
+
+
 OBEY: dict[str, Callable[..., Any]] = {
-    "rpyt": lambda on, roll, pitch, yaw, thrust: on.rpyt_raw(roll, pitch, yaw, thrust),
-    "stop": lambda on: on.stop_setpoint(),
+    "rpyt": lambda me, roll, pitch, yaw, thrust: _done(me.onboard.rpyt_raw(roll, pitch, yaw, thrust)),
+    "stop": lambda me: _done(me.onboard.stop_setpoint()),
+    "velocity_world_legacy": lambda me, vx, vy, vz, rate: _velocity(me, vx, vy, vz, -rate),
+    "z_distance_legacy": lambda me, roll, pitch, rate, z: _tilted(me, roll, pitch, -rate, z),
+    "hover_legacy": lambda me, vx, vy, rate, z: _hover(me, vx, vy, -rate, z),
+    "altitude_hold": _climb,
     "full_state": _full_state,
-    "velocity_world": lambda on, vx, vy, vz, rate: on.velocity((vx, vy, vz), RADIANS * rate),
-    "z_distance": lambda on, roll, pitch, rate, z: on.z_distance(RADIANS * roll, -RADIANS * pitch, RADIANS * rate, z),
-    "hover": lambda on, vx, vy, rate, z: on.hover(vx, vy, RADIANS * rate, z),
-    "position": lambda on, x, y, z, yaw: on.position((x, y, z), RADIANS * yaw),
-    "notify_setpoint_stop": lambda on, remain: on.notify_setpoint_stop(),
-    "group_mask": lambda on, group: 0,
+    "velocity_world": _velocity,
+    "z_distance": _tilted,
+    "hover": _hover,
+    "position": lambda me, x, y, z, yaw: _done(me.onboard.position((x, y, z), RADIANS * yaw)),
+    "manual": Flight.manual,
+    "notify_setpoint_stop": lambda me, remain: me.onboard.notify_setpoint_stop(),
+    "group_mask": _group_mask,
     "planner_stop": _stop_planner,
     "define_trajectory": _define,
     "take_off": _take_off,
@@ -165,16 +318,23 @@ OBEY: dict[str, Callable[..., Any]] = {
     "land_with_velocity": _sink,
     "spiral": _spiral,
     "go_to": _go_to,
+    "go_to_legacy": lambda me, group, relative, *goal: _go_to(me, group, relative, 0, *goal),
     "start_trajectory": _start,
-    "external_position": lambda on, *p: on.external_position(np.array(p)),
-    "external_pose": lambda on, *values: on.external_pose(np.array(values[:3]), np.array(values[3:])),
-    "emergency_stop": lambda on: on.emergency_stop(),
-    "emergency_stop_watchdog": lambda on: on.emergency_stop_watchdog(),
-    "supervisor_stop": lambda on: on.emergency_stop(),
-    "supervisor_watchdog": lambda on: on.emergency_stop_watchdog(),
-    "supervisor_info": _info,
-    "arm": _arm,
-    "platform_arm": _arm,
-    "recover": _recover,
-    "platform_recover": _recover,
+    "start_trajectory_legacy": lambda me, group, relative, *rest: _start(me, group, relative, 0, *rest),
+    "external_position": lambda me, *p: me.position(p),
+    "external_pose": lambda me, *values: me.pose(values[:3], values[3:]),
+    "lighthouse_persist": lambda me, geometries, calibrations: b"\x01",
+    "emergency_stop": lambda me: me.onboard.emergency_stop(),
+    "emergency_stop_watchdog": lambda me: me.onboard.emergency_stop_watchdog(),
+    "supervisor_stop": lambda me: me.onboard.emergency_stop(),
+    "supervisor_watchdog": lambda me: me.onboard.emergency_stop_watchdog(),
+    "arm": Flight.arm,
+    "platform_arm": Flight.arm,
+    "recover": Flight.recover,
+    "platform_recover": Flight.recover,
 }
+"""What each kind of packet does; what it returns is the answer, where its port answers."""
+
+
+def _done(taken: bool) -> None:
+    """Nobody is told whether a set-point was taken."""

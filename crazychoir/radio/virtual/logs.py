@@ -9,22 +9,29 @@ from crazychoir.radio.virtual.toc import LETTERS, LOG_TYPES, Entry, Toc
 
 TOC, SETTINGS, DATA = range(3)
 """Channels."""
-CREATE_V1, APPEND_V1, DELETE, START, STOP, RESET, CREATE, APPEND, START_V2 = range(9)
+_V1_CREATE, _V1_APPEND, DELETE, START, STOP, RESET, CREATE, APPEND, START_V2 = range(9)
 OK, ENOENT, E2BIG, ENOEXEC, ENOMEM, EEXIST = 0, 2, 7, 8, 12, 17
+BY_ADDRESS = 0xFFFF
+"""In place of an index: an address in the drone's memory follows."""
 BLOCKS, VARIABLES, SIZE = 16, 128, 26
 """At most: blocks, variables in all of them, bytes of the values of one."""
 LETTER = {LOG_TYPES[kind]: letter for kind, letter in LETTERS.items()} | {8: "e"}
 """By type; the last is a float of 16 bits, as which a client may ask for a variable."""
+HALF_FLOAT = 65504.0
+"""The largest number of a float of 16 bits."""
 Read = Callable[[str], float]
 
 
 @dataclass
 class Block:
-    """Variables that travel together. period: ms, 0: it is stopped;  due: ms of uptime, when it is sent next."""
+    """Variables that travel together. period: ms, 0: it is stopped;  due: ms of uptime, when it is sent next;
+    once: it is to be sent alone.
+    """
 
     variables: list[tuple[str, str]] = field(default_factory=list)
     period: int = 0
     due: int = 0
+    once: bool = False
 
     @property
     def size(self) -> int:
@@ -40,6 +47,11 @@ class Logs:
         self.read = read
         self.blocks: dict[int, Block] = {}
 
+    @property
+    def running(self) -> bool:
+        """Is any block sent from time to time?"""
+        return any(block.period for block in self.blocks.values())
+
     def take(self, packet: Packet, now: int) -> Iterator[Packet]:
         """The answers to a packet; now: ms of uptime."""
         if packet.channel == TOC:
@@ -53,20 +65,27 @@ class Logs:
     def due(self, now: int) -> Iterator[Packet]:
         """What is to be sent at this ms of uptime; a block that is late skips what it has missed."""
         for number, block in self.blocks.items():
+            if block.once:
+                block.once = False
+                yield self._data(number, block, now)
             if block.period and now >= block.due:
                 block.due += ((now - block.due) // block.period + 1) * block.period
                 yield self._data(number, block, now)
 
     def _data(self, number: int, block: Block, now: int) -> Packet:
-        values = b"".join(value_of(letter, self.read(name)) for name, letter in block.variables)
+        values = b"".join(value_of(letter, self.read(name) if name else 0.0) for name, letter in block.variables)
         return Packet(LOG, DATA, bytes([number]) + (now & 0xFFFFFF).to_bytes(3, "little") + values)
 
     def _do(self, command: int, number: int, rest: bytes, now: int) -> int:
         if command == RESET:
             self.blocks.clear()
             return OK
-        if command in (CREATE, APPEND):
-            return self._fill(command == CREATE, number, rest)
+        if command == CREATE:
+            return self._create(number) or self._append(number, rest)
+        if command == APPEND:
+            return self._append(number, rest)
+        if command not in (DELETE, START, STOP, START_V2):
+            return ENOEXEC
         block = self.blocks.get(number)
         if block is None:
             return ENOENT
@@ -74,41 +93,51 @@ class Logs:
             del self.blocks[number]
         elif command == STOP:
             block.period = 0
-        elif command in (START, START_V2) and rest:
-            block.period = 10 * rest[0] if command == START else int.from_bytes(rest[:2], "little")
-            block.due = now + block.period
         else:
-            return ENOEXEC
+            period = 10 * int.from_bytes(rest[:1], "little") if command == START else int.from_bytes(rest[:2], "little")
+            block.once, block.period, block.due = not period, period or block.period, now + period
         return OK
 
-    def _fill(self, create: bool, number: int, rest: bytes) -> int:
-        """Make a block of these variables, or add them to one."""
-        if create and number in self.blocks:
+    def _create(self, number: int) -> int:
+        if number in self.blocks:
             return EEXIST
-        if not create and number not in self.blocks:
-            return ENOENT
-        if create and len(self.blocks) == BLOCKS:
+        if len(self.blocks) == BLOCKS:
             return ENOMEM
-        found: list[tuple[str, str]] = []
-        for k in range(0, len(rest), 3):
-            index = int.from_bytes(rest[k + 1 : k + 3], "little")
-            letter = LETTER.get(rest[k] & 0x0F)
-            if len(rest) - k < 3 or letter is None or index >= len(self.toc.entries):
-                return ENOENT
-            found.append((self.toc.entries[index].full, letter))
-        block = Block([*(() if create else self.blocks[number].variables), *found])
-        if block.size > SIZE:
-            return E2BIG
-        if sum(len(other.variables) for other in self.blocks.values()) + len(found) > VARIABLES:
-            return ENOMEM
-        self.blocks[number] = block
+        self.blocks[number] = Block()
         return OK
+
+    def _append(self, number: int, rest: bytes) -> int:
+        """Add variables up to the first that does not fit; a block that was made for them stays, as in the firmware."""
+        block = self.blocks.get(number)
+        if block is None:
+            return ENOENT
+        for kind, index in _wanted(rest):
+            letter = LETTER.get(kind)
+            if letter is None or block.size + struct.calcsize(letter) > SIZE:
+                return E2BIG
+            if sum(len(other.variables) for other in self.blocks.values()) == VARIABLES:
+                return ENOMEM
+            if index != BY_ADDRESS and index >= len(self.toc.entries):
+                return ENOENT
+            block.variables.append(("" if index == BY_ADDRESS else self.toc.entries[index].full, letter))
+        return OK
+
+
+def _wanted(rest: bytes) -> Iterator[tuple[int, int]]:
+    """Types and indices of variables; one by its address has four bytes more, and reads 0."""
+    at = 0
+    while at + 3 <= len(rest):
+        index = int.from_bytes(rest[at + 1 : at + 3], "little")
+        yield rest[at] & 0x0F, index
+        at += 7 if index == BY_ADDRESS else 3
 
 
 def value_of(letter: str, value: float) -> bytes:
     """A value as it travels: whole numbers at the ends of their range stay there."""
-    if letter in "ef":
-        return struct.pack("<" + letter, value)
+    if letter == "e":
+        return struct.pack("<e", min(max(value, -HALF_FLOAT), HALF_FLOAT))
+    if letter == "f":
+        return struct.pack("<f", value)
     bits = 8 * struct.calcsize(letter)
     low, high = (-(1 << bits - 1), (1 << bits - 1) - 1) if letter.islower() else (0, (1 << bits) - 1)
     return int(min(max(int(value), low), high)).to_bytes(bits // 8, "little", signed=letter.islower())

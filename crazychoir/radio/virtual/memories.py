@@ -1,7 +1,8 @@
-"""Port 4: the memory for trajectories of a virtual drone, read and written piece by piece."""
+"""Port 4: the memories of a virtual drone, read and written piece by piece."""
 
 import struct
 from collections.abc import Iterator
+from typing import Protocol
 
 from crazychoir.radio.crtp import MEMORY, Packet
 from crazychoir.simulation.onboard.onboard import Onboard
@@ -10,45 +11,116 @@ INFO, READ, WRITE = range(3)
 """Channels."""
 COUNT, ABOUT = 1, 2
 """Commands of INFO."""
-TRAJECTORY = 0x12
-"""Type of the one memory that there is."""
+EEPROM, LEDS, TRAJECTORY, LIGHTHOUSE, TESTER, TIMINGS, DECKS = 0x00, 0x10, 0x12, 0x14, 0x15, 0x17, 0x19
+"""Types. There is none of 1-wire, which clients would read at each connect."""
+DECK_VERSION = 3
 OK, EIO = 0, 5
 MOST = 24
 """Bytes that one packet reads or writes."""
 _ABOUT, _WHERE = struct.Struct("<BBBI8x"), struct.Struct("<BI")
 
 
-class Memories:
-    """One memory, number 0: the firmware's 4096 bytes for trajectories."""
+class Memory(Protocol):
+    """Bytes that a client may read and write; size: as it is told, B."""
 
-    def __init__(self, onboard: Onboard) -> None:
-        self.onboard = onboard
+    kind: int
+    size: int
+
+    def read(self, address: int, length: int) -> bytes | None:
+        """None: it cannot."""
+        ...
+
+    def write(self, address: int, data: bytes) -> bool:
+        """Whether it could."""
+        ...
+
+
+class Bytes:
+    """One that keeps what is written. content: at the beginning, all of it, changed in place."""
+
+    def __init__(self, kind: int, content: bytearray | memoryview, size: int | None = None) -> None:
+        self.kind, self.content = kind, content
+        self.size = len(content) if size is None else size
+
+    def read(self, address: int, length: int) -> bytes | None:
+        """What lies there."""
+        return bytes(self.content[address : address + length]) if address + length <= len(self.content) else None
+
+    def write(self, address: int, data: bytes) -> bool:
+        """Put it there."""
+        if address + len(data) > len(self.content):
+            return False
+        self.content[address : address + len(data)] = data
+        return True
+
+
+class Tester:
+    """The firmware's test of memories: each byte is the lowest byte of its address. errors: wrong bytes written."""
+
+    kind, size = TESTER, 0x1000
+
+    def __init__(self) -> None:
+        self.errors = 0
+
+    def read(self, address: int, length: int) -> bytes | None:
+        """By the rule."""
+        return bytes((address + k) & 0xFF for k in range(length))
+
+    def write(self, address: int, data: bytes) -> bool:
+        """Count those against the rule."""
+        self.errors += sum(byte != (address + k) & 0xFF for k, byte in enumerate(data))
+        return True
+
+
+def configured(channel: int = 80, speed: int = 2, address: int = 0xE7E7E7E7E7) -> bytearray:
+    """The EEPROM of a drone: its radio's channel, data rate and address, no trim, and their checksum."""
+    image = b"0xBC" + struct.pack("<BBBffBI", 1, channel, speed, 0.0, 0.0, address >> 32, address & 0xFFFFFFFF)
+    return bytearray((image + bytes([sum(image) % 256])).ljust(8192, b"\0"))
+
+
+class Memories:
+    """All of them; their number is their place. A restart keeps the EEPROM and the lighthouse's.
+
+    kept: what survives restarts, by type.
+    """
+
+    def __init__(self, onboard: Onboard, kept: dict[int, bytearray] | None = None, number: int = 0xE7) -> None:
+        kept = {} if kept is None else kept
+        self.tester = Tester()
+        trajectories = onboard.memory.data
+        self.all: tuple[Memory, ...] = (
+            Bytes(EEPROM, kept.setdefault(EEPROM, configured(address=0xE7E7E7E700 | number))),
+            Bytes(LEDS, bytearray(24)),
+            Bytes(TRAJECTORY, trajectories),
+            self.tester,
+            Bytes(LIGHTHOUSE, kept.setdefault(LIGHTHOUSE, bytearray(0x2000))),
+            Bytes(TIMINGS, bytearray(2000)),
+            Bytes(DECKS, bytearray([DECK_VERSION]) + bytearray(0x1FFF)),
+        )
 
     def take(self, packet: Packet) -> Iterator[Packet]:
         """The answers to a packet."""
         data = packet.data
         if packet.channel == INFO:
-            if data[:1] == bytes([COUNT]):
-                yield Packet(MEMORY, INFO, bytes([COUNT, 1]))
-            elif data[:1] == bytes([ABOUT]) and len(data) == 2:
-                known = data[1] == 0
-                body = _ABOUT.pack(ABOUT, 0, TRAJECTORY, self.onboard.memory.size) if known else data
-                yield Packet(MEMORY, INFO, body)
+            yield from self._about(data)
         elif packet.channel in (READ, WRITE) and len(data) > _WHERE.size:
             number, address = _WHERE.unpack_from(data)
             body, reads = data[_WHERE.size :], packet.channel == READ
-            status, found = self._read(number, address, body[0]) if reads else self._write(number, address, body)
-            yield Packet(MEMORY, packet.channel, data[: _WHERE.size] + bytes([status]) + found)
+            found = self._read(number, address, body[0]) if reads else self._write(number, address, body)
+            answer = bytes([EIO]) if found is None else bytes([OK]) + found
+            yield Packet(MEMORY, packet.channel, data[: _WHERE.size] + answer)
 
-    def _read(self, number: int, address: int, length: int) -> tuple[int, bytes]:
-        memory = self.onboard.memory
-        if number != 0 or length > MOST or address + length > memory.size:
-            return EIO, b""
-        return OK, memory[address : address + length].tobytes()
+    def _about(self, data: bytes) -> Iterator[Packet]:
+        if data[:1] == bytes([COUNT]):
+            yield Packet(MEMORY, INFO, bytes([COUNT, len(self.all)]))
+        elif data[:1] == bytes([ABOUT]) and len(data) > 1:
+            number = data[1]
+            memory = self.all[number] if number < len(self.all) else None
+            kind, size = (0, 0) if memory is None else (memory.kind, memory.size)
+            yield Packet(MEMORY, INFO, _ABOUT.pack(ABOUT, number, kind, size))
 
-    def _write(self, number: int, address: int, body: bytes) -> tuple[int, bytes]:
-        memory = self.onboard.memory
-        if number != 0 or address + len(body) > memory.size:
-            return EIO, b""
-        memory[address : address + len(body)] = memoryview(body)
-        return OK, b""
+    def _read(self, number: int, address: int, length: int) -> bytes | None:
+        return self.all[number].read(address, length) if number < len(self.all) and length <= MOST else None
+
+    def _write(self, number: int, address: int, data: bytes) -> bytes | None:
+        return b"" if number < len(self.all) and self.all[number].write(address, data) else None

@@ -1,8 +1,8 @@
 """Port 2: parameters of a virtual drone: those that its firmware models act at once, the others are remembered."""
 
-import math
 import struct
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 
 from crazychoir.errors import ConfigError
 from crazychoir.radio.crtp import PARAM, Packet
@@ -12,7 +12,7 @@ from crazychoir.simulation.onboard.parameters import RESET_ESTIMATION, TABLE
 
 TOC, READ, WRITE, MISC = range(4)
 """Channels."""
-OK, ENOENT = 0, 2
+OK, ENOENT, EACCES, EINVAL = 0, 2, 13, 22
 SET_BY_NAME, UPDATED, EXTENDED_V1, STORE, STATE, CLEAR, DEFAULT_V1, EXTENDED, DEFAULT = range(9)
 """Commands of MISC."""
 PERSISTENT = 1
@@ -31,7 +31,7 @@ class Parameters:
         )  # fmt: skip
         for entry in entries:
             if not entry.read_only and entry.full in self.stored:
-                self._set(entry, self.stored[entry.full])
+                self.set(entry.full, self.stored[entry.full])
 
     def take(self, packet: Packet) -> Iterator[Packet]:
         """The answers to a packet."""
@@ -39,14 +39,18 @@ class Parameters:
 
     def get(self, entry: Entry) -> float:
         """Its value now."""
-        if entry.full in TABLE:
-            return self.onboard.get(entry.full)
-        return self.values[entry.full]
+        return self.read(entry.full)
 
-    def _set(self, entry: Entry, value: float) -> None:
-        if entry.full in TABLE or entry.full == RESET_ESTIMATION:
-            self.onboard.set(entry.full, value)
-        self.values[entry.full] = value
+    def read(self, name: str) -> float:
+        """The value now of one that is in the table of contents."""
+        return self.onboard.get(name) if name in TABLE else self.values[name]
+
+    def set(self, name: str, value: float) -> None:
+        """Write one, read-only or not, as the firmware itself does; what its model refuses is remembered alone."""
+        if name in TABLE or name == RESET_ESTIMATION:
+            with suppress(ConfigError):
+                self.onboard.set(name, value)
+        self.values[name] = value
 
     def _found(self, data: bytes) -> Entry | None:
         k = int.from_bytes(data[:2], "little")
@@ -58,31 +62,25 @@ class Parameters:
         yield Packet(PARAM, READ, data[:2] + body)
 
     def _write(self, data: bytes) -> Iterator[Packet]:
-        """Echoed with the value that it has then; one that cannot be written is not answered, as by the firmware."""
+        """Echoed as it came; one that is read-only is not answered, as by the firmware."""
         entry = self._found(data)
         if entry is None:
             yield Packet(PARAM, WRITE, data[:2] + bytes([ENOENT]))
-        elif not entry.read_only and self._taken(entry, data[2:]):
-            yield Packet(PARAM, WRITE, data[:2] + packed(entry, self.get(entry)))
+        elif not entry.read_only:
+            self._take(entry, data[2:])
+            yield Packet(PARAM, WRITE, data)
 
-    def _taken(self, entry: Entry, body: bytes) -> bool:
+    def _take(self, entry: Entry, body: bytes) -> None:
+        """As the firmware does it: so many bytes as the type has, whatever is there."""
         layout = struct.Struct("<" + entry.letter)
-        if len(body) != layout.size:
-            return False
-        (value,) = layout.unpack(body)
-        if not math.isfinite(value):
-            return False
-        try:
-            self._set(entry, value)
-        except ConfigError:
-            return False
-        return True
+        (value,) = layout.unpack(body[: layout.size].ljust(layout.size, b"\0"))
+        self.set(entry.full, value)
 
     def _misc(self, data: bytes) -> Iterator[Packet]:
         command, body = data[:1], data[1:]
         match command[0] if command else -1:
             case 0:
-                yield Packet(PARAM, MISC, data + bytes([self._by_name(body)]))
+                yield from self._by_name(body)
             case 2 | 7:
                 entry = self._found(body)
                 known = entry is not None and entry.persistent
@@ -95,14 +93,24 @@ class Parameters:
             case 6 | 8:
                 yield Packet(PARAM, MISC, command + body[:2] + self._boot(body, command[0] == DEFAULT))
 
-    def _by_name(self, body: bytes) -> int:
-        group, _, rest = body.partition(b"\0")
-        name, _, rest = rest.partition(b"\0")
-        k = self.toc.index.get(f"{group.decode(errors='replace')}.{name.decode(errors='replace')}")
-        if k is None or not rest:
+    def _by_name(self, body: bytes) -> Iterator[Packet]:
+        """Names, type and value; the answer has the error in place of the last two, nothing answers a lack of names."""
+        parts = body.split(b"\0", 2)
+        if len(parts) == 3:
+            names = b"\0".join(parts[:2]) + b"\0"
+            yield Packet(PARAM, MISC, bytes([SET_BY_NAME]) + names + bytes([self._named(parts)]))
+
+    def _named(self, parts: list[bytes]) -> int:
+        k = self.toc.index.get(b".".join(parts[:2]).decode(errors="replace"))
+        if k is None:
             return ENOENT
         entry = self.toc.entries[k]
-        return OK if not entry.read_only and self._taken(entry, rest[1:]) else ENOENT
+        if parts[2][:1] != bytes([PARAM_TYPES[entry.kind]]):
+            return EINVAL
+        if entry.read_only:
+            return EACCES
+        self._take(entry, parts[2][1:])
+        return OK
 
     def _keep(self, body: bytes, store: bool) -> int:
         entry = self._found(body)

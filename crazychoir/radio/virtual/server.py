@@ -1,132 +1,243 @@
-"""Virtual Crazyflies on UDP, on the wall clock: one port a drone, one world for all of them."""
+"""Virtual Crazyflies on UDP, on the wall clock: one port a drone, one world for all of them, cameras beside."""
 
-import asyncio
-import socket
-from collections.abc import Sequence
-from functools import partial
-from typing import cast
+import math
+import random
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
 
 from crazychoir.errors import CodecError, ConfigError
-from crazychoir.radio.crtp import LINK, Packet, parse
+from crazychoir.math3d import Vec, yaw_of
 from crazychoir.radio.virtual.air import Air, Dongle
-from crazychoir.radio.virtual.drone import VirtualCrazyflie
+from crazychoir.radio.virtual.cameras import Cameras, seen
+from crazychoir.radio.virtual.drone import Identity, VirtualCrazyflie
+from crazychoir.radio.virtual.faults import Faults, checked
+from crazychoir.radio.virtual.port import Address, Port
+from crazychoir.radio.virtual.setup import Seat
 from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import SECOND, Clock
+from crazychoir.simulation.battery import OPEN_CIRCUIT
 from crazychoir.simulation.crazyflies import CrazyflieWorld
 
-PROBE = b"\xff"
-"""What a scan sends: whatever comes back says that somebody is there. Who scans is no client yet."""
-BUFFER = 1 << 20
-"""Bytes that the system keeps for a socket, so that a late server loses nothing."""
-NULL = 3
-"""Channel of the link's port for packets that say nothing."""
-ADDRESS = 0xE7
-"""Last byte of the address of drone 0; each next one has the next."""
-MS = SECOND // 1000
-
-
-class _Port(asyncio.DatagramProtocol):
-    """The UDP port of one drone; who has sent last is its client."""
-
-    def __init__(self, drone: VirtualCrazyflie, air: Air) -> None:
-        self.drone, self.air, self.malformed = drone, air, 0
-        self.refuses = False
-        """Whether it behaves as one that is switched off."""
-        self._transport: asyncio.DatagramTransport | None = None
-        self._client: tuple[str, int] | None = None
-
-    def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        self._transport = cast(asyncio.DatagramTransport, transport)
-
-    def datagram_received(self, data: bytes, addr: tuple[str, int]) -> None:
-        if self.refuses:
-            return
-        if data == PROBE:
-            self._leave(Packet(LINK, NULL), addr)
-            return
-        try:
-            packet = parse(data)
-        except CodecError:
-            self.malformed += 1
-            return
-        self._client = addr
-        self.air.up(partial(self._arrive, packet))
-
-    def error_received(self, exc: Exception) -> None:
-        """A client that is gone is nobody's business."""
-
-    def _arrive(self, packet: Packet) -> None:
-        for answer in self.drone.take(packet):
-            self.say(answer)
-
-    def say(self, packet: Packet) -> None:
-        """Let a packet leave for the client, if there is one."""
-        if self._client is not None:
-            self.air.down(partial(self._leave, packet, self._client))
-
-    def _leave(self, packet: Packet, to: tuple[str, int]) -> None:
-        if self._transport is not None and not self._transport.is_closing():
-            self._transport.sendto(packet.framed(), to)
-
-    def close(self) -> None:
-        """Nobody is served any more."""
-        if self._transport is not None:
-            self._transport.close()
+AT_ONCE, BEHIND = 10, 50
+"""Steps of the world that a late server makes up for in one pass, and from which on it gives up and lets them go."""
+DECK_EVERY = 2
+"""Steps of the world between two poses that a deck on board finds."""
+DECK_NOISE, FLOW_NOISE = 0.001, 0.02
+"""m and m/s, standard deviations an axis of such a pose, and of a velocity by a flow deck."""
+LEAST_CHARGE = 1e-3
 
 
 class VirtualServer(Actor):
     """Serves the drones of a world, which it steps.
 
-    port: of the first drone on `host`; each next one has the next;  dongles: groups of drones that share a radio.
+    seats: a drone each, where it is reached and what it is;  poses: where the cameras and questions are;
+    dongles: groups of drones that share a radio;  seed: of losses and of what decks see.
+    behind: steps of the world that were never made because the machine was too slow.
     """
 
     name = "virtual"
 
     def __init__(
-        self, clock: Clock, world: CrazyflieWorld, port: int, host: str = "127.0.0.1",
-        dongles: Sequence[Sequence[int]] = (), capacity: float = 250.0, seed: int = 0,
+        self, clock: Clock, world: CrazyflieWorld, seats: Sequence[Seat], poses: Address,
+        dongles: Sequence[Dongle] = (), seed: int = 0,
     ) -> None:  # fmt: skip
-        self.clock, self.world, self.host, self.port = clock, world, host, port
-        shared = {i: dongle for group in dongles for dongle in (Dongle(clock, capacity),) for i in group}
-        self.dongles = list({id(dongle): dongle for dongle in shared.values()}.values())
+        self.clock, self.world, self.seats, self.behind, self.busy_ns = clock, world, tuple(seats), 0, 0
+        self.dongles = tuple(dongles)
+        shared = {i: dongle for dongle in self.dongles for i in dongle.drones}
+        self.faults = {seat.id: Faults() for seat in self.seats}
         self.ports = {
-            i: _Port(self._drone(i, row), Air(clock, i, shared.get(i), seed)) for row, i in enumerate(world.ids)
+            seat.id: Port(
+                self._drone(seat), Air(clock, seat.id, self.faults[seat.id], shared.get(seat.id), seed), seat.at
+            )
+            for seat in self.seats
         }
+        self.cameras = Cameras(clock, poses, self.answer)
+        self._names = {seat.id: seat.body for seat in self.seats}
+        self._noise = random.Random(f"{seed} decks")  # noqa: S311 - of a simulated sensor
 
-    def _drone(self, i: int, row: int) -> VirtualCrazyflie:
-        onboard = self.world.onboard[i]
-        log = {
-            "pm.vbat": lambda: onboard.log("pm.vbat"), "pm.vbatMV": lambda: onboard.log("pm.vbatMV"),
-            "pm.state": lambda: 0.0, "radio.isConnected": lambda: 1.0, "radio.rssi": lambda: 40.0,
-        }  # fmt: skip
-        return VirtualCrazyflie(onboard, (ADDRESS + row) % 256, log)
+    def _drone(self, seat: Seat) -> VirtualCrazyflie:
+        """Switched on where it stands, which it does not know yet."""
+        row, onboard = self.world.row[seat.id], self.world.onboard[seat.id]
+        onboard.place((0.0, 0.0, 0.0), 0.0)
+        identity = Identity(
+            f"virtual drone {seat.id}", seat.number, seat.release, seat.device, seat.decks
+        )
+        return VirtualCrazyflie(onboard, identity, lambda: self.world.states[row, :3].tolist())
 
-    async def listen(self) -> None:
+    @property
+    def drones(self) -> dict[int, VirtualCrazyflie]:
+        """By id."""
+        return {i: port.drone for i, port in self.ports.items()}
+
+    def listen(self) -> None:
         """Open the ports; ConfigError where one is taken."""
-        loop = asyncio.get_running_loop()
-        for k, found in enumerate(self.ports.values()):
-            at = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-            at.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, BUFFER)
-            at.setblocking(False)
-            try:
-                at.bind((self.host, self.port + k))
-            except OSError as error:
-                at.close()
-                where = f"virtual Crazyflies: UDP port {self.port + k} of {self.host}"
-                raise ConfigError(where, str(error.strerror), "a port that is free", "Choose another --port.") from error
-            await loop.create_datagram_endpoint(lambda found=found: found, sock=at)  # type: ignore[misc]
+        try:
+            for port in self.ports.values():
+                port.open()
+            self.cameras.open()
+        except ConfigError:
+            self._close()
+            raise
 
     async def run(self) -> None:
-        """Step the world, and let each drone say what it has to."""
-        began = self.clock.now_ns()
+        """Step the world by the clock, and let each drone say what it has to."""
+        step_ns = round(self.world.dt * SECOND)
+        due_ns = self.clock.now_ns() + step_ns
         async for _ in self.clock.ticks(1.0 / self.world.dt):
-            self.world.step()
-            uptime = (self.clock.now_ns() - began) // MS
-            for found in self.ports.values():
-                for packet in found.drone.pass_time(uptime):
-                    found.say(packet)
+            began_ns = now_ns = self.clock.now_ns()
+            for _ in range(AT_ONCE):
+                if due_ns > now_ns:
+                    break
+                self.step()
+                due_ns += step_ns
+            late = (self.clock.now_ns() - due_ns) // step_ns
+            if late > BEHIND:
+                self.behind, due_ns = self.behind + late, due_ns + late * step_ns
+            self.busy_ns += self.clock.now_ns() - began_ns
+
+    def step(self) -> None:
+        """One step of the world; then everybody says what is due."""
+        self._hold()
+        if self.world.tick % DECK_EVERY == 0:
+            self._look_around()
+        self.world.step()
+        for port in self.ports.values():
+            port.look()
+            for packet in port.drone.pass_time():
+                port.say(packet)
+        if self.cameras.watched:
+            self.cameras.show(seen(self.world.states, self.world.row, self.faults, self._names))
+
+    def _hold(self) -> None:
+        """What faults hold as it is: batteries, and bodies on their backs."""
+        for i, fault in self.faults.items():
+            if fault.tumble:
+                overturn(self.world.states[self.world.row[i]])
+            if fault.voltage > 0.0:
+                self.world.charge_to(i, charge_of(fault.voltage, self.world.platforms[self.world.row[i]].battery))
+
+    def _look_around(self) -> None:
+        """What decks see is told to the estimator: where it is by the lighthouses, how fast it is by the flow below."""
+        for i, port in self.ports.items():
+            if self.faults[i].deck_lost:
+                continue
+            state, onboard = self.world.states[self.world.row[i]], port.drone.onboard
+            if port.drone.flows:
+                onboard.measured_velocity(state[3:6] + self._error(FLOW_NOISE), FLOW_NOISE)
+            if port.drone.positioned:
+                onboard.external_pose(state[:3] + self._error(DECK_NOISE), state[6:10].copy())
+
+    def _error(self, std: float) -> Any:
+        return np.array([self._noise.gauss(0.0, std) for _ in range(3)])
+
+    # Questions
+
+    def answer(self, question: Mapping[str, Any]) -> Any:
+        """To a question at the cameras' port: {"ask": "state"}, {"ask": "faults"}, {"faults": {"3": {"loss": 0.3}}}."""
+        if "faults" in question:
+            self._set(question["faults"])
+            return {"done": True}
+        match question.get("ask"):
+            case "state":
+                return {"time": self.world.time, "drones": {i: self.state(i) for i in self.ports}}
+            case "faults":
+                return {"drones": {i: fault.listed() for i, fault in self.faults.items()}}
+        allowed = '{"ask": "state"}, {"ask": "faults"}, {"faults": {id: {name: value}}}'
+        raise CodecError(f"a question: {dict(question)}; allowed: {allowed}.")
+
+    def _set(self, wanted: Any) -> None:
+        """All of them, or none."""
+        if not isinstance(wanted, dict) or not all(isinstance(row, dict) for row in wanted.values()):
+            raise ConfigError("faults", wanted, "{id: {name: value}}")
+        found = [(i, checked(row, tuple(self.ports))) for who, row in wanted.items() for i in self._who(who)]
+        for i, row in found:
+            for name, value in row.items():
+                self._put(i, name, value)
+
+    def _who(self, who: str) -> list[int]:
+        if who == "all":
+            return list(self.ports)
+        if who.isdecimal() and int(who) in self.ports:
+            return [int(who)]
+        raise ConfigError("faults: drone", who, f"all, {', '.join(map(str, self.ports))}")
+
+    def _put(self, i: int, name: str, value: Any) -> None:
+        drone, fault = self.ports[i].drone, self.faults[i]
+        if name == "reboot":
+            if value:
+                drone.restart()
+        elif name == "swap":
+            self._swap(i, int(value))
+        else:
+            changed = getattr(fault, name) != value
+            setattr(fault, name, value)
+            if name == "refuse_arming":
+                drone.refuse_arming(bool(value))
+            elif name == "off" and changed:
+                drone.restart()
+        if name in ("motor", "off"):
+            self.world.turn(i, [not fault.off and k + 1 != fault.motor for k in range(4)])
+
+    def _swap(self, i: int, j: int) -> None:
+        """i is taken for j and j for i; whoever was taken for one of them is himself again."""
+        for k in (i, j):
+            if k in self.faults and (old := int(self.faults[k].swap)) >= 0:
+                self.faults[k].swap = self.faults[old].swap = -1.0
+        if j >= 0 and i != j:
+            self.faults[i].swap, self.faults[j].swap = float(j), float(i)
+
+    def state(self, i: int) -> dict[str, Any]:
+        """The truth about a drone, and what it has been told."""
+        port, row, world = self.ports[i], self.world.row[i], self.world
+        drone, x, record = port.drone, self.world.states[self.world.row[i]], self.world.onboard[i].record
+        up = 1.0 - 2.0 * (x[6] ** 2 + x[7] ** 2)
+        return {
+            "p": x[:3].tolist(), "v": x[3:6].tolist(), "q": x[6:10].tolist(), "yaw": float(yaw_of(x[6:10])),
+            "estimate": [float(record[axis]) for axis in ("x", "y", "z")],
+            "supervisor": "off" if self.faults[i].off else drone.onboard.state, "info": drone.flight.info,
+            "motors": [float(share) for share in record["motors"]], "vbat": world.vbat(i),
+            "zeros": drone.flight.zeros, "last": drone.flight.last, "poses": drone.flight.poses,
+            "crashed": world.harm(i), "tumbled": bool(up < 0.5), "resting": world.resting(i),
+            "client": None if port.client is None else f"{port.client[0]}:{port.client[1]}", "at": list(port.at),
+            "up": port.air.up, "down": port.air.down, "lost": port.air.lost, "starts": drone.starts,
+            "malformed": port.malformed + drone.flight.malformed, "unknown": drone.flight.unknown,
+            "uptime": drone.uptime, "impact": float(world.impact[row]),
+            "led": int(drone.parameters.read("led.bitmask")),
+        }  # fmt: skip
+
+    def report(self) -> dict[str, Any]:
+        """What became of each drone, and of the machine."""
+        seconds = self.world.time
+        return {
+            "success": True,
+            "seconds": seconds,
+            "behind_s": self.behind * self.world.dt,
+            "busy": self.busy_ns / SECOND / seconds if seconds > 0.0 else 0.0,
+            "exchanges": [dongle.exchanges for dongle in self.dongles],
+            "drones": {i: self.state(i) for i in self.ports},
+        }
 
     async def on_stop(self) -> None:
         """Close the ports."""
-        for found in self.ports.values():
-            found.close()
+        self._close()
+
+    def _close(self) -> None:
+        for port in self.ports.values():
+            port.close()
+        self.cameras.close()
+
+
+def charge_of(volts: float, battery: Any) -> float:
+    """The charge, 0 to 1, at which a cell at rest has so many V; not empty."""
+    x = (volts - battery.empty) / (battery.full - battery.empty)
+    return max(float(np.interp(x, OPEN_CIRCUIT, np.linspace(0.0, 1.0, len(OPEN_CIRCUIT)))), LEAST_CHARGE)
+
+
+def overturn(x: Vec) -> None:
+    """Put a body that is not on its back there, its heading kept, without turning; x: (13,) changed in place."""
+    if 1.0 - 2.0 * (x[6] ** 2 + x[7] ** 2) > -0.9:
+        half = 0.5 * yaw_of(x[6:10])
+        x[6:10] = (math.cos(half), math.sin(half), 0.0, 0.0)
+        x[10:13] = 0.0

@@ -19,7 +19,8 @@ LOG_TYPES = {
     "uint8_t": 1, "uint16_t": 2, "uint32_t": 3, "int8_t": 4, "int16_t": 5, "int32_t": 6, "float": 7,
 }  # fmt: skip
 PARAM_TYPES = {
-    "uint8_t": 0x08, "uint16_t": 0x09, "uint32_t": 0x0A, "int8_t": 0x00, "int16_t": 0x01, "int32_t": 0x02, "float": 0x06,
+    "uint8_t": 0x08, "uint16_t": 0x09, "uint32_t": 0x0A, "int8_t": 0x00, "int16_t": 0x01, "int32_t": 0x02,
+    "float": 0x06,
 }  # fmt: skip
 EXTENDED, READ_ONLY = 0x10, 0x40
 """Bits of a parameter's type: more is to be asked for, which is whether it is persistent; it cannot be written."""
@@ -56,7 +57,12 @@ def names() -> tuple[tuple[Entry, ...], tuple[Entry, ...]]:
         if not line.startswith("#"):
             which, group, *items = line.split()
             (logs if which == "L" else parameters).extend(_entry(group, item) for item in items)
-    return tuple(logs), tuple(parameters)
+    return _grouped(logs), _grouped(parameters)
+
+
+def _grouped(entries: list[Entry]) -> tuple[Entry, ...]:
+    """Those of a group one after the other, as the firmware has them, by name."""
+    return tuple(sorted(entries, key=lambda entry: (entry.group, entry.name)))
 
 
 def _entry(group: str, item: str) -> Entry:
@@ -91,10 +97,11 @@ class Toc:
                 body = bytes([INFO]) + struct.pack("<HI", len(self.entries), self.crc) + self._info
                 yield Packet(self.port, 0, body)
             case [2, low, high]:
-                yield Packet(self.port, 0, data + self._item(low | high << 8))
+                yield Packet(self.port, 0, self._item(low | high << 8))
 
     def _item(self, k: int) -> bytes:
+        """The answer for entry k; the command alone where there is none."""
         if k >= len(self.entries):
-            return b""
+            return bytes([ITEM])
         entry = self.entries[k]
-        return bytes([self.kind(entry)]) + f"{entry.group}\0{entry.name}\0".encode()
+        return struct.pack("<BHB", ITEM, k, self.kind(entry)) + f"{entry.group}\0{entry.name}\0".encode()

@@ -12,7 +12,7 @@ from crazychoir.math3d import Mat, Vec
 from crazychoir.platforms import CRAZYFLIE_21, Platform
 from crazychoir.simulation.crazyflies import CrazyflieWorld
 from crazychoir.simulation.imu import Imu
-from crazychoir.simulation.lanes import ALIVE, FREE, LANES
+from crazychoir.simulation.lanes import ALIVE1, FREE, LANES
 from crazychoir.simulation.motors import H
 from crazychoir.simulation.mujoco.model import ACCELEROMETER, FLOOR, SCENE, SENSORS, body_name, model_of
 from crazychoir.simulation.mujoco.shape import Shape, crazyflie, shape_of
@@ -52,7 +52,7 @@ class MujocoWorld(CrazyflieWorld):
     def _fill(self, seed: int, sensors: Imu, ground_effect: bool, charge: float) -> None:
         super()._fill(seed, sensors, ground_effect, charge)
         self._options[:3] = 0.0  # the floor is MuJoCo's, nobody stands by itself
-        self._blocks[:, FREE : FREE + LANES] = self._blocks[:, ALIVE : ALIVE + LANES]
+        self._blocks[:, FREE : FREE + LANES] = self._blocks[:, ALIVE1 : ALIVE1 + LANES]
         self._build()
 
     def _build(self) -> None:

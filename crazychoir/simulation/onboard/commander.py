@@ -119,6 +119,19 @@ def z_distance(fleet: Fleet, i: int, roll: float, pitch: float, yaw_rate: float,
 
 
 @kernel(rows, whole, real, real, real, real, real)
+def altitude_hold(fleet: Fleet, i: int, roll: float, pitch: float, yaw_rate: float, vz: float, priority: float) -> bool:
+    """Generic 4: roll, pitch, yaw rate and speed upwards."""
+    fw = fleet[i]
+    if not accept(fw, int(priority)):
+        return False
+    sp = fw.wanted
+    sp.mode_z = sp.mode_yaw = VELOCITY
+    sp.mode_roll = sp.mode_pitch = ABSOLUTE
+    sp.vz, sp.roll, sp.pitch, sp.yaw_rate = vz, roll, pitch, yaw_rate
+    return True
+
+
+@kernel(rows, whole, real, real, real, real, real)
 def hover(fleet: Fleet, i: int, ahead: float, left: float, yaw_rate: float, z: float, priority: float) -> bool:
     """Generic 10: velocity ahead and to the left, yaw rate and height."""
     fw = fleet[i]

@@ -16,6 +16,7 @@ from crazychoir.math3d import (
     kernel,
     logarithm,
     product,
+    real,
     unit,
     vector,
 )
@@ -171,3 +172,24 @@ def see_pose(fleet: Fleet, i: int, p: Vec, q: Vec) -> None:
     fw.qx, fw.qy, fw.qz, fw.qw = unit(product(own, exponential(k * e[0], k * e[1], k * e[2])))
     fw.att_var *= 1.0 - k
     _angles(fw)
+
+
+@kernel(rows, whole, vector, real)
+def see_velocity(fleet: Fleet, i: int, v: Vec, std: float) -> None:
+    """Correct by a velocity (3,) m/s, world, of standard deviation std m/s an axis: as of a flow deck, chosen.
+
+        K = P_vv / (P_vv + std^2),  v <- v + K (v_seen - v),  p <- p + P_pv / (P_vv + std^2) (v_seen - v)
+    """
+    fw = fleet[i]
+    if not finite(v):
+        return
+    predict(fw)
+    r = std * std
+    k, kp = fw.xy_vv / (fw.xy_vv + r), fw.xy_pv / (fw.xy_vv + r)
+    dx, dy = v[0] - fw.vx, v[1] - fw.vy
+    fw.vx, fw.vy, fw.x, fw.y = fw.vx + k * dx, fw.vy + k * dy, fw.x + kp * dx, fw.y + kp * dy
+    fw.xy_pp, fw.xy_pv, fw.xy_vv = fw.xy_pp - kp * fw.xy_pv, (1.0 - k) * fw.xy_pv, (1.0 - k) * fw.xy_vv
+    k, kp = fw.z_vv / (fw.z_vv + r), fw.z_pv / (fw.z_vv + r)
+    dz = v[2] - fw.vz
+    fw.vz, fw.z = fw.vz + k * dz, fw.z + kp * dz
+    fw.z_pp, fw.z_pv, fw.z_vv = fw.z_pp - kp * fw.z_pv, (1.0 - k) * fw.z_pv, (1.0 - k) * fw.z_vv

@@ -32,6 +32,8 @@ AXES = ("x", "y", "z")
 STATE = ("x", "y", "z", "vx", "vy", "vz", "roll", "pitch", "yaw", "qx", "qy", "qz", "qw")
 TARGET = ("x", "y", "z", "vx", "vy", "vz", "ax", "ay", "az", "roll", "pitch", "yaw", "thrust")
 MODES = ("x", "y", "z", "roll", "pitch", "yaw", "quat")
+VARIANCES = {"X": "xy_pp", "Y": "xy_pp", "Z": "z_pp", "PX": "xy_vv", "PY": "xy_vv", "PZ": "z_vv"}
+"""Of the firmware's names: X is a position, PX a velocity."""
 _supervisor = entries(supervisor)
 TABLE: dict[str, Read] = {
     **{f"stateEstimate.{name}": _field(name) for name in STATE},
@@ -39,9 +41,8 @@ TABLE: dict[str, Read] = {
     **{f"stateEstimateZ.{name}": _whole(name, 1000.0) for name in STATE[:6]},
     **{f"stateEstimateZ.a{axis}": _whole(f"ac{axis}", 1000.0) for axis in AXES},
     **{f"kalman.state{axis.upper()}": _field(axis) for axis in AXES},
-    "kalman.varPX": _field("xy_pp"),
-    "kalman.varPY": _field("xy_pp"),
-    "kalman.varPZ": _field("z_pp"),
+    **{f"kalman.var{name}": _field(field) for name, field in VARIANCES.items()},
+    **{f"kalman.q{k}": _field(f"q{c}") for k, c in enumerate("wxyz")},
     **{f"stabilizer.{name}": _field(name) for name in ("roll", "pitch", "yaw", "thrust")},
     **{f"gyro.{axis}": _field(f"g{axis}") for axis in AXES},
     **{f"acc.{axis}": _field(f"a{axis}") for axis in AXES},

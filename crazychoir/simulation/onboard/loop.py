@@ -20,6 +20,7 @@ def _butterworth(hertz: float) -> tuple[float, float, float]:
 
 GYRO_B, GYRO_A1, GYRO_A2 = _butterworth(80.0)
 ACC_B, ACC_A1, ACC_A2 = _butterworth(30.0)
+STANDING = 200  # samples: the firmware weighs itself so long
 DEGREES, PER_G = 180.0 / math.pi, 1.0 / GRAVITY
 
 
@@ -41,6 +42,17 @@ def _acc(fw: Record, k: int, raw: float) -> float:
     d[i] = 2.0 * ACC_B * value - ACC_A1 * y + d[i + 1]
     d[i + 1] = ACC_B * value - ACC_A2 * y
     return y
+
+
+@kernel()
+def _weigh(fw: Record, ax: float, ay: float, az: float) -> None:
+    """After power-on, standing: the mean of the first STANDING samples is 1 g, whatever the sensor says."""
+    weight = math.sqrt(ax * ax + ay * ay + az * az)
+    if abs(weight - GRAVITY) < 0.1 * GRAVITY:
+        fw.acc_sum += weight
+        fw.acc_count += 1.0
+        if fw.acc_count >= STANDING:
+            fw.acc_scale = GRAVITY * fw.acc_count / fw.acc_sum
 
 
 @kernel(rows, whole)
@@ -78,7 +90,10 @@ def stabilize(fw: Record, gx: float, gy: float, gz: float, ax: float, ay: float,
     Where fw.law_due is 1 afterwards, `Onboard.obey_law` runs the user's controller before the next ms.
     """
     fw.gx, fw.gy, fw.gz = _gyro(fw, 0, gx), _gyro(fw, 1, gy), _gyro(fw, 2, gz)
-    fw.ax, fw.ay, fw.az = _acc(fw, 0, ax), _acc(fw, 1, ay), _acc(fw, 2, az)
+    if fw.acc_count < STANDING:
+        _weigh(fw, ax, ay, az)
+    c = fw.acc_scale
+    fw.ax, fw.ay, fw.az = _acc(fw, 0, c * ax), _acc(fw, 1, c * ay), _acc(fw, 2, c * az)
     estimator.collect(fw)
     fw.vbat_low += mixing.LOW_PASS * (fw.vbat - fw.vbat_low)
     tick = fw.tick

@@ -9,9 +9,20 @@ import numpy.typing as npt
 from crazychoir.errors import ConfigError
 from crazychoir.math3d import Vec
 from crazychoir.platforms import Platform
-from crazychoir.simulation.onboard import commander, estimator, laws, logs, loop, parameters, planner, supervisor
+from crazychoir.simulation.onboard import (
+    bezier,
+    commander,
+    estimator,
+    laws,
+    logs,
+    loop,
+    parameters,
+    planner,
+    supervisor,
+)
 from crazychoir.simulation.onboard.commander import CRTP
 from crazychoir.simulation.onboard.record import (
+    EXPANDED,
     LEE,
     MELLINGER,
     MEMORY,
@@ -51,6 +62,13 @@ class Onboard:
         self.law_name = ""
         _loop.settle(self.rows, self.row)
 
+    def restart(self) -> None:
+        """Power-on again: all that it has been told is forgotten, the battery is as it was. Raises nothing."""
+        vbat = float(self.record["vbat"])
+        self.rows[self.row : self.row + 1] = fleet(1, self.platform)
+        self.record["vbat"] = self.record["vbat_low"] = vbat
+        _loop.settle(self.rows, self.row)
+
     def place(self, p: Vec | Sequence[float], yaw: float) -> None:
         """Where it is switched on: p (3,) m world, heading rad. The estimate begins there."""
         fw = self.record
@@ -68,6 +86,10 @@ class Onboard:
     def external_position(self, p: Vec) -> None:
         """A position alone: p (3,) m world. Nothing corrects the attitude then."""
         _estimator.see_position(self.rows, self.row, p)
+
+    def measured_velocity(self, v: Vec, std: float) -> None:
+        """By a deck on board: v (3,) m/s world, std m/s an axis."""
+        _estimator.see_velocity(self.rows, self.row, v, std)
 
     @property
     def estimate(self) -> State:
@@ -122,6 +144,12 @@ class Onboard:
         ok = math.isfinite(roll + pitch + yaw_rate + z)
         r, p, w = math.degrees(roll), -math.degrees(pitch), math.degrees(yaw_rate)
         return ok and bool(_commander.z_distance(self.rows, self.row, r, p, w, z, priority))
+
+    def altitude_hold(self, roll: float, pitch: float, yaw_rate: float, climb: float, priority: int = CRTP) -> bool:
+        """Roll, pitch rad (positive pitch: nose down), yaw rate rad/s, speed upwards m/s."""
+        ok = math.isfinite(roll + pitch + yaw_rate + climb)
+        r, p, w = math.degrees(roll), -math.degrees(pitch), math.degrees(yaw_rate)
+        return ok and bool(_commander.altitude_hold(self.rows, self.row, r, p, w, climb, priority))
 
     def manual(
         self, thrust: float, roll: float, pitch: float, yaw_rate: float, rates: bool = False, priority: int = CRTP
@@ -206,7 +234,7 @@ class Onboard:
         reverse: bool = False,
     ) -> int:
         """Fly an uploaded trajectory; timescale 2 takes twice the time."""
-        refused = self._flight(timescale)
+        refused = self._flight(timescale) or self._unpack(slot, timescale, reverse)
         flags = float(relative), float(relative_yaw), float(reverse)
         return refused or int(_planner.start_trajectory(self.rows, self.row, slot, timescale, *flags))
 
@@ -217,17 +245,34 @@ class Onboard:
     @property
     def memory(self) -> npt.NDArray[np.uint8]:
         """The 4096 bytes of uploaded trajectories, not copied."""
-        words: npt.NDArray[np.float32] = self.rows["memory"][self.row]
+        words: npt.NDArray[np.float32] = self.rows["memory"][self.row][:MEMORY]
         return words.view(np.uint8)
 
-    def define_trajectory(self, slot: int, offset: int, pieces: int) -> int:
-        """Name what lies in the memory: offset in bytes, a multiple of 4; 8 if it does not fit."""
+    def define_trajectory(self, slot: int, offset: int, pieces: int, compressed: bool = False) -> int:
+        """Name what lies in the memory: offset in bytes, a multiple of 4 if not compressed; 8 if it does not fit."""
         words = offset // 4
-        placed = offset >= 0 and offset % 4 == 0 and words + pieces * PIECE <= MEMORY
-        if not (0 <= slot < TRAJECTORIES and pieces > 0 and placed):
+        placed = offset < self.memory.size if compressed else offset % 4 == 0 and words + pieces * PIECE <= MEMORY
+        if not (0 <= slot < TRAJECTORIES and pieces > 0 and offset >= 0 and placed):
             return planner.UNKNOWN
         plan = self.record["planner"]
-        plan["offset"][slot], plan["pieces"][slot] = words, pieces
+        plan["offset"][slot], plan["pieces"][slot] = words, 0 if compressed else pieces
+        plan["packed"][slot] = (offset, pieces * compressed)
+        return planner.OK
+
+    def _unpack(self, slot: int, timescale: float, reverse: bool) -> int:
+        """Make a compressed trajectory ready to be flown, at its own pace and forwards: 8 otherwise, 0 if all is well.
+
+        Chosen: at most EXPANDED pieces are flown.
+        """
+        plan = self.record["planner"]
+        if not 0 <= slot < TRAJECTORIES or not plan["packed"][slot][1]:
+            return planner.OK
+        offset, segments = plan["packed"][slot].tolist()
+        pieces = bezier.expanded(self.memory[offset:], min(segments, EXPANDED))
+        if timescale != 1.0 or reverse or not len(pieces):
+            return planner.UNKNOWN
+        plan["offset"][slot], plan["pieces"][slot] = MEMORY, len(pieces)
+        self.rows["memory"][self.row][MEMORY : MEMORY + pieces.size] = pieces.ravel()
         return planner.OK
 
     def upload(self, slot: int, pieces: npt.ArrayLike) -> None:
@@ -244,13 +289,13 @@ class Onboard:
         if not np.all(np.isfinite(rows)) or np.any(rows[:, -1] <= 0.0):
             raise ConfigError(f"{where}: pieces", rows[:, -1].tolist(), "finite numbers, durations above 0 s")
         plan = self.record["planner"]
-        others = [plan["offset"][k] + plan["pieces"][k] * PIECE for k in range(TRAJECTORIES) if k != slot]
-        start = int(max(others))
+        ends = [(plan["offset"][k], plan["pieces"][k] * PIECE) for k in range(TRAJECTORIES) if k != slot]
+        start = int(max((offset + size for offset, size in ends if offset < MEMORY), default=0))
         if start + rows.size > MEMORY:
             free = (MEMORY - start) // PIECE
             raise ConfigError(where, f"{len(rows)} pieces", f"at most {MOST_PIECES} in all slots, {free} are free")
         self.rows["memory"][self.row][start : start + rows.size] = rows.ravel()
-        plan["offset"][slot], plan["pieces"][slot] = start, len(rows)
+        plan["offset"][slot], plan["pieces"][slot], plan["packed"][slot] = start, len(rows), 0
 
     # The supervisor
 

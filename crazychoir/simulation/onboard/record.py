@@ -25,6 +25,7 @@ LEGACY, FORCE_TORQUE, MOTORS = 0, 1, 2
 
 TRAJECTORIES, MEMORY = 31, 1024  # slots; float32 of 4096 bytes
 PIECE = 33  # float32 of one piece: 4 axes of 8 coefficients and a duration
+EXPANDED = 64  # pieces behind that memory: a compressed trajectory, as it is flown
 
 
 def _reals(names: str) -> list[tuple[str, type]]:
@@ -64,6 +65,7 @@ planner_fields = np.dtype(
         ("last_v", np.float32, (4,)),
         ("offset", np.int64, (TRAJECTORIES,)),  # float32 from the start of the memory
         ("pieces", np.int64, (TRAJECTORIES,)),  # 0: not defined
+        ("packed", np.int64, (TRAJECTORIES, 2)),  # of a compressed one: its first byte, its segments (0: it is not)
         ("take_off_speed", np.float64),
         ("landing_speed", np.float64),
     ],
@@ -94,6 +96,7 @@ drone_fields = np.dtype(
         # sensors
         ("delays", np.float64, (12,)),  # of the low-pass filters
         *_reals("gx gy gz ax ay az"),  # filtered: deg/s, g
+        *_reals("acc_sum acc_count acc_scale"),  # m/s2; samples; what makes the weight of a drone that stands 1 g
         # estimator
         *_reals("p_sum q_sum r_sum fx_sum fy_sum fz_sum"),
         ("samples", np.int64),
@@ -138,7 +141,7 @@ drone_fields = np.dtype(
         ("planner", planner_fields),
         ("mellinger", mellinger_fields),
         ("lee", lee_fields),
-        ("memory", np.float32, (MEMORY,)),
+        ("memory", np.float32, (MEMORY + EXPANDED * PIECE,)),
     ],
     align=True,
 )
@@ -195,7 +198,7 @@ SCALARS: dict[str, float] = {
     "rate_pitch_mode": 1, "rate_yaw_mode": 0, "preflight_timeout": 30000, "landed_timeout": 3000,
     "spinup_timeout": 2000, "tumble_check": 1, "controller": PID, "modes": -1, "x_vel_max": 1.0, "y_vel_max": 1.0,
     "z_vel_max": 1.0, "roll_limit": 20.0, "pitch_limit": 20.0, "thrust_base": 36000.0, "thrust_minimum": 20000.0,
-    "stopping_at": -10000, "az": 1.0, "qw": 1.0, "acz": 0.0,
+    "stopping_at": -10000, "az": 1.0, "acc_scale": 1.0, "qw": 1.0, "acz": 0.0,
 }  # fmt: skip
 
 

@@ -44,6 +44,7 @@ def _enter(fw: Record, state: int) -> None:
     if state in (RESET, NOT_PASSED, LOCKED, CRASHED):
         fw.armed = 0
         fw.arm_requested = 0
+        fw.planner.state = IDLE  # who may not fly has no plan either
     if state == FREE_FALL:
         fw.priority = NOBODY
 

@@ -319,6 +319,6 @@ def test_numbers_on_the_wire_do_not_change():
     assert {name: tag for name, (tag, *_) in codec.LAYOUTS.items()} == {
         "Pose": 16, "State": 17, "Acceleration": 18, "FullState": 19, "Goto": 20, "FPQR": 21, "Status": 22,
         "FRPY": 23, "Vel": 24, "XYZ": 25, "Body": 26, "Failure": 27, "Acc": 40, "Drive": 41, "Velocity": 42,
-        "Plan": 43,
+        "Plan": 43, "LinkStatus": 44,
     }  # fmt: skip
     assert math.isnan(decode(encode(math.nan)))

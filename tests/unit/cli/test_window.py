@@ -135,7 +135,7 @@ def test_bodies_in_the_world_of_an_owner_are_stopped_by_themselves(owner):
         assert said == {0: (True, "acknowledged"), 1: (False, "absent; its body has obeyed")}
         assert [at for i in (0, 1) for at, _ in swarm.stops[BODIES + i]] == pytest.approx([0.0, 0.0], abs=0.02)
     else:
-        silent = "its world's owner does not answer"
+        silent = "its body's owner does not answer"
         assert said == {0: (False, f"acknowledged; {silent}"), 1: (False, f"absent; {silent}")}
 
 
@@ -186,7 +186,7 @@ def test_an_agent_that_hangs_is_not_waited_for_once_its_body_has_obeyed():
     assert said == {0: (True, "acknowledged"), 1: (False, "no acknowledgement; its body has obeyed")}
     assert seconds == pytest.approx(DISCOVERY, abs=0.2)
     _, said, seconds = play(partial(scene, bodies=(0,)))
-    assert said[1] == (False, "no acknowledgement; its world's owner does not answer")
+    assert said[1] == (False, "no acknowledgement; its body's owner does not answer")
     assert seconds == pytest.approx(OBEYS, abs=0.2), "nothing has stopped it yet"
 
 
@@ -199,7 +199,7 @@ def test_a_world_that_is_gone_is_not_waited_for_as_a_run_that_is_starting(caplog
         return await swarm.window.emergency_stop(clear=False)
 
     _, said, seconds = play(scene)
-    assert said == dict.fromkeys(range(2), (False, "acknowledged; its world's owner does not answer"))
+    assert said == dict.fromkeys(range(2), (False, "acknowledged; its body's owner does not answer"))
     assert seconds == pytest.approx(DISCOVERY, abs=0.2)
     assert caplog.messages == ["swarm a: stopped: agents 0 to 1; waiting for the others"], "at once"
 

@@ -7,9 +7,14 @@ from types import SimpleNamespace
 
 from crazychoir.guidance.base import CFGuidance
 from crazychoir.guidance.drone import WAITING
-from crazychoir.launch.flight import NO_REASON, NO_REASONS, NO_RESULT, all_wait, fly_fast, starts_world, summary
+from crazychoir.launch.flight import NO_REASON, NO_REASONS, NO_RESULT, all_wait, fly_fast, owners, summary
 from crazychoir.swarm.config import SwarmConfig, default_swarm
 from crazychoir.types import Status
+
+
+def starts_world(config, started):
+    return [owner.name for owner in owners(config, started)] == ["world"]
+
 
 MISSION = SimpleNamespace(guidance=lambda i, config: None)
 
@@ -179,3 +184,19 @@ def test_the_world_is_started_once_with_all_drones_or_with_the_lowest_of_its_hos
     assert [starts_world(there, started) for started in ((0,), (1,), (2,), (0, 1, 2))] == [False, True, False, True]
     alone = config({"host": "rack"}, "lab", "desk")
     assert [starts_world(alone, started) for started in ((0,), (1,), (0, 1))] == [False, False, True]
+
+
+def test_owners_of_cameras_and_dongles_start_with_the_drones_of_their_host():
+    drones = [
+        {"id": i, "home": [i, 0, 0], "uri": f"udp://10.0.0.9:{i + 1}", "dongle": i % 2, "host": host}
+        for i, host in enumerate(("lab", "desk", "lab"))
+    ]
+    raw = {"name": "a", "drones": drones, "hosts": {"lab": "10.0.0.1", "desk": "10.0.0.2"}}
+    rows = [{"dongle": 0, "host": "lab"}, {"dongle": 1, "host": "desk"}]
+    raw |= {"mocap": {"host": "desk"}, "radio": {"dongles": rows}}
+    config = SwarmConfig.of(raw)
+    names = {here: [owner.name for owner in owners(config, here)] for here in ((0, 1, 2), (0,), (2,), (1,))}
+    assert names == {
+        (0, 1, 2): ["mocap", "dongle 0", "dongle 1"], (0,): ["dongle 0"], (2,): [], (1,): ["mocap", "dongle 1"]
+    }  # fmt: skip
+    assert owners(config, None)[1].options == ("--dongle", "0")

@@ -13,7 +13,14 @@ from crazychoir.agent import Agent
 from crazychoir.guidance.base import CFGuidance
 from crazychoir.guidance.life import LANDING_DEADLINE
 from crazychoir.launch import processes
-from crazychoir.launch.processes import LONGEST, patience, read_results, run_children, write_results
+from crazychoir.launch.processes import (
+    LONGEST,
+    WORLD_OWNER,
+    patience,
+    read_results,
+    run_children,
+    write_results,
+)
 from crazychoir.runtime.clock import run_virtual
 from crazychoir.swarm.config import default_swarm
 
@@ -109,7 +116,7 @@ async def test_the_world_is_there_before_the_agents_and_ends_after_them(tmp_path
 
     world_that("signal.signal(15, lambda *_: exit(print('world ends'))); signal.pause()", monkeypatch)
     monkeypatch.setattr(processes, "_spawn", spawn)
-    found = await run_children([(0,)], tmp_path / "s.json", default_swarm(1), [], order.append, world=True)
+    found = await run_children([(0,)], tmp_path / "s.json", default_swarm(1), [], order.append, owners=[WORLD_OWNER])
     assert found == {0: {"success": True}}
     assert sorted(order[:2]) == ["agent begins", "there"]
     assert order[2:] == ["agent ends", "world ends"]
@@ -131,9 +138,9 @@ async def test_without_their_world_agents_end_that_do_not_by_themselves(tmp_path
     world_that(f"time.sleep(0.5); {ends}", monkeypatch)
     monkeypatch.setattr(processes, "_spawn", spawn)
     monkeypatch.setattr(processes, "ORPHANED", orphaned)
-    await run_children([(0,)], tmp_path / "s.json", default_swarm(1), [], said.append, world=True)
+    await run_children([(0,)], tmp_path / "s.json", default_swarm(1), [], said.append, owners=[WORLD_OWNER])
     assert children[0].returncode == 3
-    assert f"world: its owner ended with code {code}: its drones see nothing and stop" in said
+    assert f"world: its owner ended with code {code}: its drones stop" in said
 
 
 async def test_a_signal_is_passed_on_as_what_it_is(tmp_path, monkeypatch):

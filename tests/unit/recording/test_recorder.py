@@ -15,6 +15,7 @@ from crazychoir.bus.local import OBSERVER, Bus
 from crazychoir.bus.topics import (
     BODY,
     COMMAND,
+    LINK,
     LOG,
     OBSERVABLE,
     PLAN,
@@ -32,7 +33,7 @@ from crazychoir.recording.file import RecordingFile
 from crazychoir.recording.recorder import Recorder
 from crazychoir.runtime.clock import run_virtual, run_wall
 from crazychoir.runtime.supervisor import Supervisor
-from crazychoir.types import FPQR, Body, FullState, Plan, Pose, State, Status, Vel
+from crazychoir.types import FPQR, Body, FullState, LinkStatus, Plan, Pose, State, Status, Vel
 
 ABOUT = {"version": "1.2"}
 
@@ -61,7 +62,9 @@ VALUES = {
     POSE: Pose(np.arange(7.0), 0.25), STATE: State.at((1, 2, 3), (4, 5, 6)), REFERENCE: FullState(np.arange(14.0)),
     COMMAND: FPQR(np.arange(4.0)), TRUTH: State.at((7, 8, 9)), STATUS: Status("hovering", suspect=[1], cost=0.5),
     RESULT: {"success": True, "place": np.ones(3)}, LOG: "drone 1: a line",
-    BODY: Body("crashed"), TELEMETRY: {"pm.vbat": [3.9, 0.05]},
+    BODY: Body("crashed"),
+    LINK: LinkStatus("up", 0.01, 0.02, 0.9, -40.0, 3.9, 3, True, ["battery"], "2025.12", 1, 2),
+    TELEMETRY: {"pm.vbat": [3.9, 0.05]},
     PLAN: Plan(np.ones((1, 25)), 0.5, np.zeros((0, 25)), 0.0, 3, {0: 2}, np.zeros(0)),
 }  # fmt: skip
 
@@ -75,7 +78,7 @@ def test_every_observable_topic_arrives_as_it_was_sent(tmp_path, observer):
 
     assert [topic.name for topic in VALUES] == list(OBSERVABLE)
     path = tmp_path / "a.mcap"
-    assert recorded(path, work, observer) == {"file": str(path), "messages": 11, "lost": 0, "error": ""}
+    assert recorded(path, work, observer) == {"file": str(path), "messages": 12, "lost": 0, "error": ""}
     found = by_mcap_ros2(path)
     assert found == by_rosbags(path)
     assert [name for name, *_ in found] == [f"/drone1/{topic.name}" for topic in VALUES]

@@ -160,7 +160,7 @@ def test_the_table_is_data():
     strict = Guard(table=(*TABLE, Rule("reference", 0.05, Action.CUT, latched=True)))
     assert strict.check(0.0, HERE, 0.0, 0.06).action == Action.CUT
     with pytest.raises(ConfigError, match="measure"):
-        Guard(table=(Rule("battery", 1.0, Action.LAND),))
+        Guard(table=(Rule("humidity", 1.0, Action.LAND),))
 
 
 def test_outside_is_the_distance_over_the_nearest_side_passed():

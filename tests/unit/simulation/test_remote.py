@@ -268,7 +268,7 @@ async def test_an_owner_that_was_there_is_missed_once_and_one_that_was_not_is_wa
     watching.cancel()
     ((drone, when),) = gone
     assert (drone, when) == (3, pytest.approx(3.5 + GONE, abs=0.3))
-    assert said == ["drone(s) 4: waiting for the owner of their world: crazychoir-world --swarm ..."]
+    assert said == ["drone 4: waiting for its world's owner (crazychoir-world)"]
 
 
 @pytest.mark.parametrize(("uri", "command"), [

@@ -11,20 +11,22 @@ from crazychoir.swarm import tables
 from crazychoir.swarm.config import SwarmConfig, default_swarm
 
 FLOWN = "sim://, sim://single, sim://double, sim://unicycle, sim://motors, mujoco://, replay://FILE"
+LINKS = "udp://HOST:PORT, radio://DONGLE/CHANNEL/RATE/ADDRESS"
 CASES = {
     "unknown key": (
         'colour = "red"',
         "",
-        'x.toml: colour = "red": there is no such key; the keys here are name, drones, mission, mission_options, seed, '
-        "graph, edges, directed, start, start_deadline, lost_after, lease, base_port, processes, hosts, network, "
-        "flight, fence, keep_out, mocap, plant, motors, mujoco, world, collision, control, roles. Remove it; keys of "
-        "your own go into [mission_options].",
+        'x.toml: colour = "red": there is no such key; the keys here are name, drones, mission, mission_options, '
+        "seed, graph, edges, directed, start, start_deadline, lost_after, lease, base_port, processes, hosts, network, "
+        "flight, fence, keep_out, mocap, radio, plant, motors, mujoco, world, collision, control, roles. Remove it; "
+        "keys of your own go into [mission_options].",
     ),
     "misspelt key of a drone": (
         "",
         "neighbours = [2]",
         "x.toml: drones[3].neighbours = [2]: there is no such key; the keys here are id, home, uri, platform, yaw, "
-        "neighbors, leader, role, host, options. Did you mean neighbors?",
+        "neighbors, leader, role, host, options, dongle, pose, body, body_offset, body_rotation, parameters. Did you "
+        "mean neighbors?",
     ),
     "unknown key beside one that is missing": (
         "network.partitions = [{ groups = [[0]], since = 8.0 }]",
@@ -138,29 +140,22 @@ CASES = {
         "x.toml: drones[4].home: found nothing; allowed: a position [x, y, z] in m. "
         "Add for example home = [0.0, 0.6, 0.0].",
     ),
-    "planned uri": (
-        "",
-        'uri = "radio://0/80/2M/E7E7E7E703"',
-        'x.toml: drones[3].uri = "radio://0/80/2M/E7E7E7E703": this version does not fly radio:// drones; '
-        f'it flies {FLOWN}. Write uri = "sim://", or install a package with the entry point radio in '
-        "crazychoir.worlds.",
-    ),
     "unknown uri": (
         "",
         'uri = "simulation"',
-        f'x.toml: drones[3].uri: found "simulation"; allowed: {FLOWN}. Write uri = "sim://", or leave it '
+        f'x.toml: drones[3].uri: found "simulation"; allowed: {FLOWN}, {LINKS}. Write uri = "sim://", or leave it '
         "out.",
     ),
     "unknown scheme": (
         "",
         'uri = "gazebo://hall"',
-        f'x.toml: drones[3].uri: found "gazebo://hall"; allowed: {FLOWN}. Write uri = "sim://", or install '
+        f'x.toml: drones[3].uri: found "gazebo://hall"; allowed: {FLOWN}, {LINKS}. Write uri = "sim://", or install '
         "a package with the entry point gazebo in crazychoir.worlds.",
     ),
     "unknown world of ours": (
         "",
         'uri = "sim://motor"',
-        f'x.toml: drones[3].uri: found "sim://motor"; allowed: {FLOWN}. Write uri = "sim://", or leave it '
+        f'x.toml: drones[3].uri: found "sim://motor"; allowed: {FLOWN}, {LINKS}. Write uri = "sim://", or leave it '
         "out.",
     ),
     "faster than the planner on board": (
@@ -188,7 +183,8 @@ CASES = {
     "no port for the world": (
         "base_port = 1024\nworld.owned = true",
         "",
-        "x.toml: base_port = 1024: the world's owner listens on base_port - 1; ports begin at 1024. Raise it.",
+        "x.toml: base_port = 1024: owners of worlds and radios listen down to base_port - 1; ports begin at 1024. "
+        "Raise it.",
     ),
     "outside the fence": (
         "fence.max = [4, 0.9, 3]",
@@ -420,7 +416,7 @@ def test_hostile_depth_is_a_config_error() -> None:
 
 def test_every_key_says_what_is_allowed_and_its_example_is() -> None:
     structs = [kind for kind in vars(tables).values() if isinstance(kind, type) and issubclass(kind, tables.Table)]
-    assert len(structs) == 18
+    assert len(structs) == 20
     for kind in structs:
         for entry in msgspec.structs.fields(kind):
             said = next((t for t in (entry.type, *get_args(entry.type)) if get_origin(t) is Annotated), None)

@@ -1,0 +1,47 @@
+"""What is looked at before a drone that a radio reaches may take off; arguments in, words out."""
+
+import math
+
+CAN_ARM, ARMED, AUTO_ARM, CAN_FLY, FLYING, TUMBLED, LOCKED, CRASHED = (1 << k for k in range(8))
+DECK_FAULT = 1 << 11
+"""Bits of the firmware's supervisor."""
+LOW_BATTERY = 3.7
+"""V, of a drone that has not flown yet: less than a quarter is left (level table of the firmware)."""
+
+
+def harm(supervisor: int) -> str:
+    """What has broken a drone, by its supervisor's bits; empty if nothing has."""
+    words = {CRASHED: "crashed", TUMBLED: "tumbled", LOCKED: "locked by its firmware until it is started again"}
+    return next((text for bit, text in words.items() if supervisor & bit), "")
+
+
+def supervisor_problems(supervisor: int) -> list[str]:
+    """Why its firmware does not let it fly."""
+    if text := harm(supervisor):
+        return [text]
+    if supervisor & DECK_FAULT:
+        return ["a deck is faulty"]
+    if not supervisor & (CAN_FLY | ARMED | CAN_ARM | AUTO_ARM):
+        return [f"its firmware does not let it fly (supervisor {supervisor:#06x})"]
+    return []
+
+
+def battery_problems(volts: float) -> list[str]:
+    """Too little to begin with."""
+    if math.isnan(volts):
+        return ["says nothing of its battery"]
+    return [f"battery at {volts:.2f} V, {LOW_BATTERY:g} V are needed to begin"] if volts < LOW_BATTERY else []
+
+
+UNSURE = 0.01
+"""m2, variance of its own place on each axis, with which a drone takes off that nobody else sees: 0.1 m."""
+
+
+def spread_problems(variances: list[float]) -> list[str]:
+    """Whether a drone that nobody else sees knows where it is."""
+    worst = max(variances, key=lambda v: math.inf if math.isnan(v) else v)
+    if math.isnan(worst):
+        return ["does not say how well it knows where it is"]
+    if worst > UNSURE:
+        return [f"knows its place to {math.sqrt(worst):.2f} m, {math.sqrt(UNSURE):g} m are needed"]
+    return []

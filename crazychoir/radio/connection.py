@@ -1,0 +1,303 @@
+"""The way to one drone through cflib: opened and closed within deadlines, asked and answered; its threads end here."""
+
+import asyncio
+import contextlib
+import logging
+import math
+import threading
+from collections.abc import Callable, Iterable
+from types import MethodType
+from typing import Any
+
+from cflib.crazyflie import Crazyflie
+from cflib.crazyflie.log import LogConfig
+from cflib.crazyflie.param import ParamTocElement
+from cflib.crazyflie.toc import TocFetcher
+from cflib.crtp.crtpstack import CRTPPacket
+
+from crazychoir.errors import LinkFailed
+from crazychoir.radio import drivers
+from crazychoir.radio.contents import TableOfContents
+from crazychoir.radio.crtp import LINK, LOG, PARAM, Packet
+from crazychoir.radio.writer import Writer
+from crazychoir.runtime.clock import SECOND, Clock
+
+log = logging.getLogger(__name__)
+SOURCE, VERSION_KNOWN = Packet(LINK, 1, b"\x00"), 0
+ECHO = 0
+AGAIN = 0.25
+"""s after which what was not answered is asked again."""
+ENDS = 0.5
+"""s that a thread gets to end."""
+CLOSES = 3.0
+"""s that closing a link takes at most; threads of cflib that hang in a driver are left behind."""
+LOG_DATA = 2
+ECHOES = 20
+"""Echoes of which the answered share is told: 2 s of them."""
+
+Data = Callable[[dict[str, float], float], None]
+"""Called with log variables and the s since they were true, as far as that is known."""
+
+
+class Connection:
+    """One link to a drone. Its methods are of the event loop; nothing in them waits for cflib.
+
+    uri: as cflib takes it;  contents: shared by all links of the process;  lost: called with a reason when an open link
+    has failed;  heard: called with each packet but logs and echoes;  turn: waits until a packet may be sent.
+    """
+
+    def __init__(
+        self, clock: Clock, uri: str, contents: TableOfContents, lost: Callable[[str], None] = lambda reason: None,
+        heard: Callable[[Packet], None] = lambda packet: None, turn: Callable[[], None] = lambda: None,
+    ) -> None:  # fmt: skip
+        drivers.ready()
+        self.clock, self.uri, self._lost, self._heard, self._turn = clock, uri, lost, heard, turn
+        self._loop = asyncio.get_running_loop()
+        self._asked: list[tuple[Callable[[Packet], bool], asyncio.Future[Packet]]] = []
+        self._opened: asyncio.Future[None] = self._loop.create_future()
+        self._over = False
+        self._writer: Writer | None = None
+        self._heard_ns: int | None = None
+        self._echoes: list[bool] = []
+        self.latency = math.nan
+        """s, there and back, 95 of 100 echoes; NaN before the first."""
+        self.quality = self.rssi = math.nan
+        """Share of packets that were acknowledged, and dBm: of a radio."""
+        self.cf = self._crazyflie(contents)
+
+    def _crazyflie(self, contents: TableOfContents) -> Crazyflie:
+        """cflib's object, listened to; it gets its tables from the cache, and reads parameters when they are asked."""
+        cf = Crazyflie()
+        cf._toc_cache = contents
+        cf.param.request_update_of_all_params = _nothing
+        cf.param.refresh_toc = MethodType(_only_contents, cf.param)
+        cf.connected.add_callback(lambda uri: self._from_thread(self._is_open))
+        cf.connection_failed.add_callback(lambda uri, message: self._from_thread(self._failed, message))
+        cf.connection_lost.add_callback(lambda uri, message: self._from_thread(self._failed, message))
+        cf.packet_received.add_callback(self._received)
+        cf.packet_sent.add_callback(self._sent)
+        statistics = cf.link_statistics
+        statistics.latency_updated.add_callback(self._set_latency)
+        statistics.link_quality_updated.add_callback(self._set_quality)
+        statistics.uplink_rssi_updated.add_callback(self._set_rssi)
+        return cf
+
+    # Open and close ---------------------------------------------------------------------------------------------
+
+    async def open(self, seconds: float) -> None:
+        """Until tables of contents are known; raises LinkFailed, which says how far it came."""
+        threading.Thread(target=self._open, name=f"{self.uri} opening", daemon=True).start()
+        try:
+            async with asyncio.timeout(seconds):
+                while not self._opened.done():
+                    await asyncio.wait([self._opened], timeout=AGAIN)
+                    if not self._opened.done() and self.cf.link is not None and self._version < VERSION_KNOWN:
+                        self._to_thread(SOURCE)  # cflib asks once
+                self._opened.result()
+        except TimeoutError:
+            raise LinkFailed(self.uri, f"{self._stage()} within {seconds:g} s") from None
+        self._writer = Writer(self.uri, self._put, self._turn)
+
+    def _open(self) -> None:
+        """cflib's opening, which may never come back."""
+        try:
+            self.cf.open_link(self.uri)
+        except Exception as error:  # noqa: BLE001 - whatever it is, whoever waits is told
+            self._from_thread(self._failed, f"{type(error).__name__}: {error}")
+
+    @property
+    def _version(self) -> int:
+        version: int = self.cf.platform.get_protocol_version()
+        return version
+
+    def _stage(self) -> str:
+        """What has not come."""
+        if self._heard_ns is None:
+            return "no answer"
+        if self._version < VERSION_KNOWN:
+            return "it does not say its protocol's version"
+        missing = "log variables" if not self.cf.log.toc.toc else "parameters"
+        return f"its table of {missing} is not complete"
+
+    async def close(self) -> None:
+        """End it without any set-point, so that a drone in flight notices no more than silence."""
+        self._over = True
+        if not self._opened.done():
+            self._opened.cancel()
+        for _, waiting in self._asked:
+            waiting.cancel()
+        if self._writer is not None:
+            self._writer.end()
+        closed: asyncio.Future[None] = self._loop.create_future()
+        threading.Thread(target=self._close, args=(closed,), name=f"{self.uri} closing", daemon=True).start()
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(CLOSES):
+                await closed
+
+    def _close(self, closed: "asyncio.Future[None]") -> None:
+        cf = self.cf
+        if self._writer is not None:
+            self._writer.join(ENDS)
+        link, cf.link = cf.link, None
+        if link is not None:
+            link.close()
+        cf.incoming.stop()
+        for timer in list(cf._answer_patterns.values()):
+            timer.cancel()
+        cf._answer_patterns = {}
+        cf.disconnected.call(self.uri)
+        if cf.incoming.is_alive():
+            cf.incoming.join(ENDS)
+        self._quietly(_resolve, closed)
+
+    # Packets ----------------------------------------------------------------------------------------------------
+
+    def send(self, packet: Packet) -> None:
+        """Send this, after all that were sent before."""
+        if self._writer is not None:
+            self._writer.put(packet)
+
+    def newest(self, kind: str, packet: Packet) -> None:
+        """Send this instead of the one of its kind that has not gone yet."""
+        if self._writer is not None:
+            self._writer.newest(kind, packet)
+
+    def forget(self, kind: str) -> None:
+        """What has not gone of this kind does not go any more."""
+        if self._writer is not None:
+            self._writer.forget(kind)
+
+    async def ask(
+        self, packet: Packet, answers: Callable[[Packet], bool], seconds: float, again: float = AGAIN
+    ) -> Packet:
+        """Send it until an answer comes; raises TimeoutError.
+
+        answers: whether a packet is it;  again: s between two, infinite for what must not be said twice.
+        """
+        waiting: asyncio.Future[Packet] = self._loop.create_future()
+        entry = (answers, waiting)
+        self._asked.append(entry)
+        try:
+            async with asyncio.timeout(seconds):
+                while not waiting.done():
+                    self.send(packet)
+                    await asyncio.wait([waiting], timeout=None if math.isinf(again) else again)
+                return waiting.result()
+        finally:
+            self._asked.remove(entry)
+
+    @property
+    def silence(self) -> float:
+        """s since the last packet from the drone; infinite before the first."""
+        return math.inf if self._heard_ns is None else (self.clock.now_ns() - self._heard_ns) / SECOND
+
+    @property
+    def answered(self) -> float:
+        """Share of the last echoes that came back; of a radio: of all packets."""
+        if not math.isnan(self.quality):
+            return self.quality
+        echoes = self._echoes[:-1]  # the last may be on its way
+        return sum(echoes) / len(echoes) if echoes else math.nan
+
+    async def log(self, name: str, variables: Iterable[str], period: float, data: Data, seconds: float) -> None:
+        """Let the drone say variables every `period` s, a multiple of 0.01; LinkFailed if it does not in time."""
+        if self._writer is None:
+            raise LinkFailed(self.uri, f"log {name}: its link is not open")
+        config = LogConfig(name, round(1000.0 * period))
+        for variable in variables:
+            config.add_variable(variable)
+        started = self._loop.create_future()
+        config.data_received_cb.add_callback(lambda at, values, block: self._from_thread(data, values, 0.0))
+        config.started_cb.add_callback(lambda block, on: self._from_thread(_resolve, started))
+        config.error_cb.add_callback(lambda block, message: self._from_thread(_fail, started, str(message)))
+        try:
+            self.cf.log.add_config(config)
+        except (KeyError, AttributeError) as error:
+            raise LinkFailed(self.uri, f"log {name}: {error}") from error
+        threading.Thread(target=config.start, name=f"{self.uri} log", daemon=True).start()
+        try:
+            async with asyncio.timeout(seconds):
+                await started
+        except TimeoutError:
+            raise LinkFailed(self.uri, f"log {name} was not begun within {seconds:g} s") from None
+
+    def _to_thread(self, packet: Packet) -> None:
+        threading.Thread(target=self._put, args=(packet,), daemon=True).start()
+
+    def _put(self, packet: Packet) -> None:
+        """From another thread."""
+        out = CRTPPacket()
+        out.set_header(packet.port, packet.channel)
+        out.data = packet.data
+        self.cf.send_packet(out)
+
+    # From cflib's threads -----------------------------------------------------------------------------------------
+
+    def _from_thread(self, function: Callable[..., None], *arguments: Any) -> None:
+        if not self._over:
+            self._quietly(function, *arguments)
+
+    def _quietly(self, function: Callable[..., None], *arguments: Any) -> None:
+        with contextlib.suppress(RuntimeError):  # the loop has ended
+            self._loop.call_soon_threadsafe(function, *arguments)
+
+    def _received(self, packet: CRTPPacket) -> None:
+        self._heard_ns = self.clock.now_ns()
+        port, channel = packet.port, packet.channel
+        if port == LINK and channel == ECHO:
+            if self._echoes:
+                self._echoes[-1] = True
+        elif not (port == LOG and channel == LOG_DATA):
+            self._from_thread(self._arrived, Packet(port, channel, bytes(packet.data)))
+
+    def _sent(self, packet: CRTPPacket) -> None:
+        if packet.port == LINK and packet.channel == ECHO:
+            self._echoes.append(False)
+            del self._echoes[:-ECHOES]
+
+    def _set_latency(self, milliseconds: float) -> None:
+        self.latency = milliseconds / 1e3
+
+    def _set_quality(self, percent: float) -> None:
+        self.quality = percent / 100.0
+
+    def _set_rssi(self, rssi: float) -> None:
+        self.rssi = -float(rssi)
+
+    # In the loop ----------------------------------------------------------------------------------------------------
+
+    def _is_open(self) -> None:
+        if not self._opened.done():
+            self._opened.set_result(None)
+
+    def _failed(self, message: str) -> None:
+        reason = message.strip().splitlines()[-1] if message.strip() else "no reason is known"
+        if not self._opened.done():
+            self._opened.set_exception(LinkFailed(self.uri, reason))
+        elif self._writer is not None:
+            self._lost(reason)
+
+    def _arrived(self, packet: Packet) -> None:
+        for answers, waiting in list(self._asked):
+            if not waiting.done() and answers(packet):
+                waiting.set_result(packet)
+        self._heard(packet)
+
+
+def _resolve(waiting: "asyncio.Future[None]") -> None:
+    if not waiting.done():
+        waiting.set_result(None)
+
+
+def _fail(waiting: "asyncio.Future[None]", message: str) -> None:
+    if not waiting.done():
+        waiting.set_exception(LinkFailed("log", message))
+
+
+def _nothing() -> None:
+    """In place of reading every parameter at each connection."""
+
+
+def _only_contents(param: Any, done: Callable[[], None], contents: TableOfContents) -> None:
+    """In place of cflib's, which asks of each parameter whether it is persistent, one after the other."""
+    TocFetcher(param.cf, ParamTocElement, PARAM, param.toc, done, contents).start()

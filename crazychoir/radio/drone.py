@@ -1,0 +1,417 @@
+"""One drone that a dongle reaches: connected, told where it is, flown, and connected again when its link fails.
+
+For the body that obeys its agent (simulation/remote.py) it is both the link to the drone and the place where it is.
+"""
+
+import asyncio
+import logging
+import math
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import numpy as np
+
+from crazychoir.bus.local import BODIES, EYES, Bus
+from crazychoir.bus.topics import BODY, LINK, POSE, TELEMETRY, TRUTH
+from crazychoir.errors import CodecError, ConfigError, LinkFailed
+from crazychoir.math3d import product, quaternion_of_yaw, yaw_of
+from crazychoir.platforms import platform
+from crazychoir.radio import checks
+from crazychoir.radio.compressed import quaternion
+from crazychoir.radio.connection import Connection
+from crazychoir.radio.contents import TableOfContents
+from crazychoir.radio.crtp import FORMS, HIGH_LEVEL, Packet
+from crazychoir.radio.firmware import Firmware
+from crazychoir.radio.handlers import HANDLERS, RadioHandler, emergency, idles, pose_packet
+from crazychoir.radio.thrust import command_a_newton
+from crazychoir.runtime.actor import ON_FAILURE, Actor
+from crazychoir.runtime.clock import SECOND
+from crazychoir.runtime.mailbox import Call, Latest
+from crazychoir.safety.guard import Throttle
+from crazychoir.safety.pose_gate import PoseGate
+from crazychoir.safety.tracking import Standing, before_arming
+from crazychoir.simulation.telemetry import check_period
+from crazychoir.swarm.config import SwarmConfig
+from crazychoir.types import XYZ, Body, Command, LinkStatus, Pose, State, Vec
+
+log = logging.getLogger(__name__)
+DEGRADED, LOST = 0.3, 2.5
+"""s of silence after which a link is called so; after the second it is opened anew. Before, set-points go on leaving:
+the firmware takes the first one that gets through, if it comes within 2 s."""
+LOOKS = 20.0
+"""Hz, at which links are looked after."""
+FIRST, AGAIN = 0.2, 1.0
+"""s between two attempts to connect: until the deadline, and after it."""
+REOPENS = 1.5
+"""s that an attempt gets in flight: tables are known by then."""
+STOPS = 0.5
+"""s between two plans to stop, of a drone that stands."""
+WATCHDOG = 0.25
+"""s between two words for the emergency-stop watchdog, which wants one a second."""
+NEWEST = 0.1
+"""s: an older pose is not told to a drone."""
+UNSEEN = 0.5
+"""s without a pose after which it counts as not seen, however seldom poses are asked for."""
+MILLI = 1e-3
+OWN = ("stateEstimateZ.x", "stateEstimateZ.y", "stateEstimateZ.z", "stateEstimateZ.vx", "stateEstimateZ.vy",
+       "stateEstimateZ.vz", "stateEstimateZ.quat")  # fmt: skip
+WELL = ("pm.vbat", "supervisor.info")
+SPREAD = ("kalman.varPX", "kalman.varPY", "kalman.varPZ")
+
+
+class RadioDrone(Actor):
+    """Drone i of a swarm, whose agent's commands come to its body's port.
+
+    kind: of commands;  rate: Hz of set-points;  contents: shared by all links of the process;  turn: waits
+    until a packet may be sent.
+    """
+
+    name = "radio"
+    restart = ON_FAILURE
+    flies: tuple[str, ...] = ("xyz",)
+    command_timeout: float | None = None
+
+    def __init__(
+        self, bus: Bus, config: SwarmConfig, i: int, kind: str, rate: float, contents: TableOfContents,
+        turn: Callable[[], None] = lambda: None,
+    ) -> None:  # fmt: skip
+        self.bus, self.clock, self.config, self.drone, self.kind = bus, bus.clock, config, i, kind
+        self.port, self.rate, self._contents, self._turn = bus.ports[BODIES + i], rate, contents, turn
+        self.row, self._platform = config.drone(i), platform(config.drone(i).platform)
+        self.seen_by_cameras = self.row.pose == "mocap"
+        self.connection: Connection | None = None
+        self.handler: RadioHandler = HANDLERS[kind](self._platform)
+        self.release = ""
+        self.state_of_link, self.why = "connecting", ""
+        self.refused_plans = self.reconnected = self.malformed = 0
+        self._stopped = True
+        self._cut = self._placed = self._prepared = self._arming = False
+        self._due_ns = self._stop_due_ns = self._watchdog_ns = 0
+        self._own: State | None = None
+        self._own_ns = 0
+        self._well: dict[str, float] = {}
+        self._spread: dict[str, float] = {}
+        self._said, self._gate = Throttle(), PoseGate()
+        self._has_flown = False
+        self._asked: dict[tuple[str, ...], float] = {}
+        self._tasks: list[asyncio.Task[None]] = []
+        self._pose: Latest[Pose] = Latest(self.clock, f"drone {i} pose", UNSEEN)
+        if self.seen_by_cameras:
+            here = self.port.address
+            bus.subscribe(POSE, EYES + i, here, self._pose, config.radio.pose_rate)
+            bus.subscribe(POSE, EYES + i, here, Call(self.clock, self._seen, "pose"), config.radio.pose_rate)
+
+    # Its life -----------------------------------------------------------------------------------------------------
+
+    async def run(self) -> None:
+        """Connect, look after the link, connect again."""
+        began = self.clock.now()
+        while True:
+            connection = Connection(self.clock, self.row.uri, self._contents, self._lost, self._heard, self._turn)
+            try:
+                await self._connect(connection, began)
+                await self._look_after(connection)
+            except (LinkFailed, ConfigError) as error:
+                self._failed(error, began)
+            finally:
+                self.connection = None
+                await connection.close()
+            late = self.clock.now() - began > self.config.radio.connect_deadline
+            await self.clock.sleep(AGAIN if late and not self.flying else FIRST)
+
+    async def _connect(self, connection: Connection, began: float) -> None:
+        deadline = self.config.radio.connect_deadline
+        left = max(began + deadline - self.clock.now(), deadline / 4.0)
+        await connection.open(REOPENS if self._prepared else left)
+        firmware = Firmware(connection)
+        await self._begin_logs(connection)
+        await self._until_told(connection)
+        if not self.release:
+            self.release = await firmware.release()
+            self._learn_thrust()
+        if not self._prepared and not self.flying:
+            await self._prepare(firmware)
+        self._prepared = True
+        self.connection = connection
+        self.reconnected += self.state_of_link == "lost"
+        self._change("up", "")
+
+    async def _until_told(self, connection: Connection) -> None:
+        """It has said whether it flies: somebody may have flown it there."""
+        for _ in range(round(REOPENS * LOOKS)):
+            if self._well:
+                return
+            await self.clock.sleep(1.0 / LOOKS)
+        raise LinkFailed(connection.uri, f"says nothing of itself within {REOPENS:g} s")
+
+    def _learn_thrust(self) -> None:
+        """What a newton is on board; ConfigError if that is not known."""
+        if self.handler.needs_thrust:
+            given, where = self.config.radio.thrust_map, f"drone {self.drone}"
+            self.handler.thrust = command_a_newton(self.release, self._platform.firmware, given, where)
+
+    async def _prepare(self, firmware: Firmware) -> None:
+        """What is done once, on the ground."""
+        await firmware.set_all({"stabilizer.estimator": 2} | self.handler.parameters)
+        await firmware.set_all(self.config.radio.parameters | self.row.parameters)
+        if not self.seen_by_cameras:
+            await self._place(firmware, np.array(self.row.home), self.row.yaw)
+
+    async def _place(self, firmware: Firmware, p: Vec, yaw: float) -> None:
+        """Let its estimator begin here."""
+        initial = dict(zip(("initialX", "initialY", "initialZ"), p.tolist(), strict=True)) | {"initialYaw": yaw}
+        await firmware.set_all({f"kalman.{name}": value for name, value in initial.items()})
+        await firmware.set("kalman.resetEstimation", 1)
+        await firmware.set("kalman.resetEstimation", 0)
+        self._placed = True
+
+    async def _begin_logs(self, connection: Connection) -> None:
+        period, seconds = 1.0 / self.config.radio.log_rate, REOPENS
+        await connection.log("own", (*OWN, *WELL), period, self._take_own, seconds)
+        if not self.seen_by_cameras:
+            await connection.log("spread", SPREAD, 0.1, self._take_spread, seconds)
+        for names, every in self._asked.items():
+            await connection.log("asked", names, every, self._take_asked, seconds)
+
+    async def _look_after(self, connection: Connection) -> None:
+        """Until it is silent for too long."""
+        async for _ in self.clock.ticks(LOOKS, drone=self.drone):
+            if self.why:
+                raise LinkFailed(self.row.uri, self.why)
+            silence = connection.silence
+            if silence > LOST:
+                raise LinkFailed(self.row.uri, f"silent for {silence:.1f} s")
+            self.state_of_link = "degraded" if silence > DEGRADED else "up"
+            if self._cut and not self.supervisor & checks.LOCKED:
+                self._send_now(emergency())
+            self._feed_watchdog()
+            pose = self._pose.fresh()
+            if not self._placed and not self.flying and pose is not None:
+                await self._place(Firmware(connection), pose.p, yaw_of(pose.q))
+
+    def _feed_watchdog(self) -> None:
+        """The choice of [radio] watchdog: without us it is to cut its motors."""
+        now_ns = self.clock.now_ns()
+        if self.config.radio.watchdog and self.kind == "xyz" and self.flying and now_ns >= self._watchdog_ns:
+            self._watchdog_ns = now_ns + round(WATCHDOG * SECOND)
+            self._send_now([FORMS["emergency_stop_watchdog"].packet()])
+
+    def _failed(self, error: Exception, began: float) -> None:
+        if isinstance(error, ConfigError):
+            self._change("refused", str(error))
+        elif self._prepared:
+            self._change("lost", str(error))
+        elif self.clock.now() - began > self.config.radio.connect_deadline:
+            self._change("absent", str(error))
+        if self.state_of_link != "connecting" and self._said.due(self.clock.now(), self.state_of_link):
+            log.error("drone %d: %s: %s", self.drone, self.state_of_link, error)
+
+    def _change(self, state: str, why: str) -> None:
+        if state == "up" and self.state_of_link != "up":
+            log.info("drone %d: connected, firmware %s", self.drone, self.release)
+        self.state_of_link, self.why = state, ""
+        self.problem = why
+
+    problem = ""
+    """Why its link is not up."""
+
+    def _lost(self, reason: str) -> None:
+        """From its connection: the driver has given up."""
+        self.why = reason
+
+    # What it is told ------------------------------------------------------------------------------------------------
+
+    def send(self, command: Command) -> None:
+        """Let the drone obey this: a set-point if it is time for one, a plan at once."""
+        if self._cut or self.connection is None:
+            return
+        now_ns, stops = self.clock.now_ns(), idles(command)
+        if isinstance(command, XYZ):
+            if stops and now_ns < self._stop_due_ns:
+                return
+            self._stop_due_ns = now_ns + round(STOPS * SECOND) if stops else 0
+        elif now_ns < self._due_ns:
+            return
+        else:
+            period_ns = round(SECOND / (self.rate or LOOKS))
+            self._due_ns = max(self._due_ns + period_ns, now_ns - period_ns // 2)
+        if self._platform.firmware.needs_arming and not stops:
+            self._arm()
+        self._stopped = stops
+        self._transmit(command)
+
+    def _transmit(self, command: Command) -> None:
+        connection = self.connection
+        assert connection is not None  # noqa: S101 - callers have looked
+        try:
+            packets = self.handler.packets(command)
+        except CodecError as error:
+            self.malformed += 1
+            self._say("malformed", f"not sent: {error}")
+            return
+        if len(packets) == 1 and not isinstance(command, XYZ):
+            connection.newest("command", packets[0])
+        else:
+            connection.forget("command")  # a set-point after it would take the drone from its planner
+            self._send_now(packets)
+
+    def _arm(self) -> None:
+        """Once for a flight: its motors wait for it."""
+        if self.supervisor & checks.ARMED or self._arming or self.connection is None:
+            return
+        self._arming = True
+        self._do(self._armed(self.connection))
+
+    async def _armed(self, connection: Connection) -> None:
+        try:
+            await Firmware(connection).arm()
+        except LinkFailed as error:
+            self._say("arm", str(error))
+        finally:
+            self._arming = False
+
+    def cut(self) -> None:
+        """Stop the motors for good."""
+        self._cut = True
+        self._send_now(emergency())
+
+    def _send_now(self, packets: Iterable[Packet]) -> None:
+        for packet in packets if self.connection is not None else ():
+            self.connection.send(packet)  # type: ignore[union-attr]
+
+    def _seen(self, pose: Pose, age: float) -> None:
+        """The cameras have seen it: its own estimator, by which it lands if we fail, is told."""
+        if not self._gate.believes(pose, self.clock.now(), self.flying):
+            return
+        if age <= NEWEST and self.connection is not None:
+            try:
+                self.connection.newest("pose", pose_packet(pose))
+            except CodecError:
+                self.malformed += 1
+
+    def ask(self, names: Iterable[str], period: float) -> None:
+        """From now on it says these log variables too; what it does not have is said in the log."""
+        check_period(period, f"drone {self.drone}: log")
+        self._asked[tuple(names)] = period
+        if self.connection is not None:
+            self._do(self._begin_asked(self.connection, tuple(names), period))
+
+    async def _begin_asked(self, connection: Connection, names: tuple[str, ...], period: float) -> None:
+        try:
+            await connection.log("asked", names, period, self._take_asked, REOPENS)
+        except LinkFailed as error:
+            self._say("log", str(error))
+
+    def _do(self, work: Any) -> None:
+        """In the background, until it is done."""
+        task = asyncio.get_running_loop().create_task(work)
+        self._tasks = [other for other in self._tasks if not other.done()] + [task]
+
+    async def on_stop(self) -> None:
+        """Nothing is left behind."""
+        for task in self._tasks:
+            task.cancel()
+
+    # What it says -----------------------------------------------------------------------------------------------------
+
+    def _heard(self, packet: Packet) -> None:
+        if packet.port == HIGH_LEVEL and len(packet.data) >= 4 and packet.data[3] != 0:
+            self.refused_plans += 1
+            self._say("planner", f"its planner refuses command {packet.data[0]} with {packet.data[3]}")
+
+    def _take_own(self, values: dict[str, float], age: float) -> None:
+        self._well = {name: values[name] for name in WELL}
+        p = MILLI * np.array([values[name] for name in OWN[0:3]])
+        v = MILLI * np.array([values[name] for name in OWN[3:6]])
+        p, v, q = self._in_the_world(p, v, quaternion(int(values[OWN[6]])))
+        self._own, self._own_ns = State(np.array([*p, *v, *q, 0.0, 0.0, 0.0])), self.clock.now_ns()
+        if not self.seen_by_cameras:
+            self.port.publish(POSE, Pose(np.array([*p, *q])), age)
+            self.port.publish(TRUTH, self._own, age)
+
+    def _in_the_world(self, p: Vec, v: Vec, q: Vec) -> tuple[Vec, Vec, Vec]:
+        """From the frame of the drone's own estimate: that of the cameras if it is told their poses, else [radio]'s."""
+        radio = self.config.radio
+        if self.seen_by_cameras or (radio.origin_yaw == 0.0 and not any(radio.origin)):
+            return p, v, q
+        c, s = math.cos(radio.origin_yaw), math.sin(radio.origin_yaw)
+        turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        a, b = quaternion_of_yaw(radio.origin_yaw).tolist(), q.tolist()
+        turned = np.array(product((a[0], a[1], a[2], a[3]), (b[0], b[1], b[2], b[3])))
+        return turn @ p + np.array(radio.origin), turn @ v, turned
+
+    def _take_spread(self, values: dict[str, float], age: float) -> None:
+        self._spread = values
+
+    def _take_asked(self, values: dict[str, float], age: float) -> None:
+        self.port.publish(TELEMETRY, {name: [float(value), age] for name, value in values.items()})
+
+    @property
+    def supervisor(self) -> int:
+        """Bits of its firmware's supervisor; 0 before it has said them."""
+        return int(self._well.get("supervisor.info", 0))
+
+    @property
+    def battery(self) -> float:
+        """V; NaN before it has said it."""
+        return self._well.get("pm.vbat", math.nan)
+
+    @property
+    def flying(self) -> bool:
+        """Whether its motors turn, or have within 2 s."""
+        return bool(self.supervisor & checks.FLYING)
+
+    def problems(self) -> list[str]:
+        """Why it may not take off."""
+        if self.connection is None:
+            return [self.problem or "is being connected"]
+        found = [*checks.supervisor_problems(self.supervisor), *checks.battery_problems(self.battery)]
+        if self.flying:
+            return found
+        return found + (self._unseen() if self.seen_by_cameras else self._unsure())
+
+    def _unseen(self) -> list[str]:
+        own = None if self._own is None else Pose(np.array([*self._own.p, *self._own.flat[6:10]]))
+        homes = {} if self._has_flown else {j: np.array(self.config.drone(j).home) for j in self.config.seen}
+        drones = {j: Standing(home, None, None) for j, home in homes.items()}
+        drones[self.drone] = Standing(homes.get(self.drone), own, self._pose.fresh())
+        return before_arming(self.drone, drones)
+
+    def _unsure(self) -> list[str]:
+        """Of one that is to know itself where it is."""
+        return checks.spread_problems([self._spread.get(name, math.nan) for name in SPREAD])
+
+    def status(self) -> LinkStatus:
+        """For its agent, and who looks on."""
+        way = self.connection
+        known = {} if way is None else {
+            "silence": way.silence, "latency": way.latency, "answered": way.answered, "rssi": way.rssi
+        }  # fmt: skip
+        return LinkStatus(
+            self.state_of_link, battery=float(self.battery), supervisor=self.supervisor, flying=self.flying,
+            problems=self.problems(), release=self.release, refused=self.refused_plans, reconnected=self.reconnected,
+            **known,
+        )  # fmt: skip
+
+    def report(self) -> None:
+        """Publish how it is."""
+        self._has_flown = self._has_flown or self.flying
+        self.port.publish(LINK, self.status())
+        self.port.publish(BODY, Body(checks.harm(self.supervisor), self.flying and not self._cut))
+
+    # What its body's port asks -----------------------------------------------------------------------------------
+
+    def resting(self, i: int) -> bool:
+        """Does it stand? Its firmware says so 2 s later than who has stopped its motors."""
+        return not self.flying or self._stopped
+
+    def state(self, i: int) -> State:
+        """Where the cameras have seen it last, or it takes itself to be."""
+        pose = self._pose.peek()
+        if pose is not None:
+            return State(np.array([*pose.p, 0.0, 0.0, 0.0, *pose.q, 0.0, 0.0, 0.0]))
+        return self._own or State.at(self.row.home)
+
+    def _say(self, topic: str, text: str) -> None:
+        if self._said.due(self.clock.now(), topic):
+            log.warning("drone %d: %s", self.drone, text)

@@ -1,0 +1,100 @@
+"""Beside the drones: motion capture that sees all of them, and a door for questions and faults."""
+
+import asyncio
+import contextlib
+import json
+import socket
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from crazychoir.bus.plain import plain
+from crazychoir.errors import CodecError, CrazyChoirError
+from crazychoir.math3d import Mat
+from crazychoir.mocap.frames import ASK, MOST, PATIENCE, Frame
+from crazychoir.radio.virtual.faults import Faults
+from crazychoir.radio.virtual.port import AT_ONCE, Address, opened
+from crazychoir.runtime.clock import SECOND, Clock
+
+LONGEST = 65_000
+Question = dict[str, Any]
+Answer = Callable[[Question], Any]
+
+
+def seen(states: Mat, rows: dict[int, int], faults: dict[int, Faults], names: dict[int, str]) -> dict[str, Any]:
+    """{name: (7,) p m, q} as the cameras take it: some bodies lost, elsewhere, or taken for each other."""
+    bodies: dict[str, Any] = {}
+    for i, name in names.items():
+        fault = faults[i]
+        other = int(fault.swap) if fault.swap >= 0.0 else i
+        if not fault.pose_lost and len(bodies) < MOST:
+            state = states[rows[other]]
+            bodies[name] = np.array([*(state[:3] + np.array(fault.offset)), *state[6:10]])
+    return bodies
+
+
+class Cameras:
+    """The port of the poses: who has sent ASK lately gets frames; who sends JSON gets an answer."""
+
+    def __init__(self, clock: Clock, at: Address, answer: Answer) -> None:
+        self.clock, self.at, self._answer, self.frames = clock, at, answer, 0
+        self._watchers: dict[Address, int] = {}
+        self._socket: socket.socket | None = None
+
+    def open(self) -> None:
+        """Serve; ConfigError where the port is taken."""
+        self._socket = opened(self.at)
+        asyncio.get_running_loop().add_reader(self._socket, self._readable)
+
+    def close(self) -> None:
+        """No more."""
+        if self._socket is not None:
+            asyncio.get_running_loop().remove_reader(self._socket)
+            self._socket.close()
+            self._socket = None
+
+    @property
+    def watched(self) -> bool:
+        """Does anybody want frames?"""
+        now_ns = self.clock.now_ns()
+        self._watchers = {who: until for who, until in self._watchers.items() if until > now_ns}
+        return bool(self._watchers)
+
+    def show(self, bodies: dict[str, Any]) -> None:
+        """One frame for all who look."""
+        self.frames += 1
+        datagram = Frame(self.frames, self.clock.now(), bodies).packed()
+        for who in self._watchers:
+            self._send(datagram, who)
+
+    def _readable(self) -> None:
+        for _ in range(AT_ONCE):
+            if self._socket is None:
+                return
+            try:
+                data, sender = self._socket.recvfrom(LONGEST)
+            except BlockingIOError:
+                return
+            except OSError:
+                continue
+            if data == ASK:
+                self._watchers[sender] = self.clock.now_ns() + round(PATIENCE * SECOND)
+            else:
+                self._send(json.dumps(plain(self._answered(data))).encode(), sender)
+
+    def _answered(self, data: bytes) -> Any:
+        try:
+            question = json.loads(data)
+            if not isinstance(question, dict):
+                raise CodecError(f"a question: {data[:40]!r}; allowed: a JSON object.")
+            return self._answer(question)
+        except (ValueError, RecursionError) as error:  # CrazyChoirErrors of wrong values are ValueErrors, too
+            return {"error": str(error)}
+        except CrazyChoirError as error:
+            return {"error": str(error)}
+
+    def _send(self, datagram: bytes, to: Address) -> None:
+        if self._socket is not None:
+            with contextlib.suppress(OSError):
+                self._socket.sendto(datagram, to)

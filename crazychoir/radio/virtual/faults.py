@@ -1,0 +1,100 @@
+"""What can go wrong with a virtual drone, its link and the cameras: names, ranges, and what is set."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from crazychoir.errors import ConfigError
+
+Value = float | tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Knob:
+    """One fault. low, high: allowed;  size: numbers that it has;  means: what it does;  off: its value without it."""
+
+    low: float
+    high: float
+    means: str
+    size: int = 1
+    whole: bool = False
+
+    @property
+    def allowed(self) -> str:
+        """The range, in words."""
+        if (self.low, self.high, self.whole) == (0, 1, True):
+            return "0 or 1"
+        kind = "whole numbers" if self.whole else "numbers"
+        each = f"{self.low:g} to {self.high:g}"
+        return each if self.size == 1 else f"{self.size} {kind} of {each}"
+
+    def checked(self, name: str, value: Any) -> Value:
+        """The value; ConfigError for what is not allowed."""
+        found = [value] if not isinstance(value, list | tuple) else list(value)
+        good = len(found) == self.size and all(self._fits(one) for one in found)
+        if not good:
+            raise ConfigError(f"fault {name}", value, f"{self.allowed}: {self.means}")
+        numbers = tuple(float(one) for one in found)
+        return numbers[0] if self.size == 1 else numbers
+
+    def _fits(self, one: Any) -> bool:
+        number = isinstance(one, int | float) and math.isfinite(one) and self.low <= one <= self.high
+        return number and (not self.whole or one == int(one))
+
+
+def _switch(means: str) -> Knob:
+    return Knob(0, 1, means, whole=True)
+
+
+KNOBS = {
+    "loss": Knob(0, 1, "probability that a packet is lost, each way"),
+    "delay": Knob(0, 10, "s that a packet is late, each way"),
+    "silent": _switch("nothing passes its link, either way; its port stays open"),
+    "off": _switch("it is switched off: its port is closed, its motors stand; 0 starts it again"),
+    "refuse_arming": _switch("its checks before flight fail"),
+    "voltage": Knob(0, 4.2, "V of its battery at rest, held there; from 3 on, 0: as it is"),
+    "tumble": _switch("its body is turned over, and held so"),
+    "motor": Knob(0, 4, "the motor that stands still, 0: none", whole=True),
+    "reboot": _switch("1 restarts it, once"),
+    "deck_lost": _switch("its deck does not see the lighthouses"),
+    "pose_lost": _switch("the cameras do not see it"),
+    "offset": Knob(-10, 10, "m along x, y, z by which the cameras see it elsewhere", size=3),
+    "swap": Knob(-1, 9999, "the drone that the cameras take for it, and the other way round; -1: none", whole=True),
+}  # fmt: skip
+
+
+@dataclass
+class Faults:
+    """What is wrong with one drone, by KNOBS."""
+
+    loss: float = 0.0
+    delay: float = 0.0
+    silent: float = 0.0
+    off: float = 0.0
+    refuse_arming: float = 0.0
+    voltage: float = 0.0
+    tumble: float = 0.0
+    motor: float = 0.0
+    deck_lost: float = 0.0
+    pose_lost: float = 0.0
+    offset: tuple[float, ...] = (0.0, 0.0, 0.0)
+    swap: float = -1.0
+
+    def listed(self) -> dict[str, Any]:
+        """All, by name."""
+        return asdict(self)
+
+
+def checked(wanted: Mapping[str, Any], ids: Sequence[int]) -> dict[str, Value]:
+    """The faults, if all of them can be; ConfigError names what there is."""
+    found: dict[str, Value] = {}
+    for name, value in wanted.items():
+        if name not in KNOBS:
+            raise ConfigError("fault", name, ", ".join(KNOBS))
+        found[name] = KNOBS[name].checked(name, value)
+    if "voltage" in found and 0.0 < float(found["voltage"]) < 3.0:  # type: ignore[arg-type]
+        raise ConfigError("fault voltage", found["voltage"], "0, or 3 to 4.2 V")
+    if "swap" in found and found["swap"] not in (-1.0, *ids):
+        raise ConfigError("fault swap", found["swap"], f"-1, or one of {', '.join(map(str, ids))}")
+    return found

@@ -1,0 +1,166 @@
+"""Which virtual drones there are: of a swarm file, or on a grid; and what they are."""
+
+import re
+import socket
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import msgspec
+
+from crazychoir.errors import ConfigError
+from crazychoir.platforms import Platform, platform
+from crazychoir.radio.virtual.drone import DECKS, POSITIONING, RELEASE, device_of
+from crazychoir.radio.virtual.toc import names
+from crazychoir.simulation.crazyflies import CrazyflieWorld
+from crazychoir.simulation.world import WorldSetup
+from crazychoir.swarm.checks import WORLD_STEP
+from crazychoir.swarm.config import SwarmConfig, default_swarm
+from crazychoir.swarm.radios import UDP_URI
+from crazychoir.swarm.tables import Drone
+
+ADDRESS = 0xE7
+"""Last byte of the address of drone 0; each next one has the next."""
+LINEAR_SINCE = (2025, 10)
+"""Release from which on thrust commands are linear in newtons."""
+OLD_MAP = 107_692.0
+"""Command a newton, all motors, before: of the Crazyflie 2.x, as CrazyChoir measured it (42000 for 0.39 N)."""
+HOST = "127.0.0.1"
+
+
+@dataclass(frozen=True)
+class Seat:
+    """Where a drone is reached and what it is. at: host and port;  body: its name for the cameras."""
+
+    id: int
+    at: tuple[str, int]
+    body: str
+    number: int
+    decks: tuple[str, ...]
+    release: str = RELEASE
+    device: str = "CF21"
+
+
+@dataclass(frozen=True)
+class Hall:
+    """All that stands ready: drones with their seats, in one world; poses: where the cameras are."""
+
+    config: SwarmConfig
+    drones: tuple[Drone, ...]
+    seats: tuple[Seat, ...]
+    poses: tuple[str, int]
+
+    def world(self, seed: int, release: str = RELEASE) -> CrazyflieWorld:
+        """The drones at home, of their platforms, with the swarm's [motors] and the thrust map of a release."""
+        config, drones = self.config, self.drones
+        return CrazyflieWorld.of(
+            WorldSetup(
+                ids=tuple(drone.id for drone in drones),
+                uris=tuple(drone.uri for drone in drones),
+                homes=tuple(drone.home for drone in drones),
+                yaws=tuple(drone.yaw for drone in drones),
+                platforms=tuple(released(platform(drone.platform), release) for drone in drones),
+                options=msgspec.to_builtins(config.motors),
+                wind=config.motors.wind,
+                seed=seed,
+                dt=WORLD_STEP,
+                mass_error=config.plant.mass_error,
+                thrust_error=config.plant.thrust_error,
+            )
+        )
+
+
+def on_a_grid(n: int, port: int, decks: Sequence[str] | None, release: str = RELEASE) -> Hall:
+    """n drones on a square grid on the floor, at one port after the other."""
+    config = default_swarm(n)
+    drones = tuple(msgspec.structs.replace(drone, platform="cf21") for drone in config.drones)
+    places = [(drone, (HOST, port + k)) for k, drone in enumerate(drones)]
+    return Hall(config, drones, _seats(config, places, DECKS if decks is None else decks, release), (HOST, port - 1))
+
+
+def of_swarm(config: SwarmConfig, decks: Sequence[str] | None, release: str = RELEASE) -> Hall:
+    """The drones of a swarm whose uri is udp:// on this machine, at the ports that their uris name."""
+    places = []
+    for drone in config.drones:
+        found = UDP_URI.fullmatch(drone.uri)
+        if found and _ours(found[1]):
+            places.append((drone, (found[1], int(found[2]))))
+    if not places:
+        uris = ", ".join(sorted({drone.uri for drone in config.drones}))
+        do = 'Write uri = "udp://127.0.0.1:19850" into its [[drones]], each with a port of its own.'
+        raise ConfigError("virtual Crazyflies: uris of the swarm", uris, "udp://HOST:PORT on this machine", do)
+    drones = tuple(drone for drone, _ in places)
+    poses = (places[0][1][0], config.mocap.port)
+    return Hall(config, drones, _seats(config, places, decks, release), poses)
+
+
+def _ours(host: str) -> bool:
+    """Is it an address of this machine?"""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as door:
+        try:
+            door.bind((host, 0))
+        except OSError:
+            return False
+        return True
+
+
+def _seats(
+    config: SwarmConfig, places: Sequence[tuple[Drone, tuple[str, int]]], decks: Sequence[str] | None, release: str
+) -> tuple[Seat, ...]:
+    return tuple(
+        Seat(
+            drone.id, at, config.body_name(drone.id), (ADDRESS + drone.id) % 256,
+            _decks(drone) if decks is None else tuple(decks), release, device_of(platform(drone.platform)),
+        )
+        for drone, at in places
+    )  # fmt: skip
+
+
+def _decks(drone: Drone) -> tuple[str, ...]:
+    """A drone that says itself where it is has the deck for it."""
+    return DECKS if drone.pose == "onboard" else ()
+
+
+def known_decks(text: str) -> tuple[str, ...]:
+    """Of a text as "bcFlow2,bcLighthouse4" or "none"; ConfigError names what there is."""
+    there = sorted(entry.name for entry in names()[1] if entry.group == "deck")
+    found = () if text == "none" else tuple(text.split(","))
+    for name in found:
+        if name not in there:
+            raise ConfigError("--deck", name, f"none, or of {', '.join(there)}; {POSITIONING} knows where it is")
+    return found
+
+
+def released(base: Platform, release: str) -> Platform:
+    """With the thrust map of a release, of a year and a month; another text: the newest."""
+    found = re.match(r"(\d{4})\.(\d{1,2})", release)
+    if not found or (int(found[1]), int(found[2])) >= LINEAR_SINCE or base.firmware.needs_arming:
+        return base
+    return replace(base, firmware=replace(base.firmware, thrust_max=65535.0 / OLD_MAP / 4.0))
+
+
+def groups(hall: Hall, text: str | None, each: int | None) -> list[tuple[tuple[int, ...], float | None]]:
+    """The drones of each dongle and its capacity if the swarm file states one.
+
+    text: as "0,1|2,3";  each: so many a dongle;  without both: those of the swarm file, of a grid none.
+    """
+    ids = tuple(seat.id for seat in hall.seats)
+    if text is not None:
+        return [(group, None) for group in _told(text, ids)]
+    if each is not None:
+        return [(ids[k : k + each], None) for k in range(0, len(ids), each)]
+    rows = {row.dongle: row.capacity or hall.config.radio.capacity for row in hall.config.radio.dongles}
+    found = {k: tuple(i for i in group if i in ids) for k, group in hall.config.dongles.items()}
+    shared = {k: rows.get(k, hall.config.radio.capacity) for k, group in found.items() if len(group) > 1}
+    return [(group, shared.get(k)) for k, group in found.items() if group]
+
+
+def _told(text: str, ids: tuple[int, ...]) -> list[tuple[int, ...]]:
+    try:
+        found = [tuple(int(i) for i in group.split(",")) for group in text.split("|")]
+    except ValueError:
+        found = []
+    named = [i for group in found for i in group]
+    if not named or len(set(named)) < len(named) or any(i not in ids for i in named):
+        allowed = f"groups of drones, as 0,1|2,3, each of {', '.join(map(str, ids))} at most once"
+        raise ConfigError("--dongles", text, allowed)
+    return found

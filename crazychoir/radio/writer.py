@@ -1,0 +1,110 @@
+"""The only thread that sends to a drone: a driver may keep who sends for seconds when its air is full."""
+
+import threading
+from collections import deque
+from collections.abc import Callable
+
+from crazychoir.radio.crtp import Packet
+from crazychoir.runtime.clock import SECOND, Clock
+
+
+class Pace:
+    """Turns of the drones that share a dongle, as many a second as it carries.
+
+    A radio's driver keeps who sends until the air is free; one that sends into a network does not, and what waits there
+    for a slower dongle grows old. Whoever waits here sends the newest.
+    """
+
+    def __init__(self, clock: Clock, capacity: float) -> None:
+        self._clock, self._period_ns = clock, round(SECOND / capacity)
+        self._free_ns, self._lock, self._never = 0, threading.Lock(), threading.Event()
+
+    def turn(self) -> None:
+        """Wait for one, from any thread."""
+        with self._lock:
+            now_ns = self._clock.now_ns()
+            start_ns = max(now_ns, self._free_ns)
+            self._free_ns = start_ns + self._period_ns
+        if start_ns > now_ns:
+            self._never.wait((start_ns - now_ns) / SECOND)
+
+
+MOST = 1000
+"""Packets that wait in order; beyond that the link is as good as gone."""
+
+
+class Writer:
+    """Sends packets in order, and between them the newest of each kind, in turn.
+
+    send: puts a packet on the link; may take its time, or raise;  turn: waits until one may be sent.
+    """
+
+    def __init__(self, name: str, send: Callable[[Packet], None], turn: Callable[[], None] = lambda: None) -> None:
+        self._send, self._turn, self._work = send, turn, threading.Condition()
+        self._ordered: deque[Packet] = deque()
+        self._newest: dict[str, Packet] = {}
+        self._ends = False
+        self.sent = self.refused = 0
+        self.failure = ""
+        """What the last send has raised."""
+        self._thread = threading.Thread(target=self._run, name=f"{name} writer", daemon=True)
+        self._thread.start()
+
+    def put(self, packet: Packet) -> bool:
+        """Send this after all that were put before; False if too many wait."""
+        with self._work:
+            if len(self._ordered) >= MOST:
+                self.refused += 1
+                return False
+            self._ordered.append(packet)
+            self._work.notify()
+        return True
+
+    def newest(self, kind: str, packet: Packet) -> None:
+        """Send this instead of the one of its kind that still waits."""
+        with self._work:
+            self._newest[kind] = packet
+            self._work.notify()
+
+    def forget(self, kind: str) -> None:
+        """What waits of this kind is not sent any more."""
+        with self._work:
+            self._newest.pop(kind, None)
+
+    def end(self) -> None:
+        """Send what waits in order, then end."""
+        with self._work:
+            self._ends = True
+            self._newest.clear()
+            self._work.notify()
+
+    def join(self, seconds: float) -> bool:
+        """Wait for its end; False if it still sends."""
+        self._thread.join(seconds)
+        return not self._thread.is_alive()
+
+    def _run(self) -> None:
+        while self._waits():
+            self._turn()
+            if (packet := self._next()) is None:
+                continue
+            try:
+                self._send(packet)
+                self.sent += 1
+            except Exception as error:  # noqa: BLE001 - whatever a driver raises, the next packet may get through
+                self.failure = f"{type(error).__name__}: {error}"
+
+    def _waits(self) -> bool:
+        """Until there is something to send; False at its end."""
+        with self._work:
+            while not (self._ordered or self._newest or self._ends):
+                self._work.wait()
+            return bool(self._ordered or self._newest)
+
+    def _next(self) -> Packet | None:
+        with self._work:
+            if self._ordered:
+                return self._ordered.popleft()
+            if self._newest:
+                return self._newest.pop(next(iter(self._newest)))
+            return None

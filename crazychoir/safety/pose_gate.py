@@ -1,0 +1,48 @@
+"""Whether a pose can be that of the body that was seen last: one that jumps is another body's, or a mistake."""
+
+import math
+
+import numpy as np
+
+from crazychoir.math3d import Vec
+from crazychoir.types import Pose
+
+JUMP, HARDEST, FARTHEST = 0.12, 6.0, 0.5
+"""m, m/s2, m: noise, markers and delays; what no drone of ours accelerates by; and what no gap excuses."""
+TURN, FASTEST = math.radians(40.0), 10.0
+"""rad, and rad/s beyond."""
+LATELY = 0.05
+"""s over which the velocity is taken."""
+
+
+class PoseGate:
+    """Judges the poses of one body in flight.
+
+        |p - (p_0 + v_0 h)| <= min(JUMP + HARDEST h^2 / 2, FARTHEST),   angle(q_0, q) <= TURN + FASTEST h
+
+    p_0, v_0, q_0: m, m/s, and the attitude, of the last pose that was believed;  h: s since then.
+    """
+
+    def __init__(self) -> None:
+        self._last: list[tuple[float, Vec, Vec]] = []
+
+    def believes(self, pose: Pose, now: float, flying: bool) -> bool:
+        """Take in a pose of `now`, s; on the ground a drone may be carried about."""
+        born = now - pose.age
+        if flying and self._last and not self._near(pose, born):
+            return False
+        self._last = [one for one in self._last if flying and one[0] > born - 2.0 * LATELY][-20:]
+        self._last.append((born, pose.p.copy(), pose.q.copy()))
+        return True
+
+    def _near(self, pose: Pose, born: float) -> bool:
+        t, p, q = self._last[-1]
+        h = max(born - t, 0.0)
+        gap = float(np.linalg.norm(pose.p - (p + h * self._velocity())))
+        angle = 2.0 * math.acos(min(1.0, abs(float(q @ pose.q))))
+        return gap <= min(JUMP + 0.5 * HARDEST * h * h, FARTHEST) and angle <= TURN + FASTEST * h
+
+    def _velocity(self) -> Vec:
+        t, p, _ = self._last[-1]
+        first = next(((s, r) for s, r, _ in self._last if t - s <= LATELY and t > s), None)
+        return np.zeros(3) if first is None else (p - first[1]) / (t - first[0])

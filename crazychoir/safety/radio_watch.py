@@ -1,0 +1,53 @@
+"""What a drone that a radio reaches says of itself, for the safety table and for who wants to take off."""
+
+import math
+
+from crazychoir.bus.local import Port
+from crazychoir.bus.topics import LINK
+from crazychoir.runtime.actor import ON_FAILURE, Actor
+from crazychoir.runtime.mailbox import Latest
+from crazychoir.safety.guard import EMPTY, LOW, Guard
+from crazychoir.types import LinkStatus
+
+ON_ITS_BACK, CRASHED = 1 << 5, 1 << 7
+"""Bits of the firmware's supervisor."""
+
+
+class RadioWatch(Actor):
+    """Tells the guard of one drone how its link, its battery and its attitude are, ten times a second.
+
+    source: the address that says LINK.
+    """
+
+    name = "radio watch"
+    restart = ON_FAILURE
+
+    def __init__(self, port: Port, source: int, guard: Guard) -> None:
+        self.port, self.guard, self.clock = port, guard, port.bus.clock
+        self._status: Latest[LinkStatus] = Latest(self.clock, f"drone {port.address} link", LINK.max_age)
+        self._low_since = math.inf
+        port.bus.subscribe(LINK, source, port.address, self._status)
+
+    async def run(self) -> None:
+        """As often as it is said."""
+        async for _ in self.clock.ticks(LINK.rate, drone=self.port.address):
+            self.look()
+
+    def look(self) -> None:
+        """Tell what is known now."""
+        status = self._status.peek()
+        if status is None:
+            return
+        now, guard = self.clock.now(), self.guard
+        guard.tell("link", self._status.age() if status.silence < LINK.max_age else status.silence)
+        self._low_since = min(self._low_since, now) if status.battery < LOW else math.inf
+        guard.tell("battery", now - self._low_since)
+        guard.tell("empty", EMPTY - status.battery if status.battery < EMPTY else -math.inf)
+        guard.tell("tumbled", float(bool(status.supervisor & (ON_ITS_BACK | CRASHED))))
+
+    def problems(self) -> list[str]:
+        """Why its drone may not take off."""
+        status = self._status.fresh()
+        if status is None:
+            return ["nothing is heard of the owner of its dongle (crazychoir-radio)"]
+        return status.problems

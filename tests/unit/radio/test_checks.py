@@ -1,0 +1,26 @@
+"""What keeps a drone on the ground."""
+
+import math
+
+from crazychoir.radio import checks
+
+
+def test_the_supervisor() -> None:
+    ready = checks.CAN_FLY | checks.AUTO_ARM
+    assert checks.supervisor_problems(ready) == []
+    assert checks.supervisor_problems(ready | checks.TUMBLED) == ["tumbled"]
+    assert "locked" in checks.supervisor_problems(checks.LOCKED)[0]
+    assert checks.supervisor_problems(0)
+    assert checks.supervisor_problems(ready | checks.DECK_FAULT) == ["a deck is faulty"]
+
+
+def test_the_battery() -> None:
+    assert checks.battery_problems(3.9) == []
+    assert "3.65 V" in checks.battery_problems(3.65)[0]
+    assert checks.battery_problems(math.nan)
+
+
+def test_who_nobody_sees_must_know_where_it_is() -> None:
+    assert checks.spread_problems([1e-4, 1e-4, 1e-4]) == []
+    assert "0.20 m" in checks.spread_problems([1e-4, 0.04, 1e-4])[0]
+    assert checks.spread_problems([1e-4, math.nan, 1e-4])

@@ -1,0 +1,73 @@
+"""Tables of contents: on disk whole or not at all, asked for once."""
+
+import threading
+
+import pytest
+from cflib.crazyflie.log import LogTocElement
+from cflib.crazyflie.param import ParamTocElement
+
+from crazychoir.radio import contents
+from crazychoir.radio.contents import TableOfContents
+
+
+def log_table() -> contents.Contents:
+    return {"pm": {"vbat": LogTocElement(0, b"\x07pm\0vbat\0")}}
+
+
+def param_table() -> contents.Contents:
+    return {"stabilizer": {"estimator": ParamTocElement(3, b"\x18stabilizer\0estimator\0")}}
+
+
+def test_what_one_process_was_told_another_reads(tmp_path) -> None:
+    for crc, table in ((0xABCD, log_table()), (0x12, param_table())):
+        TableOfContents(tmp_path).insert(crc, table)
+        found = TableOfContents(tmp_path).fetch(crc)
+        ((group, ((name, mine),)),) = [(g, tuple(items.items())) for g, items in table.items()]
+        element = found[group][name]
+        assert type(element) is type(mine)
+        assert [getattr(element, f) for f in contents.FIELDS] == [getattr(mine, f) for f in contents.FIELDS]
+
+
+@pytest.mark.parametrize("text", ["", "{", '{"kind": "log"}', '{"kind": "os.system", "elements": []}', "[]", "null",
+                                  '{"kind": "log", "elements": [[1, 2]]}'])  # fmt: skip
+def test_a_broken_file_is_asked_for_again(tmp_path, text, caplog) -> None:
+    (tmp_path / "0000ABCD.json").write_text(text)
+    assert TableOfContents(tmp_path).fetch(0xABCD) is None
+    assert "asked of the drone again" in caplog.text
+
+
+def test_the_second_link_waits_for_the_first_ones_answer(tmp_path) -> None:
+    table, found = TableOfContents(tmp_path), []
+    assert table.fetch(7) is None
+    second = threading.Thread(target=lambda: found.append(table.fetch(7)))
+    second.start()
+    assert second.is_alive()
+    told = log_table()
+    table.insert(7, told)
+    second.join(5.0)
+    assert found == [told]
+
+
+def test_it_waits_no_longer_than_its_patience(tmp_path, monkeypatch) -> None:
+    monkeypatch.setattr(contents, "PATIENCE", 0.05)
+    table = TableOfContents(tmp_path)
+    assert table.fetch(7) is None
+    assert table.fetch(7) is None
+
+
+def test_a_folder_that_cannot_be_written_costs_time_and_nothing_else(tmp_path, caplog) -> None:
+    (tmp_path / "file").write_text("")
+    table = TableOfContents(tmp_path / "file" / "below")
+    told = log_table()
+    table.insert(7, told)
+    assert table.fetch(7) is told
+    assert "not kept" in caplog.text
+
+
+def test_nothing_half_written_is_left(tmp_path, monkeypatch) -> None:
+    def fails(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(contents.os, "replace", fails)
+    TableOfContents(tmp_path).insert(7, log_table())
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,119 @@
+"""What a virtual Crazyflie answers, byte by byte: a conversation a port, with a drone of its own."""
+
+import re
+from itertools import pairwise
+
+import pytest
+from transcripts import ALL
+from virtual_drones import Hangar
+
+from crazychoir.radio.crtp import LOG, PARAM, Packet, parse
+
+
+def _matches(pattern, reply):
+    return re.fullmatch(pattern.replace(" ", ""), reply.hex()) is not None
+
+
+@pytest.mark.parametrize("port", ALL)
+def test_a_conversation(port):
+    hangar = Hangar().run(0.5)
+    for shows, request, replies in ALL[port]:
+        found = [packet.framed() for packet in hangar.drone.take(parse(bytes.fromhex(request)))]
+        assert len(found) == len(replies), shows
+        for pattern, reply in zip(replies, found, strict=True):
+            assert _matches(pattern, reply), (shows, pattern, reply.hex(" "))
+    assert hangar.drone.starts == 1
+
+
+def _table(drone, port):
+    """All entries of a table of contents: (index, type, group, name)."""
+    (info,) = drone.take(Packet(port, 0, b"\x03"))
+    found = []
+    for k in range(int.from_bytes(info.data[1:3], "little")):
+        (item,) = drone.take(Packet(port, 0, b"\x02" + k.to_bytes(2, "little")))
+        assert len(item.data) <= 30
+        assert int.from_bytes(item.data[1:3], "little") == k
+        group, name, nothing = item.data[4:].split(b"\0")
+        assert nothing == b""
+        found.append((item.data[3], group.decode(), name.decode()))
+    return int.from_bytes(info.data[3:7], "little"), found
+
+
+def test_the_tables_have_what_programs_ask_for_once_each():
+    drone = Hangar().drone
+    log_crc, logs = _table(drone, LOG)
+    param_crc, parameters = _table(drone, PARAM)
+    assert log_crc != param_crc
+    for table in (logs, parameters):
+        assert len({(group, name) for _, group, name in table}) == len(table)
+    logged, set_ = ({f"{group}.{name}" for _, group, name in table} for table in (logs, parameters))
+    assert {"stateEstimate.x", "kalman.varPX", "pm.vbat", "pm.state", "radio.rssi", "supervisor.info", "range.zrange",
+            "stateEstimateZ.quat", "ctrltarget.x", "locSrv.x", "sys.canfly", "motor.m1"} <= logged  # fmt: skip
+    assert {"kalman.resetEstimation", "stabilizer.controller", "stabilizer.estimator", "commander.enHighLevel",
+            "hlCommander.groupmask", "locSrv.extPosStdDev", "ring.effect", "motorPowerSet.enable", "colAv.enable",
+            "deck.bcFlow2", "pm.lowVoltage", "flightmode.stabModeYaw", "led.bitmask"} <= set_  # fmt: skip
+
+
+def test_each_log_variable_can_be_read():
+    hangar = Hangar(decks=("bcFlow2", "bcLighthouse4", "bcMultiranger")).hovering()
+    values = {entry.full: hangar.log(entry.full) for entry in hangar.drone.logs.toc.entries}
+    assert all(value == value for value in values.values())
+    assert values["range.zrange"] == pytest.approx(1000.0 * hangar.state[2])
+    assert values["kalman.stateZ"] == pytest.approx(0.5, abs=0.05)
+
+
+def test_each_parameter_is_read_as_it_boots_or_as_the_model_has_it():
+    drone = Hangar().drone
+    for k, entry in enumerate(drone.parameters.toc.entries):
+        (reply,) = drone.take(Packet(PARAM, 1, k.to_bytes(2, "little")))
+        assert reply.data[2] == 0, entry
+        if entry.full not in ("kalman.initialX",):
+            value = drone.parameters.get(entry)
+            assert value == pytest.approx(entry.boot, rel=1e-6), entry
+
+
+def test_a_log_block_comes_by_the_drones_clock_and_once_if_it_has_no_period():
+    hangar = Hangar().run(0.1)
+    index = hangar.drone.logs.toc.index["pm.vbatMV"].to_bytes(2, "little")
+    list(hangar.drone.take(Packet(LOG, 1, b"\x06\x05\x22" + index)))
+    list(hangar.drone.take(Packet(LOG, 1, b"\x03\x05\x02")))
+    hangar.run(0.2)
+    data = [packet.data for packet in hangar.said if packet.port == LOG]
+    times = [int.from_bytes(one[1:4], "little") for one in data]
+    assert [b - a for a, b in pairwise(times)] == [20] * 9
+    assert 4000 < int.from_bytes(data[-1][4:], "little") <= 4200
+    list(hangar.drone.take(Packet(LOG, 1, b"\x04\x05")))
+    list(hangar.drone.take(Packet(LOG, 1, b"\x03\x05\x00")))
+    hangar.said.clear()
+    hangar.run(0.2)
+    assert len([packet for packet in hangar.said if packet.port == LOG]) == 1
+
+
+def test_a_half_float_too_large_stays_at_the_end_of_its_range():
+    from crazychoir.radio.virtual.logs import value_of
+
+    assert value_of("e", 1e9) == value_of("e", 65504.0)
+    assert value_of("H", 70000.0) == b"\xff\xff"
+    assert value_of("h", -70000.0) == b"\x00\x80"
+
+
+def test_the_console_splits_no_character():
+    drone = Hangar().drone
+    list(drone.pass_time())
+    drone.say("ä" * 40)
+    texts = [packet.data.decode() for packet in drone.pass_time()]
+    assert "".join(texts) == "ä" * 40
+    assert all(len(text.encode()) <= 30 for text in texts)
+
+
+def test_log_blocks_are_forgotten_when_nobody_has_been_heard_for_a_second():
+    hangar = Hangar().run(0.1)
+    list(hangar.drone.take(Packet(LOG, 1, b"\x06\x05\x77\0\0")))
+    list(hangar.drone.take(Packet(LOG, 1, b"\x03\x05\x02")))
+    hangar.run(0.95)
+    list(hangar.drone.take(Packet(15, 0, b"ping")))
+    hangar.run(0.95)
+    assert 5 in hangar.drone.logs.blocks
+    hangar.run(0.1)
+    (reply,) = hangar.drone.take(Packet(LOG, 1, b"\x03\x05\x02"))
+    assert reply.data == b"\x03\x05\x02"  # there is no such block

@@ -1,0 +1,326 @@
+"""The server: ports, cameras, questions, faults. Its world is stepped by hand, its sockets are real."""
+
+import asyncio
+import json
+import socket
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from crazychoir.cli.crazychoir import app
+from crazychoir.errors import ConfigError, Refused
+from crazychoir.mocap.frames import ASK, parse
+from crazychoir.radio.crtp import FORMS, Packet
+from crazychoir.radio.virtual.control import ask
+from crazychoir.radio.virtual.drone import BOOT
+from crazychoir.radio.virtual.faults import KNOBS, Faults, checked
+from crazychoir.radio.virtual.server import VirtualServer, charge_of
+from crazychoir.radio.virtual.setup import groups, known_decks, of_swarm, on_a_grid
+from crazychoir.runtime.clock import WallClock
+from crazychoir.swarm.config import SwarmConfig
+
+CONSOLE = b"\x0c"
+ECHO = Packet(15, 0, b"hello").framed()
+
+
+def _free(count):
+    """The second of so many free ports in a row."""
+    for first in range(24_000, 60_000, 40):
+        doors = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(count)]
+        try:
+            for k, door in enumerate(doors):
+                door.bind(("127.0.0.1", first + k))
+            return first + 1
+        except OSError:
+            continue
+        finally:
+            for door in doors:
+                door.close()
+    raise AssertionError("no free ports")
+
+
+class Open:
+    """A server of some drones, with a client's socket."""
+
+    def __init__(self, n=2, decks=None):
+        self.n, self.decks = n, decks
+
+    async def __aenter__(self):
+        self.clock = WallClock(asyncio.get_running_loop())
+        self.port = _free(self.n + 1)
+        hall = on_a_grid(self.n, self.port, self.decks)
+        self.server = VirtualServer(self.clock, hall.world(0), hall.seats, hall.poses)
+        self.server.listen()
+        self.door = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self.door.setblocking(False)
+        return self
+
+    async def __aexit__(self, *error):
+        await self.server.on_stop()
+        self.door.close()
+        self.clock.close()
+
+    def run(self, seconds):
+        for _ in range(round(seconds / self.server.world.dt)):
+            self.server.step()
+
+    async def said(self, data, drone=0, port=None):
+        """What a datagram is answered; empty for silence, a text for an error."""
+        self.door.connect(("127.0.0.1", self.port + drone if port is None else port))
+        try:
+            self.door.send(data)
+            async with asyncio.timeout(0.2):
+                while (answer := await asyncio.get_running_loop().sock_recv(self.door, 65_000))[:1] == CONSOLE:
+                    pass
+                return answer
+        except TimeoutError:
+            return b""
+        except ConnectionRefusedError:
+            return "refused"
+
+    async def asked(self, question):
+        return json.loads(await self.said(json.dumps(question).encode(), port=self.port - 1))
+
+    def take_off(self, drone=0):
+        self.run(0.5)
+        list(self.server.ports[drone].drone.take(FORMS["take_off"].packet(0, 0.6, 0.0, True, 1.0)))
+        self.run(2.0)
+
+    def height(self, drone=0):
+        return float(self.server.world.states[drone, 2])
+
+
+async def test_a_client_is_answered_and_a_scan_is_none():
+    async with Open() as hall:
+        assert await hall.said(b"\xff") != b""
+        assert hall.server.ports[0].client is None
+        assert await hall.said(ECHO) == ECHO
+        assert hall.server.ports[0].client is not None
+        assert await hall.said(ECHO, drone=1) == ECHO
+        assert await hall.said(bytes(40)) == b""
+        assert hall.server.ports[0].malformed == 1
+
+
+async def test_a_taken_port_is_named_and_no_other_stays_open():
+    async with Open(3) as hall:
+        hall.server.ports[0].close()
+        again = on_a_grid(3, hall.port, ())
+        with pytest.raises(ConfigError, match=f"UDP port {hall.port + 1}"):
+            VirtualServer(hall.clock, again.world(0), again.seats, again.poses).listen()
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as door:
+            door.bind(("127.0.0.1", hall.port))
+
+
+async def test_a_restart_closes_its_port_until_it_has_started():
+    async with Open() as hall:
+        assert await hall.said(ECHO) == ECHO
+        assert (await hall.asked({"faults": {"0": {"reboot": 1}}}))["done"]
+        hall.run(0.05)
+        assert await hall.said(ECHO) == "refused"
+        assert await hall.said(ECHO, drone=1) == ECHO
+        hall.run(1e-3 * BOOT)
+        assert await hall.said(ECHO) == ECHO
+
+
+async def test_switched_off_it_is_not_there_and_falls():
+    async with Open() as hall:
+        hall.take_off()
+        assert hall.height() > 0.5
+        await hall.asked({"faults": {"0": {"off": 1}}})
+        hall.run(1.5)
+        assert hall.height() == 0.0
+        assert await hall.said(ECHO) == "refused"
+        assert (await hall.asked({"ask": "state"}))["drones"]["0"]["supervisor"] == "off"
+        await hall.asked({"faults": {"0": {"off": 0}}})
+        hall.run(1e-3 * BOOT + 0.1)
+        assert await hall.said(ECHO) == ECHO
+        hall.take_off()
+        assert hall.height() > 0.5
+
+
+async def test_silent_it_is_there_and_says_nothing():
+    async with Open() as hall:
+        await hall.asked({"faults": {"0": {"silent": 1}}})
+        assert await hall.said(ECHO) == b""
+        assert await hall.said(b"\xff") == b""
+        await hall.asked({"faults": {"all": {"silent": 0}}})
+        assert await hall.said(ECHO) == ECHO
+
+
+async def test_what_breaks_a_drone_in_flight():
+    async with Open(4) as hall:
+        for drone in range(4):
+            hall.take_off(drone)
+        await hall.asked({"faults": {"0": {"tumble": 1}, "1": {"motor": 2}, "2": {"voltage": 3.3}}})
+        hall.run(7.0)
+        state = (await hall.asked({"ask": "state"}))["drones"]
+        assert state["0"]["supervisor"] == "crashed"
+        assert state["0"]["tumbled"] is True
+        assert state["1"]["p"][2] < 0.1
+        assert hall.server.drones[2].logs.read("pm.state") == 3.0
+        assert state["2"]["vbat"] < 3.3
+        assert state["3"]["p"][2] == pytest.approx(0.6, abs=0.05)
+        assert state["3"]["last"] == ""
+        assert state["3"]["zeros"] == 0
+        assert state["3"]["motors"][0] > 0.1
+
+
+async def test_the_cameras_show_the_truth_as_long_as_somebody_asks():
+    async with Open(3, decks=()) as hall:
+        assert await hall.said(ASK, port=hall.port - 1) == b""
+        hall.run(0.02)
+        frame = parse(hall.door.recv(65_000))
+        assert list(frame.bodies) == ["cf0", "cf1", "cf2"]
+        assert np.allclose(frame.bodies["cf1"], hall.server.world.states[1, [0, 1, 2, 6, 7, 8, 9]])
+        assert parse(hall.door.recv(65_000)).number == frame.number + 1
+
+
+async def test_what_goes_wrong_with_the_cameras():
+    async with Open(3, decks=()) as hall:
+        await hall.asked({"faults": {"0": {"pose_lost": 1}, "1": {"offset": [0.1, 0.0, -0.2]}}})
+        await hall.said(ASK, port=hall.port - 1)
+        hall.run(0.01)
+        bodies = parse(hall.door.recv(65_000)).bodies
+        assert set(bodies) == {"cf1", "cf2"}
+        assert np.allclose(bodies["cf1"][:3] - hall.server.world.states[1, :3], (0.1, 0.0, -0.2))
+        await hall.asked({"faults": {"0": {"pose_lost": 0}, "1": {"offset": [0, 0, 0], "swap": 2}}})
+        await hall.said(ASK, port=hall.port - 1)
+        hall.run(0.01)
+        bodies = parse(hall.door.recv(65_000)).bodies
+        assert np.allclose(bodies["cf1"][:3], hall.server.world.states[2, :3])
+        assert np.allclose(bodies["cf2"][:3], hall.server.world.states[1, :3])
+        await hall.asked({"faults": {"2": {"swap": -1}}})
+        assert all(fault.swap == -1.0 for fault in hall.server.faults.values())
+
+
+async def test_a_deck_tells_where_it_is_and_without_one_nothing_does():
+    async with Open(2) as hall:
+        hall.run(0.5)
+        assert hall.server.drones[1].onboard.estimate.p[0] == pytest.approx(0.6, abs=0.01)
+    async with Open(2, decks=()) as hall:
+        hall.run(0.5)
+        assert hall.server.drones[1].onboard.estimate.p[0] == pytest.approx(0.0, abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("question", "says"),
+    [
+        ({"faults": {"7": {"loss": 0.1}}}, "all, 0, 1"),
+        ({"faults": {"0": {"lost": 0.1}}}, "loss, delay, silent"),
+        ({"faults": {"0": {"loss": 1.5}}}, "0 to 1"),
+        ({"faults": {"0": {"loss": "much"}}}, "0 to 1"),
+        ({"faults": {"0": {"motor": 1.5}}}, "0 to 4"),
+        ({"faults": {"0": {"offset": 1.0}}}, "3 numbers of -10 to 10"),
+        ({"faults": {"0": {"voltage": 1.0}}}, "0, or 3 to 4.2"),
+        ({"faults": {"0": {"swap": 5}}}, "-1, or one of 0, 1"),
+        ({"faults": [1]}, "{id: {name: value}}"),
+        ({"ask": "what"}, '{"ask": "state"}'),
+        ([1, 2], "a JSON object"),
+    ],
+)
+async def test_what_cannot_be_is_refused_with_what_can(question, says):
+    async with Open() as hall:
+        assert says in (await hall.asked(question))["error"]
+        assert all(fault == Faults() for fault in hall.server.faults.values())
+
+
+def test_nobody_there_is_said():
+    with pytest.raises(Refused, match="crazychoir virtual"):
+        ask({"ask": "state"}, port=9, deadline=0.1)
+
+
+def test_each_fault_that_can_be_set_is_one_of_a_drone():
+    assert set(KNOBS) == {*Faults().listed(), "reboot"}
+    assert checked({"offset": [1, 2, 3]}, [0]) == {"offset": (1.0, 2.0, 3.0)}
+
+
+def test_the_charge_of_a_voltage():
+    battery = on_a_grid(1, 19850, ()).world(0).platforms[0].battery
+    assert charge_of(4.2, battery) == pytest.approx(1.0)
+    assert charge_of(3.87, battery) == pytest.approx(0.3, abs=1e-3)  # the firmware's table: 30 %
+    assert charge_of(3.0, battery) > 0.0
+
+
+SWARM = {
+    "name": "six",
+    "drones": [
+        {"id": 4, "home": [0, 0, 0], "uri": "udp://127.0.0.1:19860", "dongle": 1, "pose": "onboard",
+         "platform": "cf21bl"},
+        {"id": 2, "home": [1, 0, 0], "uri": "udp://localhost:19870", "dongle": 0, "body": "marker", "yaw": 1.0},
+        {"id": 3, "home": [2, 0, 0], "uri": "udp://127.0.0.1:19871", "dongle": 0},
+        {"id": 0, "home": [3, 0, 0]},
+    ],
+    "radio": {"capacity": 200.0},
+}  # fmt: skip
+
+
+def test_the_drones_of_a_swarm_stand_at_home_at_their_ports():
+    hall = of_swarm(SwarmConfig.of(SWARM, "x"), None)
+    seats = {seat.id: seat for seat in hall.seats}
+    assert {i: seat.at[1] for i, seat in seats.items()} == {4: 19860, 2: 19870, 3: 19871}
+    assert (seats[2].body, seats[3].body) == ("marker", "cf3")
+    assert (seats[4].decks != (), seats[3].decks) == (True, ())
+    assert (seats[4].device, seats[3].device) == ("C21B", "CF21")
+    world = hall.world(0)
+    assert np.allclose(world.state(2).p, (1, 0, 0))
+    assert dict(groups(hall, None, None)) == {(2, 3): 200.0, (4,): None}
+    assert hall.poses == ("127.0.0.1", 19849)
+
+
+def test_a_swarm_without_virtual_drones_is_refused():
+    simulated = {"name": "x", "drones": [{"id": 0, "home": [0, 0, 0]}]}
+    with pytest.raises(ConfigError, match="udp://HOST:PORT on this machine"):
+        of_swarm(SwarmConfig.of(simulated, "x"), None)
+
+
+def test_groups_of_drones_that_share_a_dongle():
+    hall = on_a_grid(5, 19850, ())
+    assert [group for group, _ in groups(hall, "0,1|4", None)] == [(0, 1), (4,)]
+    assert [group for group, _ in groups(hall, None, 2)] == [(0, 1), (2, 3), (4,)]
+    for wrong in ("0,0", "0|9", "a", ""):
+        with pytest.raises(ConfigError, match="groups of drones"):
+            groups(hall, wrong, None)
+
+
+def test_decks_by_name():
+    assert known_decks("none") == ()
+    assert known_decks("bcFlow2,bcLighthouse4") == ("bcFlow2", "bcLighthouse4")
+    with pytest.raises(ConfigError, match="bcLighthouse4 knows where it is"):
+        known_decks("flow")
+
+
+async def _called(*words):
+    return await asyncio.to_thread(CliRunner().invoke, app, ["virtual", *map(str, words)])
+
+
+async def test_the_command_line_lists_sets_and_refuses_faults():
+    async with Open() as hall:
+        port = ("--port", hall.port)
+        done = await _called("fault", "0,1", "loss=0.25", "offset=0.1,0,0", *port)
+        assert done.exit_code == 0, done.output
+        assert [fault.loss for fault in hall.server.faults.values()] == [0.25, 0.25]
+        done = await _called("faults", "--json", *port)
+        assert json.loads(done.stdout)["drones"]["1"]["offset"] == [0.1, 0.0, 0.0]
+        assert "0.25" in (await _called("faults", *port)).stdout
+        assert "not initialised" in (await _called("state", *port)).stdout
+        for words, says in ((("fault", "0", "loss=2"), "0 to 1"), (("fault", "0", "loss"), "loss=0.3")):
+            done = await _called(*words, *port, "--json")
+            assert done.exit_code == 2
+            assert says in json.loads(done.stdout)["error"]
+    assert (await _called("state", "--port", 45_001)).exit_code == 2
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (("--dongles", "0,0"), "groups of drones"),
+        (("--dongles", "0", "--per-dongle", "1"), "one of them"),
+        (("--deck", "flow"), "bcFlow2"),
+        (("--firmware", "é"), "plain characters"),
+    ],
+)
+def test_options_that_cannot_be_are_refused(words, says):
+    done = CliRunner().invoke(app, ["virtual", *words, "--json"])
+    assert done.exit_code == 2
+    assert says in json.loads(done.stdout)["error"]

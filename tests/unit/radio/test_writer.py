@@ -1,0 +1,98 @@
+"""The thread that sends."""
+
+import threading
+
+from crazychoir.radio.crtp import Packet
+from crazychoir.radio.writer import MOST, Writer
+
+
+def packet(number: int) -> Packet:
+    return Packet(0, 0, bytes([number]))
+
+
+class Slow:
+    """A driver that keeps who sends until it is let go."""
+
+    def __init__(self) -> None:
+        self.sent: list[int] = []
+        self.busy, self.free = threading.Event(), threading.Event()
+
+    def __call__(self, packet: Packet) -> None:
+        self.busy.set()
+        assert self.free.wait(5.0)
+        self.sent.append(packet.data[0])
+
+
+def test_orders_keep_their_order_and_of_each_kind_the_newest_is_sent() -> None:
+    slow = Slow()
+    writer = Writer("test", slow)
+    writer.put(packet(1))
+    assert slow.busy.wait(5.0)
+    for number in (10, 11, 12):
+        writer.newest("pose", packet(number))
+    writer.newest("command", packet(20))
+    writer.put(packet(2))
+    writer.put(packet(3))
+    slow.free.set()
+    while len(slow.sent) < 5:
+        pass
+    writer.end()
+    assert writer.join(5.0)
+    assert slow.sent == [1, 2, 3, 12, 20]
+
+
+def test_what_waits_in_order_is_sent_before_its_end() -> None:
+    slow = Slow()
+    writer = Writer("test", slow)
+    for number in (1, 2, 3):
+        writer.put(packet(number))
+    writer.newest("pose", packet(9))
+    writer.end()
+    slow.free.set()
+    assert writer.join(5.0)
+    assert slow.sent in ([1, 2, 3], [9, 1, 2, 3])
+
+
+def test_a_driver_that_raises_is_tried_again() -> None:
+    sent: list[int] = []
+
+    def send(one: Packet) -> None:
+        if one.data == b"\x01":
+            raise OSError("USB")
+        sent.append(one.data[0])
+
+    writer = Writer("test", send)
+    writer.put(packet(1))
+    writer.put(packet(2))
+    writer.end()
+    assert writer.join(5.0)
+    assert (sent, writer.failure) == ([2], "OSError: USB")
+
+
+def test_a_link_that_takes_nothing_does_not_grow() -> None:
+    slow = Slow()
+    writer = Writer("test", slow)
+    assert all(writer.put(packet(0)) for _ in range(MOST))
+    assert slow.busy.wait(5.0)
+    writer.put(packet(0))
+    assert not writer.put(packet(0))
+    slow.free.set()
+    writer.end()
+    assert writer.join(5.0)
+
+
+def test_what_is_forgotten_is_not_sent() -> None:
+    slow = Slow()
+    writer = Writer("test", slow)
+    writer.put(packet(1))
+    assert slow.busy.wait(5.0)
+    writer.newest("command", packet(20))
+    writer.newest("pose", packet(10))
+    writer.forget("command")
+    writer.put(packet(2))
+    slow.free.set()
+    while len(slow.sent) < 3:
+        pass
+    writer.end()
+    assert writer.join(5.0)
+    assert slow.sent == [1, 2, 10]
