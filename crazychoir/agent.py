@@ -10,7 +10,7 @@ from typing import Any
 from crazychoir.bus.commands import CommandServer
 from crazychoir.bus.hello import VERSION
 from crazychoir.bus.local import Bus
-from crazychoir.bus.topics import LINK, LOG, POSE, RESULT, STATUS, TELEMETRY
+from crazychoir.bus.topics import LINK, LOG, POSE, RESULT, STATUS, TELEMETRY, TRUTH
 from crazychoir.control.choice import ON_BOARD, Controls, controls
 from crazychoir.control.margin import Plant as PlantKind
 from crazychoir.control.position import HEADROOM, HEIGHT_SHARE
@@ -27,6 +27,7 @@ from crazychoir.platforms import platform
 from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import Clock
 from crazychoir.runtime.hanging import Guards
+from crazychoir.runtime.mailbox import Call
 from crazychoir.runtime.supervisor import Supervisor
 from crazychoir.runtime.watchdog import Stall
 from crazychoir.safety.collision.filter import CollisionFilter
@@ -204,12 +205,20 @@ class Agent:
         fence = Fence.box(config.fence.min, config.fence.max).with_floor(max(config.fence.min[2], flight.ground))
         a_max = braking(flight, chosen.platform, HEIGHT_SHARE * HEADROOM)
         traffic, v_max, ground = Traffic(self.bus.ports[i], flying, planners), flight.speed_limit, flight.ground
+        self._see(traffic, i)
         if i in planners:
             return PlannedFlights(
                 self.bus.ports[i], config.collision, traffic, planners, fence.with_floor(ground + LOWEST), a_max,
                 v_max, ground,
             )  # fmt: skip
         return CollisionFilter(config.collision, traffic, fence, a_max, v_max, ground)
+
+    def _see(self, traffic: Traffic, i: int) -> None:
+        """The cameras of drones that a radio reaches tell where they are, whether their agents are there or not."""
+        for j in self.config.seen:
+            if j != i:
+                call = Call(self.clock, partial(traffic.seen, j), f"drone {i} sees {j}")
+                self.bus.subscribe(TRUTH, self.config.source(TRUTH, j), i, call, TRUTH.rate)
 
     def _body(self, i: int, kind: str) -> tuple[Link, Callable[[], str]]:
         """The way to a drone's body, and what says what has broken it; ConfigError for a kind that is not flown there.

@@ -395,8 +395,8 @@ class RadioDrone(Actor):
             "latency": way.latency, "answered": way.answered, "rssi": way.rssi
         }  # fmt: skip
         return LinkStatus(
-            self.state_of_link, self.silence, battery=float(self.battery), supervisor=self.supervisor, flying=self.flying,
-            problems=self.problems(), release=self.release, refused=self.refused_plans,
+            self.state_of_link, self.silence, battery=float(self.battery), supervisor=self.supervisor,
+            flying=self.flying, problems=self.problems(), release=self.release, refused=self.refused_plans,
             reconnected=self.reconnected, **known,
         )  # fmt: skip
 

@@ -733,7 +733,7 @@ class Pilot(Actor):
             self._brake()
 
     def _hand_over(self) -> None:
-        """Its firmware has sensors of its own: it lands by these, soon, for they drift, and a little below the floor."""
+        """Its firmware has sensors of its own: it lands by these, soon, for they drift, a little below the floor."""
         if self._down_at < math.inf or self.state is None:
             return
         depth = float(self.state.p[2]) - self.limits.ground + BLIND_DEPTH

@@ -1,4 +1,4 @@
-"""A hall of virtual Crazyflies in a process of its own, and runs that fly them through cflib, in processes of theirs."""
+"""A hall of virtual Crazyflies in a process of its own, and runs that fly them through cflib in other processes."""
 
 import asyncio
 import json

@@ -18,6 +18,8 @@ s, when it was so that it itself has said it: of others it may be heard later.
 """
 USABLE = 0.6
 """s: a state that is older is no use."""
+UNHEARD = 0.2
+"""s without a state after which a place that the cameras say counts."""
 SILENT = 1.5
 """s, after which a drone that flew counts as not heard by who asks whether it is cut off."""
 GONE = 10.0
@@ -52,7 +54,8 @@ class Traffic:
         self.rows[:, 9], self.rows[:, BORN], self.rows[:, SOON] = 1.0, -np.inf, np.inf
         self.rows[:, HEARD] = -np.inf
         self.rows[:, BORNE] = np.inf
-        self.rows[:, SHARE] = [1.0 if j in alone else 0.5 for j in self.ids]
+        self._shares = {j: 1.0 if j in alone else 0.5 for j in self.ids}
+        self.rows[:, SHARE] = list(self._shares.values())
         self._pace = np.zeros(len(self.ids))
         self._looks = 0.0
         if self.ids:
@@ -72,11 +75,18 @@ class Traffic:
         """Keep a state that a drone has said, `age` s ago, unless a newer one is there or it is none."""
         row = self._keep(message, age)
         if row is not None:
-            row[HEARD] = max(row[HEARD], self.now() - age)
+            row[HEARD], row[SHARE] = max(row[HEARD], self.now() - age), self._shares[message[0]]
 
     def told(self, message: tuple[int, State], age: float) -> None:
         """Keep a state of a drone that another one has told."""
         self._keep(message, age)
+
+    def seen(self, j: int, state: State, age: float) -> None:
+        """Where the cameras see drone j: that counts while nothing is heard of it, and then it gives way to nobody."""
+        row = self.row(j)
+        if row is not None and self.now() - row[BORN] > UNHEARD:
+            self._keep((j, state), age)
+            row[SHARE] = 1.0
 
     def _keep(self, message: tuple[int, State], age: float) -> Vec | None:
         """The row of a drone whose state this is; None if it is none, or of nobody."""

@@ -72,7 +72,7 @@ def test_a_package_brings_a_world(installed):
 
 
 def test_a_scheme_that_nobody_brings_is_refused_with_those_that_there_are(installed):
-    allowed = r"allowed: sim://, .*, sim://motors, mujoco://, replay://FILE, udp://.*, radio://.*, broken://, strange://, toy://"
+    allowed = r"allowed: sim://, .*, mujoco://, replay://FILE, udp://.*, radio://.*, broken://, strange://, toy://"
     with pytest.raises(ConfigError, match=allowed):
         swarm({"uri": "toys://hall"})
 

@@ -1,0 +1,25 @@
+"""What a drone knows of the others: what they say, and what cameras say of those who say nothing."""
+
+import numpy as np
+from virtual_time import virtual
+
+from crazychoir.bus.local import Bus
+from crazychoir.safety.collision.traffic import HEARD, SHARE, Traffic
+from crazychoir.types import State
+
+
+@virtual
+async def test_where_the_cameras_see_a_drone_counts_while_nothing_is_heard_of_it(clock):
+    traffic = Traffic(Bus(clock).port(0), [0, 1])
+    traffic.seen(1, State.at((1.0, 0.0, 1.0)), 0.0)
+    row = traffic.row(1)
+    assert (row[0], row[SHARE]) == (1.0, 1.0), "whoever is not heard gives way to nobody"
+    assert row[HEARD] == -np.inf, "it is not heard for that"
+    traffic.hear((1, State.at((2.0, 0.0, 1.0))), 0.0)
+    assert (row[0], row[SHARE]) == (2.0, 0.5)
+    traffic.seen(1, State.at((3.0, 0.0, 1.0)), 0.0)
+    assert row[0] == 2.0, "its own word counts while it is new"
+    await clock.sleep(0.25)
+    traffic.seen(1, State.at((3.0, 0.0, 1.0)), 0.0)
+    assert (row[0], row[SHARE]) == (3.0, 1.0)
+    traffic.seen(7, State.at((3.0, 0.0, 1.0)), 0.0)
