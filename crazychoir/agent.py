@@ -14,7 +14,7 @@ from crazychoir.bus.topics import LINK, LOG, POSE, RESULT, STATUS, TELEMETRY
 from crazychoir.control.choice import ON_BOARD, Controls, controls
 from crazychoir.control.margin import Plant as PlantKind
 from crazychoir.control.position import HEADROOM, HEIGHT_SHARE
-from crazychoir.control.robots import ROBOTS
+from crazychoir.control.robots import ROBOTS, sender_of
 from crazychoir.errors import ConfigError, Refused
 from crazychoir.guidance.drone import Drone
 from crazychoir.guidance.life import GuidanceActor
@@ -45,6 +45,7 @@ from crazychoir.swarm.checks import LIGHTWEIGHT, limit_area
 from crazychoir.swarm.communicator import Communicator
 from crazychoir.swarm.config import SwarmConfig
 from crazychoir.swarm.impairment import impairment_of
+from crazychoir.swarm.link_loss import TILTED, inset
 from crazychoir.swarm.roster import Barrier
 from crazychoir.worlds import owners
 
@@ -137,7 +138,7 @@ class Agent:
         )  # fmt: skip
         communicator = Communicator(port, self._graph)
         communicator.follow(barrier)
-        fence = Fence.box(config.fence.min, config.fence.max)
+        fence = self._fence(i)
         chosen, rate = self._controls(i), config.mocap.rate
         seen = filter_of(config.control_of(i).filter, chosen, config.flight.ground, rate)
         link, harm = self._body(i, chosen.sender.kind)
@@ -160,6 +161,22 @@ class Agent:
         )  # fmt: skip
         CommandServer(port, partial(self._execute, drone), partial(self._stop, drone))
         return drone
+
+    def _fence(self, i: int) -> Fence:
+        """Where drone i flies: [fence]; inside it, if the radio that streams to it may fail."""
+        config, fence = self.config, self.config.fence
+        sender = sender_of(config, i)
+        if i not in config.reached or sender not in TILTED:
+            return Fence.box(fence.min, fence.max)
+        margin = inset(config, sender)
+        if margin.given < margin.needed:
+            log.warning(
+                "drone %d: stays %.2f m inside the fence; %.2f m are needed, lest it ends beyond [keep_out] if its "
+                "radio fails. Lower speed_limit, or widen [keep_out].", i, margin.given, margin.needed,
+            )  # fmt: skip
+        (a, b, c), (d, e, f) = fence.min, fence.max
+        x = margin.given
+        return Fence.box((a + x, b + x, c), (d - x, e - x, f))
 
     def _remote(self, i: int) -> RemoteLink:
         port, reached = self.bus.ports[i], self.config.reached

@@ -6,7 +6,6 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import msgspec
 import typer
 
 from crazychoir.cli import ending
@@ -60,7 +59,9 @@ def with_source(config: "SwarmConfig", source: str | None) -> "SwarmConfig":
     """The swarm with another source: SYSTEM, SYSTEM@HOST, SYSTEM@HOST:PORT (of "virtual"), or the file of a replay."""
     if source is None:
         return config
-    changes: dict[str, Any] = {**msgspec.to_builtins(config.mocap)}
+    from msgspec import to_builtins  # --help does not need it
+
+    changes: dict[str, Any] = to_builtins(config.mocap)
     if source.endswith(".csv"):
         changes |= {"source": "replay", "file": str(Path(source).resolve())}
     else:

@@ -77,7 +77,7 @@ def mocap_table(process: MocapProcess) -> Table:
     owners = {name: str(i) for i, name in watch.names.items()}
     for name in dict.fromkeys([*owners, *sorted(watch.sights)]):
         sight = watch.sights.get(name)
-        cells = ["never seen"] if sight is None else _cells(sight, max(now - sight.last, watch.age(name, now)))
+        cells = ["never seen"] if sight is None else _cells(sight, now - sight.last)
         table.add_row(name, owners.get(name, "-"), *cells)
     return table
 

@@ -206,7 +206,10 @@ def _say_left(config: "SwarmConfig", matches: "list[Match]") -> None:
     """Drones for which there is no body near their homes."""
     from crazychoir.mocap.naming import FAR
 
-    left = [i for i in config.seen if not any(m.drone == i and m.sure for m in matches)]
+    sure = {m.drone: m.name for m in matches if m.sure}
+    if all(sure.get(i) == config.body_name(i) for i in config.seen):
+        STDERR.print("the swarm file has these names")
+    left = [i for i in config.seen if i not in sure]
     if left:
         names = ", ".join(map(str, left))
         STDERR.print(f"no body within {FAR:g} m of the home of drone(s) {names}: put them there, or mend `home`.")

@@ -81,5 +81,5 @@ class VirtualSource:
         silence = self.clock.now() - self._heard
         if silence > SILENT:
             self.state = "silent"
-            do = "Is the server of the virtual Crazyflies running there, and does it tell their poses at this port?"
+            do = "Is `crazychoir virtual` running there, and does it tell poses at this port?"
             self._complain(self.clock.now(), "silent", f"no frame for {silence:.0f} s. {do}")

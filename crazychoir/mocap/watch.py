@@ -31,14 +31,15 @@ STRANGE = 1.0
 class Sight:
     """What was seen of one body.
 
-    first, last: s, when it was in a frame;  changed: s, when it last had another pose;  frames: with it;  dropped:
-    frames without it since the first;  gap: s, the longest between two frames with it that has not been said;  rate:
-    Hz, nan before there is one;  share: of the frames that are without it.
+    first, last: s, when it was measured: in a frame, with other digits than before where the source is live;  shown: s,
+    when it was in a frame;  frames: in which it was measured;  dropped: frames without it since the first;  gap: s, the
+    longest between two measurements that has not been said;  rate: Hz, nan before there is one;  share: of the frames
+    that are without it.
     """
 
     first: float
     last: float
-    changed: float
+    shown: float
     flat: Vec
     frames: int = 0
     dropped: int = 0
@@ -47,11 +48,12 @@ class Sight:
     share: float = 0.0
     _counted: tuple[int, int] = (0, 0)
 
-    def see(self, flat: Vec, now: float) -> None:
+    def see(self, flat: Vec, now: float, live: bool) -> None:
         """It is in this frame."""
+        self.shown = now
+        if live and self.frames and np.array_equal(flat, self.flat):
+            return  # shown again: some systems hand out what they had, as often as they are asked
         self.gap = max(self.gap, now - self.last)
-        if not np.array_equal(flat, self.flat):
-            self.changed = now
         self.flat, self.last = flat, now
         self.frames += 1
 
@@ -87,13 +89,13 @@ class Watch:
             sight = self.sights.get(name)
             if sight is None:
                 sight = self.sights[name] = Sight(now, now, now, flat)
-            sight.see(flat, now)
+            sight.see(flat, now, self.live)
         for name, sight in self.sights.items():
             sight.dropped += name not in frame.bodies
 
     def age(self, name: str, now: float) -> float:
         """s for which a body has shown the very same pose, where nothing that is measured does; else 0."""
-        return now - self.sights[name].changed if self.live else 0.0
+        return now - self.sights[name].last if self.live else 0.0
 
     def look(self, now: float) -> list[str]:
         """What is wrong, each thing at most once a second and ever more rarely."""
@@ -125,8 +127,8 @@ class Watch:
     def _of_strangers(self, now: float) -> list[tuple[str, str]]:
         """Bodies that are seen and belong to nobody."""
         own = self.names.values()
-        strange = [name for name, one in self.sights.items() if name not in own and one.last - one.first > STRANGE]
-        if not strange or all(now - self.sights[name].last > WINDOW for name in strange):
+        strange = [name for name, one in self.sights.items() if name not in own and one.shown - one.first > STRANGE]
+        if not strange or all(now - self.sights[name].shown > WINDOW for name in strange):
             return []
         return [("strangers", f"seen, and nobody's: {_list(strange)}. The swarm file has {_list(list(own))}.")]
 
@@ -136,16 +138,23 @@ class Watch:
             if now - self._began < MISSING:
                 return []
             return [(f"{i} missing", f"{who} was never seen. {self._meant(name)}")]
-        if now - sight.last > MISSING:
-            return [(f"{i} missing", f"{who} is not seen for {now - sight.last:.1f} s")]
-        gap, sight.gap = sight.gap, 0.0
-        if self.live and now - sight.changed > FROZEN:
-            still = f"{who} shows the very same pose for {now - sight.changed:.1f} s"
+        if now - sight.shown > MISSING:
+            return [(f"{i} missing", f"{who} is not seen for {now - sight.shown:.1f} s")]
+        if now - sight.last > FROZEN:
+            still = f"{who} shows the very same pose for {now - sight.last:.1f} s"
             return [(f"{i} frozen", f"{still}: no camera measures that; it counts as not seen")]
+        return self._of_rate(i, who, sight)
+
+    def _of_rate(self, i: int, who: str, sight: Sight) -> list[tuple[str, str]]:
+        """Gaps, dropouts, and measurements that come less often than frames."""
+        gap, sight.gap = sight.gap, 0.0
         if gap > GAP / self.rate:
             return [(f"{i} gap", f"{who} was not seen for {gap:.3f} s")]
-        often = self.live and sight.share > OFTEN
-        return [(f"{i} often", f"{who} is missing in {100.0 * sight.share:.0f} % of the frames")] if often else []
+        if self.live and sight.share > OFTEN:
+            return [(f"{i} often", f"{who} is missing in {100.0 * sight.share:.0f} % of the frames")]
+        if self.live and sight.rate < SLOW * min(self.rate, self.mean_rate):
+            return [(f"{i} slow", f"{who} is measured at {sight.rate:.0f} Hz, shown at {self.mean_rate:.0f} Hz")]
+        return []
 
     def _meant(self, name: str) -> str:
         """What there is, and which of it may be meant."""

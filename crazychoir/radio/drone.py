@@ -92,7 +92,7 @@ class RadioDrone(Actor):
         self._well: dict[str, float] = {}
         self._spread: dict[str, float] = {}
         self._said, self._gate = Throttle(), PoseGate()
-        self._has_flown = False
+        self._has_flown, self._heard_at = False, -math.inf
         self._asked: dict[tuple[str, ...], float] = {}
         self._tasks: list[asyncio.Task[None]] = []
         self._pose: Latest[Pose] = Latest(self.clock, f"drone {i} pose", UNSEEN)
@@ -114,6 +114,7 @@ class RadioDrone(Actor):
             except (LinkFailed, ConfigError) as error:
                 self._failed(error, began)
             finally:
+                self._heard_at = max(self._heard_at, self.clock.now() - connection.silence)
                 self.connection = None
                 await connection.close()
             late = self.clock.now() - began > self.config.radio.connect_deadline
@@ -357,6 +358,12 @@ class RadioDrone(Actor):
         return self._well.get("pm.vbat", math.nan)
 
     @property
+    def silence(self) -> float:
+        """s since its last packet, by whatever connection; infinite before the first."""
+        way = self.connection
+        return min(math.inf if way is None else way.silence, self.clock.now() - self._heard_at)
+
+    @property
     def flying(self) -> bool:
         """Whether its motors turn, or have within 2 s."""
         return bool(self.supervisor & checks.FLYING)
@@ -385,12 +392,12 @@ class RadioDrone(Actor):
         """For its agent, and who looks on."""
         way = self.connection
         known = {} if way is None else {
-            "silence": way.silence, "latency": way.latency, "answered": way.answered, "rssi": way.rssi
+            "latency": way.latency, "answered": way.answered, "rssi": way.rssi
         }  # fmt: skip
         return LinkStatus(
-            self.state_of_link, battery=float(self.battery), supervisor=self.supervisor, flying=self.flying,
-            problems=self.problems(), release=self.release, refused=self.refused_plans, reconnected=self.reconnected,
-            **known,
+            self.state_of_link, self.silence, battery=float(self.battery), supervisor=self.supervisor, flying=self.flying,
+            problems=self.problems(), release=self.release, refused=self.refused_plans,
+            reconnected=self.reconnected, **known,
         )  # fmt: skip
 
     def report(self) -> None:

@@ -87,7 +87,7 @@ LIFTED = 0.03
 
 
 BLIND_DEPTH, BLIND_SPEED = 0.03, 0.35
-"""m, m/s: how a drone lands by its firmware that nobody sees. Its height is off by some cm after 3 s, its place by 1 m."""
+"""m, m/s: how a drone lands by its firmware that nobody sees: its height is off by cm after 3 s, its place by 1 m."""
 RISING = 0.2
 """m above the floor where a drone that takes off should be, at which one that is still there is none."""
 
@@ -733,10 +733,7 @@ class Pilot(Actor):
             self._brake()
 
     def _hand_over(self) -> None:
-        """Its firmware has sensors of its own: it lands by these, soon, for they drift.
-
-        The floor may be BLIND_DEPTH m below where it takes it to be; by then it comes down slowly enough, wherever it is.
-        """
+        """Its firmware has sensors of its own: it lands by these, soon, for they drift, and a little below the floor."""
         if self._down_at < math.inf or self.state is None:
             return
         depth = float(self.state.p[2]) - self.limits.ground + BLIND_DEPTH

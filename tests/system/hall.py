@@ -7,10 +7,11 @@ import socket
 from pathlib import Path
 from typing import Any, Self
 
+from system.agents import CRAZYCHOIR, Program
+
 from crazychoir.launch.network import apart
 from crazychoir.radio.virtual.control import ask
 from crazychoir.swarm.config import SwarmConfig
-from tests.system.agents import CRAZYCHOIR, Program
 
 
 def udp_block(count: int) -> int:

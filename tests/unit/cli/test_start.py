@@ -13,7 +13,7 @@ from crazychoir.solving import solve_here
 HEAVY = {"numpy", "numba", "scipy", "zenoh", "highspy", "matplotlib", "msgspec", "asyncio", "rich.live"}
 
 
-@pytest.mark.parametrize("module", ["crazychoir.cli.crazychoir", "crazychoir.cli.agent", "crazychoir.cli.world"])
+@pytest.mark.parametrize("module", [f"crazychoir.cli.{name}" for name in ("crazychoir", "agent", "world", "mocap")])
 def test_a_command_line_starts_without_what_is_heavy(module):
     program = f"import sys, json, {module}; print(json.dumps(list(sys.modules)))"
     loaded = json.loads(subprocess.run([sys.executable, "-c", program], check=True, capture_output=True).stdout)

@@ -73,6 +73,16 @@ def test_a_body_that_shows_the_very_same_digits_is_as_old_as_they_are():
     assert watch.age("cf0", 1.99) == 0.0
 
 
+def test_a_system_that_hands_out_what_it_had_is_as_fast_as_what_is_new():
+    """As VRPN, asked 100 times a second for what a tracker measures 25 times."""
+    watch, said = watched(4.0, lambda k: moving(k, "cf0") | moving(k // 4, "cf1"))
+    assert watch.sights["cf1"].rate == pytest.approx(25.0, rel=0.05)
+    assert watch.sights["cf1"].dropped == 0
+    assert any(text == "body 'cf1' of drone 1 was not seen for 0.040 s" for _, text in said)
+    _, said = watched(4.0, lambda k: moving(k, "cf0") | moving(k // 2, "cf1"))
+    assert {text for _, text in said} == {"body 'cf1' of drone 1 is measured at 50 Hz, shown at 100 Hz"}
+
+
 def test_simulated_bodies_may_stand_still():
     watch, said = watched(2.0, lambda k: moving(0, "cf0", "cf1"), live=False)
     assert said == []

@@ -1,0 +1,54 @@
+"""How far a drone that is streamed set-points flies on when its radio fails, and how far inside it therefore stays."""
+
+import math
+from dataclasses import dataclass
+
+from crazychoir.swarm.checks import limit_area
+from crazychoir.swarm.radios import is_reached
+from crazychoir.swarm.tables import Position, Swarm
+
+HELD, CUT = 0.5, 2.0
+"""s for which the firmware holds the last set-point, then the drone is level; and after which its motors are off."""
+BRAKES = 0.67
+"""Of v^2 / a: m in which a drone comes to rest, with its delays."""
+TILTED = {"fpqr": 0.6, "frpy": 0.25, "vel": 0.0, "fullstate": 0.0}
+"""s: what holding the last rates, or the last tilt, adds for each m/s of speed (rates: 0.6 rad/s held from 1 m/s)."""
+SPACE, MOST = 0.3, 0.25
+"""m that is left around each home; and the share of half the fence that is given up at most."""
+
+
+@dataclass(frozen=True)
+class Inset:
+    """needed: m, from the fence; given: m, as far as homes and the room allow."""
+
+    needed: float
+    given: float
+
+
+def flies_on(speed: float, acceleration: float, sender: str) -> float:
+    """m, beyond the fence, at which a drone is when its motors stop, if it was kept inside until its radio failed.
+
+        max_d CUT v(d) + t v(d) - d,   v(d) = min(v_max, sqrt(d a / BRAKES)),   t = TILTED
+
+    It brakes in front of the fence, so it is slower the nearer it is.  speed: m/s;  acceleration: m/s2.
+    """
+    seconds, k = CUT + TILTED[sender], acceleration / BRAKES
+    v = min(speed, 0.5 * seconds * k)
+    return seconds * v - v * v / k
+
+
+def inset(swarm: Swarm, sender: str) -> Inset:
+    """How far inside [fence] drones stay that are streamed set-points by a radio, lest they end beyond [keep_out]."""
+    low, high = limit_area(swarm)
+    fence = swarm.fence
+    room = min(min(f - b, a - e) for f, b, a, e in zip(fence.min[:2], low[:2], high[:2], fence.max[:2], strict=True))
+    needed = max(0.0, flies_on(swarm.flight.speed_limit, swarm.flight.acceleration_limit, sender) - room)
+    half = min(b - a for a, b in zip(fence.min[:2], fence.max[:2], strict=True)) / 2.0
+    homes = [drone.home for drone in swarm.drones if is_reached(drone)]
+    return Inset(needed, max(0.0, min(needed, MOST * half, *(_inside(home, swarm) - SPACE for home in homes))))
+
+
+def _inside(p: Position, swarm: Swarm) -> float:
+    """m from the nearest side."""
+    sides = zip(swarm.fence.min[:2], p[:2], swarm.fence.max[:2], strict=True)
+    return min((min(x - a, b - x) for a, x, b in sides), default=math.inf)

@@ -1,0 +1,141 @@
+"""Virtual Crazyflies, flown through cflib by agents, owners of dongles and a process of motion capture of their own."""
+
+import asyncio
+import os
+import signal
+import subprocess
+from typing import Any
+
+import pytest
+from system.agents import Program
+from system.hall import Hall, reached
+
+from crazychoir.guidance.mission import load
+from crazychoir.swarm.config import SwarmConfig, default_swarm
+
+pytestmark = [
+    pytest.mark.system,
+    pytest.mark.real_time,
+    pytest.mark.timeout(240),
+    pytest.mark.usefixtures("compiled"),
+]
+FIGURE = {"mission": "figure", "mission_options": {"size": 0.25, "laps": 1.0, "period": 8.0}}
+UP = 0.4
+"""m, above which a drone flies."""
+
+
+def figures(n: int, sender: str, **changes: Any) -> SwarmConfig:
+    flight = {"takeoff_height": 0.6, "landing_speed": 0.4}
+    return default_swarm(n).replace(**FIGURE, control={"sender": sender}, flight=flight, **changes)
+
+
+async def flown(config: SwarmConfig, folder, seconds: float = 150.0, *options: str) -> dict[str, Any]:
+    """What a run of it said, whole."""
+    async with Hall(config, folder, *options) as hall:
+        run = await hall.fly()
+        result = await run.end(seconds)
+        assert result["success"], (result["reasons"], run.text, hall.programs[0].text)
+        landed = hall.state()
+        assert all(landed[i]["resting"] and not landed[i]["crashed"] for i in landed), landed
+        assert all(said["malformed"] == 0 for said in landed.values()), "a packet at which a firmware resets"
+        return result
+
+
+def processes(pattern: str) -> list[int]:
+    """Those whose command line matches, of this user."""
+    found = subprocess.run(["pgrep", "-f", pattern], capture_output=True, text=True, check=False).stdout
+    return [int(word) for word in found.split()]
+
+
+async def in_the_air(hall: Hall, run: Program, *ids: int) -> None:
+    await hall.until(lambda state: all(state[i]["p"][2] > UP for i in ids), 90.0)
+    await asyncio.sleep(2.0)
+
+
+async def test_virtual_and_simulated_drones_fly_one_mission(tmp_path) -> None:
+    config = reached(figures(4, "fpqr"), ids=(1, 3))
+    result = await flown(config, tmp_path)
+    assert sorted(map(int, result["results"])) == [0, 1, 2, 3]
+    assert result["min_separation_m"] > 0.4
+
+
+async def test_who_is_absent_or_silent_is_named_and_the_others_fly(tmp_path) -> None:
+    some = figures(4, "xyz", graph="complete", start=2, start_deadline=8.0)
+    config = reached(some, radio={"connect_deadline": 3.0})
+    async with Hall(config, tmp_path) as hall:
+        hall.fault(0, off=1)
+        hall.fault(2, silent=1)
+        run = await hall.fly()
+        result = await run.end(120.0)
+        state = hall.state()
+    assert [result["results"][i]["success"] for i in "13"] == [True, True], result["reasons"]
+    assert "Connection refused" in result["reasons"]["0"]
+    assert "no answer within" in result["reasons"]["2"]
+    assert state[1]["poses"] > 0
+    assert state[0]["impact"] == state[2]["impact"] == 0.0, "they have not moved"
+
+
+async def test_a_drone_in_hover_keeps_hovering_through_a_reconnect_and_sees_no_zero_set_point(tmp_path) -> None:
+    config = reached(figures(1, "xyz").replace(mission_options={"size": 0.1, "laps": 3.0, "period": 10.0}))
+    async with Hall(config, tmp_path) as hall:
+        run = await hall.fly()
+        await in_the_air(hall, run, 0)
+        before = hall.state()[0]
+        hall.fault(0, silent=1)
+        await asyncio.sleep(3.2)  # longer than an owner waits before it connects anew
+        hall.fault(0, silent=0)
+        await run.says("lost: ")
+        await asyncio.sleep(2.0)
+        after = hall.state()[0]
+        assert after["p"][2] > UP, (after, run.text)
+        assert after["starts"] == before["starts"]
+        hall.interrupt(run)
+        landed = (await hall.until(lambda state: state[0]["resting"], 30.0))[0]
+        await run.end(60.0)
+    assert landed["zeros"] == 0, "cflib's own closing sends one"
+    assert landed["impact"] < 1.0
+
+
+async def test_an_agent_that_is_killed_leaves_its_drone_to_its_firmware(tmp_path) -> None:
+    config = reached(figures(2, "frpy"))
+    async with Hall(config, tmp_path) as hall:
+        run = await hall.fly()
+        await in_the_air(hall, run, 0, 1)
+        (agent,) = processes(f"[c]li.agent --swarm .*{config.name}.* --id 0 ")
+        os.kill(agent, signal.SIGKILL)
+        landed = await hall.until(lambda state: state[0]["resting"], 20.0)
+        assert landed[0]["impact"] < 1.0
+        assert not landed[0]["crashed"]
+        result = await run.end(90.0)
+    assert not result["success"]
+    assert "no command for" in run.text
+
+
+def pickup(per_dongle: int) -> SwarmConfig:
+    config = load("pickup_delivery").swarm(None).replace(mission="pickup_delivery", control={"sender": "xyz"})
+    return reached(config, per_dongle=per_dongle)
+
+
+@pytest.mark.slow
+async def test_six_share_pickups_and_deliveries_over_three_dongles(tmp_path) -> None:
+    result = await flown(pickup(2), tmp_path)
+    assert {r["cost"] for r in result["results"].values()} == {pytest.approx(32.6247, abs=1e-3)}
+
+
+@pytest.mark.slow
+async def test_a_word_is_drawn_by_body_rates(tmp_path) -> None:
+    config = reached(load("drawn_path").swarm(None).replace(mission="drawn_path", control={"sender": "fpqr"}))
+    await flown(config, tmp_path)
+
+
+@pytest.mark.slow
+async def test_a_formation_stands_by_roll_and_pitch_at_the_rate_that_a_dongle_carries(tmp_path) -> None:
+    config = load("bearing_formation").swarm(4).replace(mission="bearing_formation", control={"sender": "frpy"})
+    result = await flown(reached(config, per_dongle=4), tmp_path)
+    assert result["formation_error_m"] < 0.01
+
+
+@pytest.mark.slow
+async def test_twenty_fly_a_figure(tmp_path) -> None:
+    config = reached(figures(20, "xyz", processes=[list(range(10)), list(range(10, 20))]), per_dongle=4)
+    await flown(config, tmp_path, 200.0)

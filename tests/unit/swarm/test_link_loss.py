@@ -1,0 +1,35 @@
+"""How far a drone flies on without its radio, and how far inside the fence it stays for that."""
+
+import numpy as np
+import pytest
+
+from crazychoir.swarm.config import SwarmConfig
+from crazychoir.swarm.link_loss import BRAKES, CUT, TILTED, flies_on, inset
+
+
+@pytest.mark.parametrize("sender", ["fpqr", "frpy", "vel"])
+@pytest.mark.parametrize(("speed", "acceleration"), [(0.3, 1.0), (1.0, 2.0), (5.0, 2.0)])
+def test_it_is_the_worst_place_of_all(sender, speed, acceleration) -> None:
+    d = np.linspace(0.0, 50.0, 200_001)
+    v = np.minimum(speed, np.sqrt(d * acceleration / BRAKES))
+    worst = np.max((CUT + TILTED[sender]) * v - d)
+    assert flies_on(speed, acceleration, sender) == pytest.approx(worst, abs=1e-3)
+
+
+def swarm(speed: float, home: float = 0.0, **changes: object) -> SwarmConfig:
+    drones = [{"id": 0, "home": [home, 0.0, 0.0], "uri": "udp://127.0.0.1:19850"}]
+    flight = {"speed_limit": speed, "acceleration_limit": 2.0}
+    return SwarmConfig.of({"name": "a", "drones": drones, "flight": flight, **changes})
+
+
+def test_it_stays_inside_by_what_keep_out_leaves() -> None:
+    found = inset(swarm(0.5), "frpy")
+    assert found.needed == found.given == pytest.approx(flies_on(0.5, 2.0, "frpy") - 0.5)
+    wide = {"keep_out": {"min": [-6, -6, -1], "max": [6, 6, 4]}}
+    assert inset(swarm(0.5, **wide), "frpy").needed == 0.0
+
+
+def test_it_leaves_room_for_homes_and_for_a_mission() -> None:
+    assert inset(swarm(1.0, home=3.5), "fpqr").given == pytest.approx(0.2)
+    fast = inset(swarm(3.0), "fpqr")
+    assert (fast.given, fast.needed > 1.0) == (1.0, True)
