@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 FIRST_PORT = 19850
 app = typer.Typer(help="Virtual Crazyflies on UDP, which any cflib program may fly, and what goes wrong with them.")
 PortOption = Annotated[int, typer.Option(min=1025, max=65000, help="UDP port of the first drone; poses: one below.")]
+OfSwarm = Annotated[str | None, typer.Option("--swarm", help="Swarm file that they serve, instead of --port.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
 
 
@@ -102,21 +103,22 @@ def fault(
     drone: Annotated[str, typer.Argument(help="Its id, several as 3,4, or all.")],
     changes: Annotated[list[str], typer.Argument(help="As loss=0.3 delay=0.02 offset=0.2,0,0; `faults` lists them.")],
     port: PortOption = FIRST_PORT,
+    swarm: OfSwarm = None,
     as_json: JsonOption = False,
 ) -> None:
     """Change what is wrong with a drone that flies."""
     wanted = _wanted(changes, as_json)
-    _ask({"faults": {who: wanted for who in drone.split(",")}}, port, as_json)
+    _ask({"faults": {who: wanted for who in drone.split(",")}}, port, swarm, as_json)
     if as_json:
         write_json({"success": True})
 
 
 @app.command()
-def faults(port: PortOption = FIRST_PORT, as_json: JsonOption = False) -> None:
+def faults(port: PortOption = FIRST_PORT, swarm: OfSwarm = None, as_json: JsonOption = False) -> None:
     """List what can go wrong, and what does."""
     from crazychoir.radio.virtual.faults import KNOBS
 
-    answer = _ask({"ask": "faults"}, port, as_json)
+    answer = _ask({"ask": "faults"}, port, swarm, as_json)
     if as_json:
         write_json(answer)
         return
@@ -128,9 +130,9 @@ def faults(port: PortOption = FIRST_PORT, as_json: JsonOption = False) -> None:
 
 
 @app.command()
-def state(port: PortOption = FIRST_PORT, as_json: JsonOption = False) -> None:
+def state(port: PortOption = FIRST_PORT, swarm: OfSwarm = None, as_json: JsonOption = False) -> None:
     """Tell the truth about each drone."""
-    answer = _ask({"ask": "state"}, port, as_json)
+    answer = _ask({"ask": "state"}, port, swarm, as_json)
     if as_json:
         write_json(answer)
     else:
@@ -149,10 +151,11 @@ def _wanted(changes: list[str], as_json: bool) -> dict[str, Any]:
     return found
 
 
-def _ask(question: dict[str, Any], port: int, as_json: bool) -> dict[str, Any]:
+def _ask(question: dict[str, Any], port: int, swarm: str | None, as_json: bool) -> dict[str, Any]:
     from crazychoir.radio.virtual.control import ask
+    from crazychoir.swarm.config import SwarmConfig
 
     try:
-        return ask(question, port=port - 1)
+        return ask(question, port=port - 1 if swarm is None else SwarmConfig.load(swarm).mocap.port)
     except CrazyChoirError as error:
         fail(error, as_json)

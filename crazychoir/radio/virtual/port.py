@@ -36,11 +36,12 @@ def opened(at: Address) -> socket.socket:
 
 
 class Port:
-    """Where clients reach a drone. malformed: datagrams that are no packets;  forgotten: clients lost by restarts."""
+    """Where clients reach a drone. malformed: datagrams that are no packets;  client: who has sent last."""
 
     def __init__(self, drone: VirtualCrazyflie, air: Air, at: Address) -> None:
         self.drone, self.air, self.at = drone, air, at
-        self.malformed, self.client = 0, None  # type: int, Address | None
+        self.malformed = 0
+        self.client: Address | None = None
         self._socket: socket.socket | None = None
         self._unheard: list[Packet] = []
 

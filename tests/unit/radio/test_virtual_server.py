@@ -295,7 +295,7 @@ async def _called(*words):
     return await asyncio.to_thread(CliRunner().invoke, app, ["virtual", *map(str, words)])
 
 
-async def test_the_command_line_lists_sets_and_refuses_faults():
+async def test_the_command_line_lists_sets_and_refuses_faults(tmp_path):
     async with Open() as hall:
         port = ("--port", hall.port)
         done = await _called("fault", "0,1", "loss=0.25", "offset=0.1,0,0", *port)
@@ -305,6 +305,10 @@ async def test_the_command_line_lists_sets_and_refuses_faults():
         assert json.loads(done.stdout)["drones"]["1"]["offset"] == [0.1, 0.0, 0.0]
         assert "0.25" in (await _called("faults", *port)).stdout
         assert "not initialised" in (await _called("state", *port)).stdout
+        config = SwarmConfig.of(SWARM | {"mocap": {"port": hall.port - 1}})
+        (tmp_path / "swarm.json").write_text(config.dumps())
+        done = await _called("faults", "--swarm", tmp_path / "swarm.json", "--json")
+        assert json.loads(done.stdout)["drones"]["0"]["loss"] == 0.25
         for words, says in ((("fault", "0", "loss=2"), "0 to 1"), (("fault", "0", "loss"), "loss=0.3")):
             done = await _called(*words, *port, "--json")
             assert done.exit_code == 2
