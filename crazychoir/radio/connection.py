@@ -221,6 +221,10 @@ class Connection:
         except TimeoutError:
             raise LinkFailed(self.uri, f"log {name} was not begun within {seconds:g} s") from None
 
+    def drop_logs(self) -> None:
+        """Forget the blocks that were begun: the drone has."""
+        self.cf.log.log_blocks = []
+
     def _to_thread(self, packet: Packet) -> None:
         threading.Thread(target=self._put, args=(packet,), daemon=True).start()
 

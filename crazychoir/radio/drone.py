@@ -44,6 +44,8 @@ FIRST, AGAIN = 0.2, 1.0
 """s between two attempts to connect: until the deadline, and after it."""
 REOPENS = 1.5
 """s that an attempt gets in flight: tables are known by then."""
+FORGOTTEN = 1.0
+"""s without a log of one that answers otherwise: its firmware has dropped its blocks, as when it hears nobody for 1 s."""
 STOPS = 0.5
 """s between two plans to stop, of a drone that stands."""
 WATCHDOG = 0.25
@@ -56,7 +58,7 @@ MILLI = 1e-3
 OWN = ("stateEstimateZ.x", "stateEstimateZ.y", "stateEstimateZ.z", "stateEstimateZ.vx", "stateEstimateZ.vy",
        "stateEstimateZ.vz", "stateEstimateZ.quat")  # fmt: skip
 WELL = ("pm.vbat", "supervisor.info")
-SPREAD = ("kalman.varPX", "kalman.varPY", "kalman.varPZ")
+SPREAD = ("kalman.varX", "kalman.varY", "kalman.varZ")
 
 
 class RadioDrone(Actor):
@@ -168,6 +170,8 @@ class RadioDrone(Actor):
 
     async def _begin_logs(self, connection: Connection) -> None:
         period, seconds = 1.0 / self.config.radio.log_rate, REOPENS
+        self._own_ns = self.clock.now_ns()
+        connection.drop_logs()
         await connection.log("own", (*OWN, *WELL), period, self._take_own, seconds)
         if not self.seen_by_cameras:
             await connection.log("spread", SPREAD, 0.1, self._take_spread, seconds)
@@ -186,6 +190,8 @@ class RadioDrone(Actor):
             if self._cut and not self.supervisor & checks.LOCKED:
                 self._send_now(emergency())
             self._feed_watchdog()
+            if silence < DEGRADED and self.clock.now_ns() - self._own_ns > FORGOTTEN * SECOND:
+                await self._begin_logs(connection)
             pose = self._pose.fresh()
             if not self._placed and not self.flying and pose is not None:
                 await self._place(Firmware(connection), pose.p, yaw_of(pose.q))
