@@ -45,7 +45,7 @@ FIRST, AGAIN = 0.2, 1.0
 REOPENS = 1.5
 """s that an attempt gets in flight: tables are known by then."""
 FORGOTTEN = 1.0
-"""s without a log of one that answers otherwise: its firmware has dropped its blocks, as when it hears nobody for 1 s."""
+"""s without a log of one that answers otherwise: its firmware has dropped its blocks, as after 1 s of silence."""
 STOPS = 0.5
 """s between two plans to stop, of a drone that stands."""
 WATCHDOG = 0.25

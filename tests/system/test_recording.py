@@ -59,7 +59,7 @@ def test_others_read_every_message(recorded):
     assert result["recording"] == {"file": str(path), "messages": len(found), "lost": 0, "error": ""}
     assert str(found) == str(by_rosbags(path))
     times = {name: [t for topic, _, t, _ in found if topic == name] for name in {topic for topic, *_ in found}}
-    said = {name for name in OBSERVABLE if name not in ("log", "telemetry", "plan")} | {"round"}
+    said = {name for name in OBSERVABLE if name not in ("log", "telemetry", "plan", "link")} | {"round"}
     assert set(times) >= {f"/drone{i}/{name}" for i in range(4) for name in said}
     for i in range(4):
         assert len(times[f"/drone{i}/pose"]) == pytest.approx(100 * result["simulated_s"], rel=0.01)

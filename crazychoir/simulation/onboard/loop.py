@@ -20,7 +20,7 @@ def _butterworth(hertz: float) -> tuple[float, float, float]:
 
 GYRO_B, GYRO_A1, GYRO_A2 = _butterworth(80.0)
 ACC_B, ACC_A1, ACC_A2 = _butterworth(30.0)
-STANDING = 200  # samples: the firmware weighs itself so long
+SETTLED, STANDING = 100, 200  # ms after power-on, and samples: when and how long the firmware weighs itself
 DEGREES, PER_G = 180.0 / math.pi, 1.0 / GRAVITY
 
 
@@ -46,7 +46,10 @@ def _acc(fw: Record, k: int, raw: float) -> float:
 
 @kernel()
 def _weigh(fw: Record, ax: float, ay: float, az: float) -> None:
-    """After power-on, standing: the mean of the first STANDING samples is 1 g, whatever the sensor says."""
+    """After power-on, once it stands with its motors off: the mean of STANDING samples is 1 g, whatever they say."""
+    m = fw.request
+    if fw.tick < SETTLED or max(max(m[0], m[1]), max(m[2], m[3])) > fw.idle:
+        return
     weight = math.sqrt(ax * ax + ay * ay + az * az)
     if abs(weight - GRAVITY) < 0.1 * GRAVITY:
         fw.acc_sum += weight
