@@ -4,6 +4,8 @@ import asyncio
 import os
 import signal
 import subprocess
+import sys
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -20,6 +22,7 @@ pytestmark = [
     pytest.mark.usefixtures("compiled"),
 ]
 FIGURE = {"mission": "figure", "mission_options": {"size": 0.25, "laps": 1.0, "period": 8.0}}
+RADIO = (sys.executable, "-m", "crazychoir.cli.radios")
 UP = 0.4
 """m, above which a drone flies."""
 
@@ -53,12 +56,13 @@ async def in_the_air(hall: Hall, run: Program, *ids: int) -> None:
 
 
 async def test_virtual_and_simulated_drones_fly_one_mission(tmp_path) -> None:
-    config = reached(figures(4, "fpqr"), ids=(1, 3))
+    config = reached(figures(2, "fpqr"), ids=(1,))
     result = await flown(config, tmp_path)
-    assert sorted(map(int, result["results"])) == [0, 1, 2, 3]
+    assert sorted(map(int, result["results"])) == [0, 1]
     assert result["min_separation_m"] > 0.4
 
 
+@pytest.mark.slow
 async def test_who_is_absent_or_silent_is_named_and_the_others_fly(tmp_path) -> None:
     some = figures(4, "xyz", graph="complete", start=2, start_deadline=8.0)
     config = reached(some, radio={"connect_deadline": 3.0})
@@ -96,6 +100,7 @@ async def test_a_drone_in_hover_keeps_hovering_through_a_reconnect_and_sees_no_z
     assert landed["impact"] < 1.0
 
 
+@pytest.mark.slow
 async def test_an_agent_that_is_killed_leaves_its_drone_to_its_firmware(tmp_path) -> None:
     config = reached(figures(2, "frpy"))
     async with Hall(config, tmp_path) as hall:
@@ -116,10 +121,42 @@ def pickup(per_dongle: int) -> SwarmConfig:
     return reached(config, per_dongle=per_dongle)
 
 
+@pytest.fixture
+def exclusive(tmp_path, monkeypatch):
+    """Links that nobody can open twice at a time; the folder where it is written who has opened which."""
+    folder = tmp_path / "links"
+    folder.mkdir()
+    monkeypatch.setenv("EXCLUSIVE_LINKS", str(folder))
+    path = f"{Path(__file__).with_name('exclusive_driver')}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"
+    monkeypatch.setenv("PYTHONPATH", path.rstrip(os.pathsep))
+    return folder
+
+
 @pytest.mark.slow
-async def test_six_share_pickups_and_deliveries_over_three_dongles(tmp_path) -> None:
-    result = await flown(pickup(2), tmp_path)
-    assert {r["cost"] for r in result["results"].values()} == {pytest.approx(32.6247, abs=1e-3)}
+async def test_six_share_pickups_and_deliveries_over_three_dongles(tmp_path, exclusive) -> None:
+    config = pickup(2)
+    result = await flown(config, tmp_path)
+    assert [r["cost"] for r in result["results"].values()] == [pytest.approx(32.6247, abs=1e-3)] * 6
+    owners: dict[str, list[str]] = {}
+    for line in (exclusive / "opened").read_text().splitlines():
+        process, uri = line.split()
+        owners.setdefault(process, []).append(uri)
+    uris = [config.drone(i).uri for i in config.ids]
+    assert sorted(owners.values()) == sorted([uris[0:2], uris[2:4], uris[4:6]]), "three owners, two links each, once"
+
+
+async def test_a_dongle_has_one_owner(tmp_path, exclusive) -> None:
+    config = reached(figures(2, "xyz"))
+    async with Hall(config, tmp_path) as hall:
+        first = await Program.start(*RADIO, "--swarm", hall.path, "--dongle", "0")
+        hall.programs.append(first)
+        await hall.until(lambda state: all(said["client"] for said in state.values()), 30.0)
+        second = await (await Program.start(*RADIO, "--swarm", hall.path, "--dongle", "0", "--json")).end(30.0)
+        assert second["code"] == 2
+        assert second["error"] == f"dongle 0: refused: process {first.process.pid} has it: end that one first"
+        first.signal(signal.SIGTERM)
+        assert (await first.end(20.0))["code"] == 0
+        assert all(said["zeros"] == 0 for said in hall.state().values())
 
 
 @pytest.mark.slow
