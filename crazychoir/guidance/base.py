@@ -172,6 +172,9 @@ class CFGuidance:
         if pilot.gap(goal) > RISEN:
             await self.go_to(goal)
         await self._settle(goal)
+        if why := pilot.misjudged():
+            pilot.land(why)
+            raise Interrupted(f"drone {self.id}: {why}")
 
     def require_height(self, height: object, where: str) -> None:
         """Raise ConfigError for a take-off to `height` m above the ground (None: the swarm file's) beyond the fence."""

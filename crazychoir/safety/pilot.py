@@ -88,6 +88,8 @@ LIFTED = 0.03
 
 BLIND_DEPTH, BLIND_SPEED = 0.03, 0.35
 """m, m/s: how a drone lands by its firmware that nobody sees: its height is off by cm after 3 s, its place by 1 m."""
+THRUST, MISJUDGED = ("fpqr", "frpy"), 0.15
+"""Senders of a thrust, and the share by which it may be off: a wrong thrust map is off by 0.27."""
 RISING = 0.2
 """m above the floor where a drone that takes off should be, at which one that is still there is none."""
 
@@ -453,6 +455,17 @@ class Pilot(Actor):
         if reason:
             self._say("land", reason)
         return self._descend()
+
+    def misjudged(self) -> str:
+        """What is wrong with the thrust that one behind a radio has learnt to need in hover; empty if it is right."""
+        factor = self.controls.trim.thrust
+        if self._gate is None or self.controls.sender.kind not in THRUST or abs(factor - 1.0) <= MISJUDGED:
+            return ""
+        low, high = 1.0 - MISJUDGED, 1.0 + MISJUDGED
+        return (
+            f"hovers with {factor:.2f} times the thrust that its platform and firmware are known for, {low:g} to "
+            f"{high:g} are allowed: look at platform, thrust_map, propellers and battery"
+        )
 
     def take_over(self) -> None:
         """The drone is in the air, and another agent has brought it there: land it from where it is first seen."""

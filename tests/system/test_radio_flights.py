@@ -116,6 +116,22 @@ async def test_an_agent_that_is_killed_leaves_its_drone_to_its_firmware(tmp_path
     assert "no command for" in run.text
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("given", [None, 136_531.0])
+async def test_thrust_is_known_by_the_release_and_a_wrong_map_is_found_in_hover(tmp_path, given) -> None:
+    radio = {} if given is None else {"thrust_map": given}
+    config = reached(figures(1, "fpqr"), radio=radio)
+    async with Hall(config, tmp_path, "--firmware", "2023.11") as hall:
+        run = await hall.fly()
+        result = await run.end(90.0)
+        landed = hall.state()[0]
+    assert landed["resting"]
+    assert not landed["crashed"]
+    assert result["success"] is (given is None), result["reasons"]
+    if given is not None:
+        assert "times the thrust that its platform and firmware are known for" in result["reasons"]["0"]
+
+
 def pickup(per_dongle: int) -> SwarmConfig:
     config = load("pickup_delivery").swarm(None).replace(mission="pickup_delivery", control={"sender": "xyz"})
     return reached(config, per_dongle=per_dongle)
