@@ -36,7 +36,7 @@ from crazychoir.safety.collision.traffic import Traffic
 from crazychoir.safety.estimate import filter_of
 from crazychoir.safety.flights import braking
 from crazychoir.safety.guard import Fence
-from crazychoir.safety.pilot import Pilot
+from crazychoir.safety.pilot import Pilot, Reached
 from crazychoir.safety.radio_watch import RadioWatch
 from crazychoir.simulation.remote import OwnerWatch, RemoteLink
 from crazychoir.simulation.telemetry import names_of
@@ -140,17 +140,18 @@ class Agent:
         communicator = Communicator(port, self._graph)
         communicator.follow(barrier)
         fence = self._fence(i)
-        chosen, rate = self._controls(i), config.mocap.rate
+        own_pose = i in config.reached and i not in config.seen
+        chosen, rate = self._controls(i), config.radio.log_rate if own_pose else config.mocap.rate
         seen = filter_of(config.control_of(i).filter, chosen, config.flight.ground, rate)
         link, harm = self._body(i, chosen.sender.kind)
         seen_at = config.source(POSE, i) if i in self.owned else i
         limit = Fence.box(*limit_area(config))
         collision = self._collision(i, chosen)
-        reached = i in config.reached
+        reached: Reached = "no" if i not in config.reached else "own" if own_pose else "seen"
         pilot = Pilot(port, link, config.flight, fence, rate, chosen, seen, seen_at, collision, limit, reached)
         if i in self._remotes:
             self._remotes[i].found_flying = pilot.take_over
-        watch = RadioWatch(port, config.source(LINK, i), pilot.guard) if reached else None
+        watch = RadioWatch(port, config.source(LINK, i), pilot.guard) if reached != "no" else None
         if watch is not None:
             pilot.unfit = watch.problems
             self._radios.append(watch)

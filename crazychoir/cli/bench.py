@@ -40,6 +40,14 @@ def flight(as_json: JsonOption = False, quick: QuickOption = False) -> None:
 
 
 @app.command()
+def radio(as_json: JsonOption = False, quick: QuickOption = False) -> None:
+    """How late the event loop of an agent is while owners of dongles keep twenty links, and connect another."""
+    from crazychoir.cli import bench_radio
+
+    _show(lambda say: bench_radio.run(quick, say), bench_radio.table, as_json)
+
+
+@app.command()
 def filters(as_json: JsonOption = False, quick: QuickOption = False) -> None:
     """How far the velocities of the filters are off, beside those of the original's difference equation."""
     from crazychoir.cli import bench_filters

@@ -9,7 +9,7 @@ import logging
 import math
 from collections.abc import Callable
 from functools import partial
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol
 
 import numpy as np
 
@@ -88,6 +88,7 @@ LIFTED = 0.03
 
 BLIND_DEPTH, BLIND_SPEED = 0.03, 0.35
 """m, m/s: how a drone lands by its firmware that nobody sees: its height is off by cm after 3 s, its place by 1 m."""
+Reached = Literal["no", "seen", "own"]
 THRUST, MISJUDGED = ("fpqr", "frpy"), 0.15
 """Senders of a thrust, and the share by which it may be off: a wrong thrust map is off by 0.27."""
 RISING = 0.2
@@ -115,7 +116,8 @@ class Pilot(Actor):
 
     limits: [flight];  fence: where it flies, from the ground up at most;  rate: Hz, of its poses;  body: the address
     that they come from, None: its own;  limit_area: beyond which its motors are cut, None: the guard's;  reached: by a
-    radio: then poses that jump are not believed, and its firmware lands it when it is not seen.
+    radio, "seen" by cameras, whose poses are not believed when they jump, or by its "own" poses: its firmware lands it
+    when there are none.
     """
 
     name = "pilot"
@@ -124,7 +126,7 @@ class Pilot(Actor):
         self, port: Port, link: Link, limits: Flight, fence: Fence, rate: float = 100.0,
         chosen: Controls | None = None, state_filter: StateFilter | None = None, body: int | None = None,
         collision: CollisionFilter | PlannedFlights | None = None, limit_area: Fence | None = None,
-        reached: bool = False,
+        reached: Reached = "no",
     ) -> None:  # fmt: skip
         self.port, self.link, self.limits = port, link, limits
         self.controls = controls() if chosen is None else chosen
@@ -136,9 +138,10 @@ class Pilot(Actor):
         self.fence = fence.with_floor(ground if self._takes_off else ground - BELOW_GROUND)
         self.flights = Flights(limits, self.fence, a_max)
         self.clearance = Clearance(collision, self.flights, 1.0 / rate)
-        table = REACHED if reached else TABLE
+        table = TABLE if reached == "no" else REACHED
         self.guard = Guard(self.fence, table, a_max=a_max, ground=limits.ground, limit=limit_area)
-        self._gate = PoseGate() if reached else None
+        self._reached = reached != "no"
+        self._gate = PoseGate() if reached == "seen" else None
         self._down_at = math.inf  # s, when its firmware has landed it, to which it was handed over
         self.reference_limits = ReferenceLimits(limits, self.controls.gains)
         self.clock, self._stages = port.bus.clock, port.bus.stages
@@ -459,7 +462,7 @@ class Pilot(Actor):
     def misjudged(self) -> str:
         """What is wrong with the thrust that one behind a radio has learnt to need in hover; empty if it is right."""
         factor = self.controls.trim.thrust
-        if self._gate is None or self.controls.sender.kind not in THRUST or abs(factor - 1.0) <= MISJUDGED:
+        if not self._reached or self.controls.sender.kind not in THRUST or abs(factor - 1.0) <= MISJUDGED:
             return ""
         low, high = 1.0 - MISJUDGED, 1.0 + MISJUDGED
         return (
@@ -565,7 +568,7 @@ class Pilot(Actor):
             self._obey(verdict)
             if not self.airborne:
                 return self._idle
-        if self.mode is TAKEOFF and self._gate is not None:
+        if self.mode is TAKEOFF and self._reached:
             self.guard.tell("body", float(self._stays_down(state, now)))
         if self._held_at_fence(verdict, now):
             self.at_fence += 1
@@ -740,7 +743,7 @@ class Pilot(Actor):
             self.cut(verdict.reason)
         elif verdict.action is Action.LAND:
             self._give_up(verdict.reason)
-            if verdict.measure == "pose" and self._gate is not None:
+            if verdict.measure == "pose" and self._reached:
                 self._hand_over()
         elif verdict.action is Action.BRAKE and self.mode is not LAND:
             self._brake()

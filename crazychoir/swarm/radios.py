@@ -69,6 +69,7 @@ def check_radios(swarm: Swarm, where: str) -> None:
         if found and drone.dongle not in (None, int(found[1])):
             problem, do = f"its uri says dongle {found[1]}", "Leave dongle out, or mend one of them."
             raise ConfigError(f"{key}.dongle", drone.dongle, "the dongle of the uri", do, problem)
+    _own_poses(swarm, where)
     _radio_hosts(swarm, where)
     _check_bodies(swarm, where)
 
@@ -98,6 +99,19 @@ def _check_bodies(swarm: Swarm, where: str) -> None:
     if first and swarm.mocap.source == "replay" and not swarm.mocap.file:
         do = 'Add for example file = "flight.csv".'
         raise ConfigError(f"{where}: mocap.file", "nothing", 'a recording, for source = "replay"', do)
+
+
+def _own_poses(swarm: Swarm, where: str) -> None:
+    """Who says itself where it is says it often enough to fly by it."""
+    for n, drone in enumerate(swarm.drones):
+        if is_reached(drone) and drone.pose == "onboard" and swarm.radio.log_rate < SEES:
+            problem = f"drones[{n}] says itself where it is, and a pose that is older than 0.1 s brakes it"
+            do = f"Set log_rate = {2 * SEES:g} in [radio]."
+            raise ConfigError(f"{where}: radio.log_rate", swarm.radio.log_rate, f"{SEES:g} Hz or more", do, problem)
+
+
+SEES = 25.0
+"""Hz, at which a drone must say where it is that nobody else sees, at least."""
 
 
 def _radio_hosts(swarm: Swarm, where: str) -> None:
@@ -142,7 +156,8 @@ def carried(swarm: Swarm, dongle: int, senders: Mapping[int, str]) -> float:
     """
     radio, ids, capacity = swarm.radio, dongles(swarm)[dongle], capacity_of(swarm, dongle)
     streamed = [i for i in ids if senders[i] in LEAST]
-    beside = len(ids) * (radio.pose_rate + PINGS + OTHERS) + PLANS * (len(ids) - len(streamed))
+    poses = radio.pose_rate if all(_told(swarm, i) for i in ids) else max(radio.pose_rate, radio.log_rate)
+    beside = len(ids) * (poses + PINGS + OTHERS) + PLANS * (len(ids) - len(streamed))
     least = max((LEAST[senders[i]] for i in streamed), default=0.0)
     spare = (PLANNED * capacity - beside) / len(streamed) if streamed else 0.0
     rate = radio.command_rate or min(math.floor(spare), MOST_COMMANDS)
@@ -152,11 +167,16 @@ def carried(swarm: Swarm, dongle: int, senders: Mapping[int, str]) -> float:
     kinds = ", ".join(sorted({senders[i] for i in ids}))
     found = f"drones {', '.join(map(str, ids))} ({kinds}) need {beside + asked * len(streamed):g} packets a second"
     sums = f"{len(streamed)} x {asked:g} set-points, " if streamed else ""
-    each = f"{len(ids)} x {radio.pose_rate + PINGS + OTHERS:g} poses, echoes and requests"
+    each = f"{len(ids)} x {poses + PINGS + OTHERS:g} poses, echoes and requests"
     plans = f", {len(ids) - len(streamed)} x {PLANS:g} plans" if len(streamed) < len(ids) else ""
     room = f"it carries {capacity:g}" + (f", {max(spare, 0.0):.0f} set-points a second and drone" if streamed else "")
     do = "Use more dongles, send xyz or a lower command_rate ([radio]), or measure its capacity."
     raise ConfigError(f"dongle {dongle}", found, room, do, f"{sums}{each}{plans}")
+
+
+def _told(swarm: Swarm, i: int) -> bool:
+    """Whether drone i is told its pose, and does not say it."""
+    return next(drone for drone in swarm.drones if drone.id == i).pose == "mocap"
 
 
 PLANNED = 0.85

@@ -43,7 +43,7 @@ def test_who_says_what() -> None:
     config = swarm("udp://h:1", "sim://")
     assert [config.source(topic, 0) for topic in (POSE, TRUTH, LINK, STATE)] == [EYES, EYES, BODIES, 0]
     assert config.source(POSE, 1) == 1
-    own = swarm("udp://h:1", keys='pose = "onboard"')
+    own = swarm("udp://h:1", head="[radio]\nlog_rate = 50", keys='pose = "onboard"')
     assert (own.source(POSE, 0), own.seen) == (BODIES, ())
 
 
@@ -60,6 +60,7 @@ def test_who_says_what() -> None:
         (["radio://0/80/2M/E7E7E7E7E7"], "", "dongle = 1", "its uri says dongle 0"),
         (["udp://a:1"], "[[radio.dongles]]\ndongle = 0\nhost = 'x'", "", "there is no such host"),
         (["udp://a:1"], "[hosts]\nx = '10.0.0.1'", "host = 'x'", "Add [[radio.dongles]] with dongle and host"),
+        (["udp://a:1"], "", 'pose = "onboard"', "radio.log_rate = 10.0: drones[0] says itself where it is"),
         (["udp://a:1"], "base_port = 1025", "", "owners of worlds and radios listen down to base_port - 3"),
     ],
 )  # fmt: skip
