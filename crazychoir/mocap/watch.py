@@ -76,7 +76,7 @@ class Watch:
         self.sights: dict[str, Sight] = {}
         self.frames, self.mean_rate = 0, math.nan
         self._began, self._last, self._gap = math.nan, math.nan, 0.0
-        self._window, self._counted = math.nan, 0
+        self._window, self._counted, self._frames_gap = math.nan, 0, 0.0
         self._throttle = Throttle()
 
     def note(self, frame: Frame, now: float) -> None:
@@ -117,6 +117,7 @@ class Watch:
 
     def _of_frames(self) -> list[tuple[str, str]]:
         found, (gap, self._gap) = [], (self._gap, 0.0)
+        self._frames_gap = gap
         if self.mean_rate < SLOW * self.rate:
             slow = f"frames come at {self.mean_rate:.0f} Hz; the drones count on [mocap] rate = {self.rate:g}"
             found.append(("rate", f"{slow}. Raise it at the cameras, or lower it in the swarm file."))
@@ -148,7 +149,7 @@ class Watch:
     def _of_rate(self, i: int, who: str, sight: Sight) -> list[tuple[str, str]]:
         """Gaps, dropouts, and measurements that come less often than frames."""
         gap, sight.gap = sight.gap, 0.0
-        if gap > GAP / self.rate:
+        if gap > max(GAP, 1.0 + self._frames_gap * self.rate) / self.rate:  # else there were no frames at all
             return [(f"{i} gap", f"{who} was not seen for {gap:.3f} s")]
         if self.live and sight.share > OFTEN:
             return [(f"{i} often", f"{who} is missing in {100.0 * sight.share:.0f} % of the frames")]
