@@ -127,6 +127,8 @@ async def _owner(owner: Owner, path: Path, agents: Children, say: Say) -> AsyncI
             say(f"{owner.name}: its owner ended with code {child.returncode}: started again")
             left -= 1
             child = await _start(*command)
+            if over.is_set():
+                await _end([child], GRACE)
             await _listen(child, say)
         if over.is_set():
             return

@@ -21,7 +21,8 @@ def supervisor_problems(supervisor: int) -> list[str]:
         return [text]
     if supervisor & DECK_FAULT:
         return ["a deck is faulty"]
-    if not supervisor & (CAN_FLY | ARMED | CAN_ARM | AUTO_ARM):
+    ready = CAN_FLY if supervisor & AUTO_ARM else CAN_FLY | ARMED | CAN_ARM
+    if not supervisor & ready:
         return [f"its firmware does not let it fly (supervisor {supervisor:#06x})"]
     return []
 

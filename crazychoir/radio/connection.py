@@ -35,8 +35,8 @@ LOG_DATA = 2
 ECHOES = 20
 """Echoes of which the answered share is told: 2 s of them."""
 
-Data = Callable[[dict[str, float], float], None]
-"""Called with log variables and the s since they were true, as far as that is known."""
+Data = Callable[[dict[str, float], int], None]
+"""Called with log variables and the ms, of the drone's time since it was started, at which they were so."""
 
 
 class Connection:
@@ -52,7 +52,7 @@ class Connection:
     ) -> None:  # fmt: skip
         drivers.ready()
         self.clock, self.uri, self._lost, self._heard, self._turn = clock, uri, lost, heard, turn
-        self._loop = asyncio.get_running_loop()
+        self._loop, self._contents = asyncio.get_running_loop(), contents
         self._asked: list[tuple[Callable[[Packet], bool], asyncio.Future[Packet]]] = []
         self._opened: asyncio.Future[None] = self._loop.create_future()
         self._over = False
@@ -122,6 +122,8 @@ class Connection:
     async def close(self) -> None:
         """End it without any set-point, so that a drone in flight notices no more than silence."""
         self._over = True
+        if self.cf.incoming.ident is not None:
+            self._contents.forget(self.cf.incoming.ident)
         if not self._opened.done():
             self._opened.cancel()
         for _, waiting in self._asked:
@@ -156,6 +158,12 @@ class Connection:
         """Send this, after all that were sent before."""
         if self._writer is not None:
             self._writer.put(packet)
+
+    def urgent(self, packets: Iterable[Packet]) -> None:
+        """Send these before all that waits."""
+        for packet in reversed(list(packets)):
+            if self._writer is not None:
+                self._writer.urgent(packet)
 
     def newest(self, kind: str, packet: Packet) -> None:
         """Send this instead of the one of its kind that has not gone yet."""
@@ -207,7 +215,7 @@ class Connection:
         for variable in variables:
             config.add_variable(variable)
         started = self._loop.create_future()
-        config.data_received_cb.add_callback(lambda at, values, block: self._from_thread(data, values, 0.0))
+        config.data_received_cb.add_callback(lambda at, values, block: self._from_thread(data, values, at))
         config.started_cb.add_callback(lambda block, on: self._from_thread(_resolve, started))
         config.error_cb.add_callback(lambda block, message: self._from_thread(_fail, started, str(message)))
         try:

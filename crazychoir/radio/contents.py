@@ -13,8 +13,9 @@ from cflib.crazyflie.log import LogTocElement
 from cflib.crazyflie.param import ParamTocElement
 
 log = logging.getLogger(__name__)
-PATIENCE = 3.0
-"""s that a link waits for what another one is being told; then it asks itself."""
+PATIENCE, LOOKS = 8.0, 0.25
+"""s that a link waits for what another one is being told, which takes 5 s over a dongle that several share; and after
+which it looks whether that one has failed."""
 FIELDS = ("ident", "group", "name", "ctype", "pytype", "access")
 KINDS = {"log": LogTocElement, "param": ParamTocElement}
 
@@ -31,33 +32,42 @@ class TableOfContents:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self._known: dict[int, Contents] = {}
-        self._asked: dict[int, threading.Event] = {}
-        self._lock = threading.Lock()
+        self._asked: dict[int, int] = {}
+        self._closed: dict[int, None] = {}
+        self._told = threading.Condition()
 
     def fetch(self, crc: int) -> Contents | None:
         """The table with this checksum; None: whoever asks is to get it from its drone."""
-        with self._lock:
-            found = self._known.get(crc) or self._read(crc)
-            if found is not None:
-                self._known[crc] = found
-                return found
-            asked = self._asked.get(crc)
-            if asked is None:
-                self._asked[crc] = threading.Event()
-                return None
-        asked.wait(PATIENCE)
-        return self._known.get(crc)
+        me = threading.get_ident()
+        with self._told:
+            self._closed.pop(me, None)
+            for _ in range(round(PATIENCE / LOOKS)):
+                found = self._known.get(crc) or self._read(crc)
+                if found is not None:
+                    self._known[crc] = found
+                    return found
+                if self._asked.setdefault(crc, me) == me or me in self._closed:
+                    return None
+                self._told.wait(LOOKS)
+        return None
 
     def insert(self, crc: int, contents: Contents) -> None:
         """A drone has told its table."""
-        with self._lock:
+        with self._told:
             self._known[crc] = contents
-            if crc in self._asked:
-                self._asked[crc].set()
+            self._asked.pop(crc, None)
+            self._told.notify_all()
         try:
             self._write(crc, contents)
         except OSError as error:
             log.warning("%s: %s: tables of contents are not kept; connecting takes longer", self.folder, error.strerror)
+
+    def forget(self, thread: int) -> None:
+        """The link of this thread is closed: who waits for what it was being told asks itself."""
+        with self._told:
+            self._asked = {crc: who for crc, who in self._asked.items() if who != thread}
+            self._closed[thread] = None
+            self._told.notify_all()
 
     def _file(self, crc: int) -> Path:
         return self.folder / f"{crc:08X}.json"

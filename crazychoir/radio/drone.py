@@ -46,6 +46,10 @@ REOPENS = 1.5
 """s that an attempt gets in flight: tables are known by then."""
 FORGOTTEN = 1.0
 """s without a log of one that answers otherwise: its firmware has dropped its blocks, as after 1 s of silence."""
+RESTARTED, WRAPS = 500, 1 << 24
+"""ms: a drone's time that falls back by more is that of one that was started again; and where it wraps."""
+LANDS_AGAIN, ORPHANED = 1.0, 3.0
+"""s between two words to land; and after which one that flies, and that nobody commands, is landed."""
 STOPS = 0.5
 """s between two plans to stop, of a drone that stands."""
 WATCHDOG = 0.25
@@ -58,6 +62,9 @@ MILLI = 1e-3
 OWN = ("stateEstimateZ.x", "stateEstimateZ.y", "stateEstimateZ.z", "stateEstimateZ.vx", "stateEstimateZ.vy",
        "stateEstimateZ.vz", "stateEstimateZ.quat")  # fmt: skip
 WELL = ("pm.vbat", "supervisor.info")
+POSITIONING = ("bcLighthouse4", "bcDWM1000", "bcLoco", "bcFlow2", "bcFlow")
+COMMON = POSITIONING[:3]
+"""Decks by which a drone knows where it is, by their parameters' names; and those in whose frame all drones are."""
 SPREAD = ("kalman.varX", "kalman.varY", "kalman.varZ")
 
 
@@ -87,10 +94,12 @@ class RadioDrone(Actor):
         self.state_of_link, self.why = "connecting", ""
         self.refused_plans = self.reconnected = self.malformed = 0
         self._stopped = True
-        self._cut = self._placed = self._prepared = self._arming = False
+        self._cut = self._placed = self._prepared = self._arming = self._fed = self._flown_here = False
+        self._landing: XYZ | None = None
         self._due_ns = self._stop_due_ns = self._watchdog_ns = 0
         self._own: State | None = None
-        self._own_ns = 0
+        self._own_ns = self._logs_ns = self._landing_ns = self._up_ns = 0
+        self._at = 0
         self._well: dict[str, float] = {}
         self._spread: dict[str, float] = {}
         self._said, self._gate = Throttle(), PoseGate()
@@ -126,23 +135,30 @@ class RadioDrone(Actor):
         deadline = self.config.radio.connect_deadline
         left = max(began + deadline - self.clock.now(), deadline / 4.0)
         await connection.open(REOPENS if self._prepared else left)
+        if self._cut:
+            connection.urgent(emergency())
         firmware = Firmware(connection)
         await self._begin_logs(connection)
         await self._until_told(connection)
+        if self.bus.stopped and self.flying:
+            self._cut = True
         if not self.release:
             self.release = await firmware.release()
             self._learn_thrust()
         if not self._prepared and not self.flying:
             await self._prepare(firmware)
-        self._prepared = True
-        self.connection = connection
+        if self.why:
+            raise LinkFailed(self.row.uri, self.why)
+        self.connection, self._up_ns = connection, self.clock.now_ns()
         self.reconnected += self.state_of_link == "lost"
         self._change("up", "")
+        for names, every in self._asked.items():
+            await self._begin_asked(connection, names, every)
 
     async def _until_told(self, connection: Connection) -> None:
         """It has said whether it flies: somebody may have flown it there."""
         for _ in range(round(REOPENS * LOOKS)):
-            if self._well:
+            if self._own_ns > self._logs_ns:
                 return
             await self.clock.sleep(1.0 / LOOKS)
         raise LinkFailed(connection.uri, f"says nothing of itself within {REOPENS:g} s")
@@ -158,25 +174,37 @@ class RadioDrone(Actor):
         await firmware.set_all({"stabilizer.estimator": 2} | self.handler.parameters)
         await firmware.set_all(self.config.radio.parameters | self.row.parameters)
         if not self.seen_by_cameras:
+            await self._require_frame(firmware)
             await self._place(firmware, np.array(self.row.home), self.row.yaw)
+        self._prepared = True
+
+    async def _require_frame(self, firmware: Firmware) -> None:
+        """Several drones need one frame: that of a flow deck is its own, and drifts; ConfigError unless it may."""
+        if self.config.radio.drift or len(self.config.ids) == 1:
+            return
+        decks = [deck for deck in POSITIONING if await firmware.has(f"deck.{deck}")]
+        if not any(deck in COMMON for deck in decks):
+            found = f"{', '.join(decks) or 'no deck'} on board: its frame drifts from that of the others"
+            do = "Set drift = true in [radio] if the mission bears that, or let the cameras see it."
+            raise ConfigError(f"drone {self.drone}: pose", found, f"one of {', '.join(COMMON)}", do)
 
     async def _place(self, firmware: Firmware, p: Vec, yaw: float) -> None:
         """Let its estimator begin here."""
         initial = dict(zip(("initialX", "initialY", "initialZ"), p.tolist(), strict=True)) | {"initialYaw": yaw}
         await firmware.set_all({f"kalman.{name}": value for name, value in initial.items()})
+        if self.flying:
+            return
         await firmware.set("kalman.resetEstimation", 1)
         await firmware.set("kalman.resetEstimation", 0)
         self._placed = True
 
     async def _begin_logs(self, connection: Connection) -> None:
         period, seconds = 1.0 / self.config.radio.log_rate, REOPENS
-        self._own_ns = self.clock.now_ns()
+        self._logs_ns = self.clock.now_ns()
         connection.drop_logs()
         await connection.log("own", (*OWN, *WELL), period, self._take_own, seconds)
         if not self.seen_by_cameras:
             await connection.log("spread", SPREAD, 0.1, self._take_spread, seconds)
-        for names, every in self._asked.items():
-            await connection.log("asked", names, every, self._take_asked, seconds)
 
     async def _look_after(self, connection: Connection) -> None:
         """Until it is silent for too long."""
@@ -188,20 +216,39 @@ class RadioDrone(Actor):
                 raise LinkFailed(self.row.uri, f"silent for {silence:.1f} s")
             self.state_of_link = "degraded" if silence > DEGRADED else "up"
             if self._cut and not self.supervisor & checks.LOCKED:
-                self._send_now(emergency())
+                connection.urgent(emergency())
             self._feed_watchdog()
-            if silence < DEGRADED and self.clock.now_ns() - self._own_ns > FORGOTTEN * SECOND:
+            self._go_on_landing()
+            if silence < DEGRADED and self.clock.now_ns() - max(self._own_ns, self._logs_ns) > FORGOTTEN * SECOND:
                 await self._begin_logs(connection)
+            if not self._prepared and not self.flying:
+                await self._prepare(Firmware(connection))
             pose = self._pose.fresh()
-            if not self._placed and not self.flying and pose is not None:
+            if self.seen_by_cameras and not self._placed and not self.flying and pose is not None:
                 await self._place(Firmware(connection), pose.p, yaw_of(pose.q))
 
     def _feed_watchdog(self) -> None:
         """The choice of [radio] watchdog: without us it is to cut its motors."""
         now_ns = self.clock.now_ns()
-        if self.config.radio.watchdog and self.kind == "xyz" and self.flying and now_ns >= self._watchdog_ns:
+        self._fed = self._fed or (self.config.radio.watchdog and self.kind == "xyz" and self.flying)
+        if self._fed and now_ns >= self._watchdog_ns:  # once begun it must go on, on the ground too
             self._watchdog_ns = now_ns + round(WATCHDOG * SECOND)
             self._send_now([FORMS["emergency_stop_watchdog"].packet()])
+
+    def _go_on_landing(self) -> None:
+        """Who has been told to land is told again until its motors stand: a packet may be lost, and a link."""
+        now_ns = self.clock.now_ns()
+        if not self.flying:
+            self._landing = None
+        elif self._landing is not None and now_ns >= self._landing_ns:
+            self._landing_ns = now_ns + round(LANDS_AGAIN * SECOND)
+            self._transmit(self._landing)
+
+    @property
+    def orphan(self) -> bool:
+        """Whether it flies, this owner could tell it what to do, and nobody does."""
+        up = self.connection is not None and self.clock.now_ns() - self._up_ns > ORPHANED * SECOND
+        return up and self.flying and not self._flown_here and self._landing is None
 
     def _failed(self, error: Exception, began: float) -> None:
         if isinstance(error, ConfigError):
@@ -230,8 +277,14 @@ class RadioDrone(Actor):
 
     def send(self, command: Command) -> None:
         """Let the drone obey this: a set-point if it is time for one, a plan at once."""
-        if self._cut or self.connection is None:
+        if self._cut:
             return
+        if isinstance(command, XYZ) and command.verb == "land":
+            if self._landing is None or self.connection is None:
+                self._landing, self._landing_ns = self._landing or command, 0
+            return
+        if self.connection is None or (idles(command) and self.flying and not self._flown_here):
+            return  # it flies, and who sends has not flown it: it may not know
         now_ns, stops = self.clock.now_ns(), idles(command)
         if isinstance(command, XYZ):
             if stops and now_ns < self._stop_due_ns:
@@ -244,7 +297,8 @@ class RadioDrone(Actor):
             self._due_ns = max(self._due_ns + period_ns, now_ns - period_ns // 2)
         if self._platform.firmware.needs_arming and not stops:
             self._arm()
-        self._stopped = stops
+        self._stopped, self._landing = stops, None
+        self._flown_here = self._flown_here or not stops
         self._transmit(command)
 
     def _transmit(self, command: Command) -> None:
@@ -280,7 +334,8 @@ class RadioDrone(Actor):
     def cut(self) -> None:
         """Stop the motors for good."""
         self._cut = True
-        self._send_now(emergency())
+        if self.connection is not None:
+            self.connection.urgent(emergency())
 
     def _send_now(self, packets: Iterable[Packet]) -> None:
         for packet in packets if self.connection is not None else ():
@@ -289,6 +344,7 @@ class RadioDrone(Actor):
     def _seen(self, pose: Pose, age: float) -> None:
         """The cameras have seen it: its own estimator, by which it lands if we fail, is told."""
         if not self._gate.believes(pose, self.clock.now(), self.flying):
+            self._say("jump", "its pose jumps: another body's, or a mistake of the cameras: its estimator is not told")
             return
         if age <= NEWEST and self.connection is not None:
             try:
@@ -326,15 +382,20 @@ class RadioDrone(Actor):
             self.refused_plans += 1
             self._say("planner", f"its planner refuses command {packet.data[0]} with {packet.data[3]}")
 
-    def _take_own(self, values: dict[str, float], age: float) -> None:
+    def _take_own(self, values: dict[str, float], at: int) -> None:
+        if at < self._at - RESTARTED and self._at - at < WRAPS // 2:
+            self.why = "it has been started again"
+            self._prepared = self._placed = False
+            self.release = ""
+        self._at = at
         self._well = {name: values[name] for name in WELL}
         p = MILLI * np.array([values[name] for name in OWN[0:3]])
         v = MILLI * np.array([values[name] for name in OWN[3:6]])
         p, v, q = self._in_the_world(p, v, quaternion(int(values[OWN[6]])))
         self._own, self._own_ns = State(np.array([*p, *v, *q, 0.0, 0.0, 0.0])), self.clock.now_ns()
         if not self.seen_by_cameras:
-            self.port.publish(POSE, Pose(np.array([*p, *q])), age)
-            self.port.publish(TRUTH, self._own, age)
+            self.port.publish(POSE, Pose(np.array([*p, *q])))
+            self.port.publish(TRUTH, self._own)
 
     def _in_the_world(self, p: Vec, v: Vec, q: Vec) -> tuple[Vec, Vec, Vec]:
         """From the frame of the drone's own estimate: that of the cameras if it is told their poses, else [radio]'s."""
@@ -347,11 +408,11 @@ class RadioDrone(Actor):
         turned = np.array(product((a[0], a[1], a[2], a[3]), (b[0], b[1], b[2], b[3])))
         return turn @ p + np.array(radio.origin), turn @ v, turned
 
-    def _take_spread(self, values: dict[str, float], age: float) -> None:
+    def _take_spread(self, values: dict[str, float], at: int) -> None:
         self._spread = values
 
-    def _take_asked(self, values: dict[str, float], age: float) -> None:
-        self.port.publish(TELEMETRY, {name: [float(value), age] for name, value in values.items()})
+    def _take_asked(self, values: dict[str, float], at: int) -> None:
+        self.port.publish(TELEMETRY, {name: [float(value), 0.0] for name, value in values.items()})
 
     @property
     def supervisor(self) -> int:
@@ -378,6 +439,9 @@ class RadioDrone(Actor):
         """Why it may not take off."""
         if self.connection is None:
             return [self.problem or "is being connected"]
+        if not (self._prepared and self._placed) and not self.flying:
+            unseen = self.seen_by_cameras and self._pose.fresh() is None
+            return ["the cameras do not see it" if unseen else "is being prepared"]
         found = [*checks.supervisor_problems(self.supervisor), *checks.battery_problems(self.battery)]
         if self.flying:
             return found
@@ -410,7 +474,8 @@ class RadioDrone(Actor):
         """Publish how it is."""
         self._has_flown = self._has_flown or self.flying
         self.port.publish(LINK, self.status())
-        self.port.publish(BODY, Body(checks.harm(self.supervisor), self.flying and not self._cut))
+        if self._own_ns:  # before, nobody knows whether it flies
+            self.port.publish(BODY, Body(checks.harm(self.supervisor), self.flying and not self._cut))
 
     # What its body's port asks -----------------------------------------------------------------------------------
 

@@ -41,6 +41,11 @@ class Firmware:
         value: float = struct.unpack(element.pytype, answer.data[3:])[0]
         return value
 
+    async def has(self, name: str) -> bool:
+        """Whether it has a parameter of this name, and it is not 0."""
+        there = self.connection.cf.param.toc.get_element_by_complete_name(name) is not None
+        return there and await self.get(name) != 0
+
     async def set(self, name: str, value: float) -> float:
         """A parameter, to this value; what the firmware has taken."""
         element, uri = self._parameter(name), self.connection.uri

@@ -28,7 +28,7 @@ LEFT_ALONE = 1.0
 """s without a command after which nobody flies a drone any more."""
 PACED = 0.9
 """Of what a dongle carries: so fast packets leave for it."""
-LANDS_WITHIN = 30.0
+LANDS_WITHIN = 15.0
 """s that drones get to land that fly when the owner is told to end."""
 
 
@@ -72,8 +72,10 @@ class RadioProcess(Actor):
         """Say how the links are, and look after drones that nobody commands."""
         tick, every = 0, round(LOOKS / LINK.rate)
         async for _ in self.clock.ticks(LOOKS):
-            for body in self.bodies.values():
+            for i, body in self.bodies.items():
                 body.look()
+                if self.drones[i].orphan:
+                    body.abandon()
             tick += 1
             if tick % every == 0:
                 for drone in self.drones.values():
@@ -84,7 +86,7 @@ class RadioProcess(Actor):
     def _alone(self) -> bool:
         """Whether nobody commands, and nobody flies, or has had the time to land."""
         commanded = any(body.silence < LEFT_ALONE for body in self.bodies.values())
-        flying = any(drone.flying and drone.connection is not None for drone in self.drones.values())
+        flying = any(drone.flying for drone in self.drones.values())
         return self.clock.now() > self._ending or not (commanded or flying)
 
     def end(self, reason: str) -> None:

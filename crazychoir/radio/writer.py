@@ -60,6 +60,12 @@ class Writer:
             self._work.notify()
         return True
 
+    def urgent(self, packet: Packet) -> None:
+        """Send this before all that waits."""
+        with self._work:
+            self._ordered.appendleft(packet)
+            self._work.notify()
+
     def newest(self, kind: str, packet: Packet) -> None:
         """Send this instead of the one of its kind that still waits."""
         with self._work:

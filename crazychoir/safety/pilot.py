@@ -88,6 +88,8 @@ LIFTED = 0.03
 
 BLIND_DEPTH, BLIND_SPEED = 0.03, 0.35
 """m, m/s: how a drone lands by its firmware that nobody sees: its height is off by cm after 3 s, its place by 1 m."""
+STILL_TURNING = 10.0
+"""s beyond its time that a drone gets which its firmware lands, before its motors are stopped."""
 Reached = Literal["no", "seen", "own"]
 THRUST, MISJUDGED = ("fpqr", "frpy"), 0.15
 """Senders of a thrust, and the share by which it may be off: a wrong thrust map is off by 0.27."""
@@ -152,6 +154,8 @@ class Pilot(Actor):
         self.brought_down = ""
         """Why the safety table has first ended a flight by landing it; empty if it never did."""
         self.held = False
+        self.turning: Callable[[], bool] = lambda: False
+        """Whether its firmware says that its motors turn, which lands it."""
         self.unfit: Callable[[], list[str]] = list
         """Says why its drone may not take off, beside what is known here."""
         self.awaits_start = limits.operator
@@ -607,7 +611,7 @@ class Pilot(Actor):
         """
         seen = state.age <= SEEN
         if now > self._down_at:
-            return True
+            return not self.turning() or now > self._down_at + STILL_TURNING
         if not self._takes_off:
             return self.flights.done(now) and bool(np.linalg.norm(state.v) < AT_REST)
         low = seen and state.flat[2] < self.limits.ground + ON_THE_FLOOR

@@ -11,8 +11,8 @@ JUMP, HARDEST, FARTHEST = 0.12, 6.0, 0.5
 """m, m/s2, m: noise, markers and delays; what no drone of ours accelerates by; and what no gap excuses."""
 TURN, FASTEST = math.radians(40.0), 10.0
 """rad, and rad/s beyond."""
-LATELY = 0.05
-"""s over which the velocity is taken."""
+LATELY, KEPT = 0.03, 0.5
+"""s, at least, over which the velocity is taken; and for which poses are kept for it."""
 
 
 class PoseGate:
@@ -31,7 +31,7 @@ class PoseGate:
         born = now - pose.age
         if flying and self._last and not self._near(pose, born):
             return False
-        self._last = [one for one in self._last if flying and one[0] > born - 2.0 * LATELY][-20:]
+        self._last = [one for one in self._last if flying and one[0] > born - KEPT]
         self._last.append((born, pose.p.copy(), pose.q.copy()))
         return True
 
@@ -44,5 +44,5 @@ class PoseGate:
 
     def _velocity(self) -> Vec:
         t, p, _ = self._last[-1]
-        first = next(((s, r) for s, r, _ in self._last if t - s <= LATELY and t > s), None)
+        first = next(((s, r) for s, r, _ in reversed(self._last) if t - s >= LATELY), None)
         return np.zeros(3) if first is None else (p - first[1]) / (t - first[0])

@@ -39,11 +39,16 @@ class RadioWatch(Actor):
         if status is None:
             return
         now, guard = self.clock.now(), self.guard
-        guard.tell("link", self._status.age() if status.silence < LINK.max_age else status.silence)
+        guard.tell("link", status.silence + self._status.age())
         self._low_since = min(self._low_since, now) if status.battery < LOW else math.inf
         guard.tell("battery", now - self._low_since)
         guard.tell("empty", EMPTY - status.battery if status.battery < EMPTY else -math.inf)
         guard.tell("tumbled", float(bool(status.supervisor & (ON_ITS_BACK | CRASHED))))
+
+    def turning(self) -> bool:
+        """Whether its motors turn, as its firmware has said last; True while nobody says anything."""
+        status = self._status.fresh()
+        return status is None or status.flying
 
     def problems(self) -> list[str]:
         """Why its drone may not take off."""

@@ -197,6 +197,11 @@ class RemoteBody:
             does = "landing" if on_board else "no thrust" if self.kind in THRUST else "stands still"
             log.warning("drone %d: no command for %.2f s, limit %.2f s: %s", self.drone, self.silence, limit, does)
 
+    def abandon(self) -> None:
+        """It flies, and nobody has commanded it since its owner was started: it is landed."""
+        log.warning("drone %d: flies, and nobody commands it: landing", self.drone)
+        self.link.send(self._down(False))
+
     def _nothing(self) -> Command:
         """Neither thrust nor speed."""
         kinds = KINDS[self.kind]

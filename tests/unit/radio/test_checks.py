@@ -11,6 +11,8 @@ def test_the_supervisor() -> None:
     assert checks.supervisor_problems(ready | checks.TUMBLED) == ["tumbled"]
     assert "locked" in checks.supervisor_problems(checks.LOCKED)[0]
     assert checks.supervisor_problems(0)
+    assert checks.supervisor_problems(checks.AUTO_ARM), "its checks before flight have failed"
+    assert checks.supervisor_problems(checks.CAN_ARM) == [], "its motors wait for a request"
     assert checks.supervisor_problems(ready | checks.DECK_FAULT) == ["a deck is faulty"]
 
 

@@ -50,9 +50,24 @@ def test_the_second_link_waits_for_the_first_ones_answer(tmp_path) -> None:
 
 def test_it_waits_no_longer_than_its_patience(tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(contents, "PATIENCE", 0.05)
-    table = TableOfContents(tmp_path)
+    monkeypatch.setattr(contents, "LOOKS", 0.05)
+    table, found = TableOfContents(tmp_path), []
+    assert table.fetch(7) is None
+    second = threading.Thread(target=lambda: found.append(table.fetch(7)))
+    second.start()
+    second.join(5.0)
+    assert found == [None]
+
+
+def test_who_asks_again_does_not_wait_for_itself_and_a_link_that_is_closed_keeps_nobody(tmp_path) -> None:
+    table, found = TableOfContents(tmp_path), []
     assert table.fetch(7) is None
     assert table.fetch(7) is None
+    second = threading.Thread(target=lambda: found.append(table.fetch(7)))
+    second.start()
+    table.forget(threading.get_ident())
+    second.join(5.0)
+    assert found == [None], "it asks its own drone now"
 
 
 def test_a_folder_that_cannot_be_written_costs_time_and_nothing_else(tmp_path, caplog) -> None:

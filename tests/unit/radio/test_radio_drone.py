@@ -1,0 +1,192 @@
+"""What the owner of a dongle tells one drone, and when; its connection is one that keeps what it is given."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+from virtual_time import virtual
+
+from crazychoir.bus.local import BODIES, Bus
+from crazychoir.bus.topics import BODY
+from crazychoir.radio import checks
+from crazychoir.radio.contents import TableOfContents
+from crazychoir.radio.crtp import FORMS
+from crazychoir.radio.drone import LANDS_AGAIN, ORPHANED, OWN, STOPS, RadioDrone
+from crazychoir.runtime.mailbox import Call
+from crazychoir.swarm.config import SwarmConfig
+from crazychoir.types import FPQR, XYZ
+
+READY = checks.CAN_FLY | checks.AUTO_ARM
+STOP, LINE, LAND = (XYZ(verb, np.array([1.0, 0.0, 1.0, 0.0, 2.0])) for verb in ("stop", "line", "land"))
+
+
+class Kept:
+    """A connection that keeps the heads of what it is given, in order."""
+
+    def __init__(self) -> None:
+        self.sent: list[tuple[int, int, int]] = []
+        self.silence, self.latency, self.answered, self.rssi = 0.0, 0.01, 1.0, math.nan
+
+    def _keep(self, packet) -> None:
+        self.sent.append((packet.port, packet.channel, packet.data[0] if packet.data else -1))
+
+    def send(self, packet) -> None:
+        self._keep(packet)
+
+    def newest(self, kind, packet) -> None:
+        self._keep(packet)
+
+    def urgent(self, packets) -> None:
+        for packet in packets:
+            self._keep(packet)
+
+    def forget(self, kind) -> None:
+        """Nothing waits here."""
+
+
+def head(form: str) -> tuple[int, int, int]:
+    one = FORMS[form]
+    return one.port, one.channel, one.head[0]
+
+
+def made(clock, kind: str = "xyz", rate: float = 50.0) -> tuple[RadioDrone, Kept]:
+    raw = {"name": "a", "drones": [{"id": 0, "home": [0, 0, 0], "uri": "udp://127.0.0.1:19850"}]}
+    config = SwarmConfig.of(raw | {"control": {"sender": kind}})
+    bus = Bus(clock)
+    bus.port(BODIES)
+    drone = RadioDrone(bus, config, 0, kind, rate, TableOfContents(Path("nowhere")))
+    drone.handler.thrust = 136_531.0
+    drone.connection = kept = Kept()
+    return drone, kept
+
+
+def tell(drone: RadioDrone, supervisor: int, at: int = 1000) -> None:
+    """Its log has come."""
+    values = dict.fromkeys(OWN, 0.0) | {"pm.vbat": 4.0, "supervisor.info": float(supervisor)}
+    drone._take_own(values | {OWN[6]: 3 << 30}, at)
+
+
+@virtual
+async def test_set_points_leave_at_their_rate_and_the_newest_counts(clock) -> None:
+    drone, kept = made(clock, "fpqr", 50.0)
+    for _ in range(100):
+        drone.send(FPQR(np.array([0.3, 0.0, 0.0, 0.0])))
+        await clock.sleep(0.01)
+    assert 49 <= len(kept.sent) <= 52
+
+
+@virtual
+async def test_one_that_stands_is_told_so_now_and_then(clock) -> None:
+    drone, kept = made(clock)
+    for _ in range(100):
+        drone.send(STOP)
+        await clock.sleep(0.01)
+    assert kept.sent == [head("planner_stop")] * round(1.0 / STOPS)
+
+
+@virtual
+async def test_who_has_not_flown_it_does_not_stop_its_motors(clock) -> None:
+    drone, kept = made(clock)
+    tell(drone, READY | checks.FLYING)
+    drone.send(STOP)
+    assert kept.sent == []
+    drone.send(LINE)
+    drone.send(STOP)
+    assert kept.sent == [head("go_to"), head("planner_stop")]
+
+
+@virtual
+async def test_a_landing_is_said_until_the_motors_stand_also_after_the_link_was_gone(clock) -> None:
+    drone, kept = made(clock)
+    tell(drone, READY | checks.FLYING)
+    drone.connection = None
+    drone.send(LAND)
+    drone.connection = kept
+    for _ in range(round(2.5 / LANDS_AGAIN * 20)):
+        drone._go_on_landing()
+        await clock.sleep(0.05)
+    assert kept.sent == [head("land")] * 3
+    tell(drone, READY)
+    drone._go_on_landing()
+    tell(drone, READY | checks.FLYING)
+    drone._go_on_landing()
+    assert len(kept.sent) == 3, "it has landed"
+
+
+@virtual
+async def test_a_second_landing_does_not_change_the_first(clock) -> None:
+    drone, _ = made(clock)
+    tell(drone, READY | checks.FLYING)
+    drone.send(LAND)
+    drone.send(XYZ("land", np.array([0.0, 0.0, 0.0, 0.0, 9.0])))
+    assert drone._landing is LAND
+    drone.send(LINE)
+    assert drone._landing is None, "somebody flies it again"
+
+
+@virtual
+async def test_one_that_flies_and_that_nobody_commands_is_an_orphan(clock) -> None:
+    drone, _ = made(clock)
+    drone._up_ns = clock.now_ns()
+    tell(drone, READY | checks.FLYING)
+    assert not drone.orphan
+    await clock.sleep(ORPHANED + 0.1)
+    assert drone.orphan
+    drone.send(LINE)
+    assert not drone.orphan
+
+
+@virtual
+async def test_a_cut_is_for_good_and_nothing_leaves_after_it(clock) -> None:
+    drone, kept = made(clock)
+    drone.send(LINE)
+    drone.cut()
+    drone.send(LINE)
+    drone.send(LAND)
+    drone._go_on_landing()
+    assert kept.sent == [head("go_to"), head("emergency_stop"), head("supervisor_stop")]
+
+
+@virtual
+async def test_nothing_is_said_of_its_body_before_it_has_said_whether_it_flies(clock) -> None:
+    drone, _ = made(clock)
+    said = []
+    reader = drone.bus.port(5).address
+    drone.bus.subscribe(BODY, BODIES, reader, Call(clock, lambda body, age: said.append(body.flying)))
+    drone.report()
+    await clock.sleep(0.5)
+    assert said == []
+    tell(drone, READY | checks.FLYING)
+    drone.report()
+    await clock.sleep(0.5)
+    assert said == [True]
+
+
+@virtual
+async def test_one_that_was_started_again_is_prepared_again(clock) -> None:
+    drone, _ = made(clock)
+    drone.release, drone._prepared = "2025.12", True
+    for at in (1000, 1100):
+        tell(drone, READY, at)
+    assert (drone.why, drone.release, drone._prepared) == ("", "2025.12", True)
+    tell(drone, READY, 40)
+    assert (drone.why, drone.release, drone._prepared) == ("it has been started again", "", False)
+
+
+@virtual
+async def test_its_time_may_wrap(clock) -> None:
+    drone, _ = made(clock)
+    tell(drone, READY, (1 << 24) - 10)
+    tell(drone, READY, 90)
+    assert drone.why == ""
+
+
+@virtual
+async def test_why_it_may_not_take_off(clock) -> None:
+    drone, _ = made(clock)
+    tell(drone, READY)
+    assert drone.problems() == ["the cameras do not see it"]
+    drone._prepared = drone._placed = True
+    assert drone.problems() == ["the cameras do not see it"]
+    drone.connection, drone.problem = None, "no answer within 2 s"
+    assert drone.problems() == ["no answer within 2 s"]
