@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 pytest.importorskip("cflib")
+pytestmark = [pytest.mark.system, pytest.mark.real_time]
 HERE = Path(__file__).parent
 PROGRAMS = (
     "high_level", "motion_commander", "position_commander", "trajectory", "compressed_trajectory", "set_points",

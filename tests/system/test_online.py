@@ -31,6 +31,7 @@ def whole(seed, kills=2, loss=0.2, **options):
     return fly_online(config, killed_at(config, kills))
 
 
+@pytest.mark.slow
 def test_all_that_the_living_can_serve_is_served_though_two_are_killed():
     outcome = whole(1000)
     assert outcome.reasons == []

@@ -84,6 +84,7 @@ def test_agents_may_have_different_numbers_of_variables():
     assert [history.values[i]["x"].shape for i in range(3)] == [(6, 1), (6, 2), (6, 3)]
 
 
+@pytest.mark.slow
 def test_on_a_dense_random_graph_of_20_it_converges_where_unweighted_trade_does_not():
     graph, blocks = erdos_renyi_connected(20, 0.5, seed=1), random_blocks(20, seed=1)
     optimum = central(blocks, relaxed=True)

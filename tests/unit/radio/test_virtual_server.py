@@ -252,7 +252,7 @@ SWARM = {
         {"id": 3, "home": [2, 0, 0], "uri": "udp://127.0.0.1:19871", "dongle": 0},
         {"id": 0, "home": [3, 0, 0]},
     ],
-    "radio": {"capacity": 200.0},
+    "radio": {"capacity": 200.0, "log_rate": 50.0},
 }  # fmt: skip
 
 

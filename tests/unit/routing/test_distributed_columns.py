@@ -46,7 +46,7 @@ def run_all(programs, links):
             return [value for (value,) in results]
 
 
-@pytest.mark.parametrize(("fixed", "gap"), [(1000.0, 0.004), (1e6, 4e-6)])
+@pytest.mark.parametrize(("fixed", "gap"), [(1000.0, 0.004), pytest.param(1e6, 4e-6, marks=pytest.mark.slow)])
 def test_where_robots_are_dear_the_bound_counts_whole_ones(graph, fixed, gap):
     """Without that, parts of robots leave a gap of half of their cost, a sixth of the plan's."""
     plain = random_instance(6, 10, 0, route_length_limit=30.0).to_json()

@@ -87,7 +87,7 @@ def test_best_known_solutions_cost_what_is_published(reference_data, name, vehic
 @pytest.mark.parametrize(
     ("name", "vehicles", "length"),
     [
-        ("lr101", 19, 1650.80),
+        pytest.param("lr101", 19, 1650.80, marks=pytest.mark.slow),
         pytest.param("lrc101", 14, 1708.80, marks=pytest.mark.slow),
         pytest.param("lc101", 10, 828.94, marks=pytest.mark.slow),
     ],

@@ -18,8 +18,11 @@ def test_two_drones_with_one_body_are_refused(drones):
         SwarmConfig.of(swarm(*drones))
 
 
+OFTEN = {"log_rate": 50.0}
+
+
 def test_drones_that_no_camera_sees_may_have_any_body():
-    config = SwarmConfig.of(swarm({"body": "cf1"}, {"pose": "onboard"}, {"uri": "sim://", "body": "cf1"}))
+    config = SwarmConfig.of(swarm({"body": "cf1"}, {"pose": "onboard"}, {"uri": "sim://", "body": "cf1"}, radio=OFTEN))
     assert config.seen == (0,)
     assert config.source(POSE, 0) == config.source(TRUTH, 0) == EYES
     assert config.source(BODY, 0) == BODIES
