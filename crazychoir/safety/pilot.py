@@ -93,8 +93,9 @@ STILL_TURNING = 10.0
 Reached = Literal["no", "seen", "own"]
 THRUST, MISJUDGED = ("fpqr", "frpy"), 0.15
 """Senders of a thrust, and the share by which it may be off: a wrong thrust map is off by 0.27."""
-RISING = 0.2
-"""m above the floor where a drone that takes off should be, at which one that is still there is none."""
+RISING, RISING_ON_BOARD = 0.2, 0.4
+"""m above the floor where a drone that takes off should be, at which one that is still there is none: flown by thrust
+from here, or by its firmware, which is later."""
 
 NOMINAL = Action.NOMINAL  # members of an enumeration are slow to look up
 LOW = (TAKEOFF, LAND)
@@ -591,7 +592,8 @@ class Pilot(Actor):
     def _stays_down(self, state: State, now: float) -> bool:
         """Whether what the cameras take for it stands on the floor while it should be in the air."""
         plan, floor = self.flights.sample(now), self._lift_off - LIFTED
-        return plan is not None and plan.p[2] - floor > RISING and state.flat[2] < self._lift_off
+        rising = RISING if self.controls.sender.kind in THRUST else RISING_ON_BOARD
+        return plan is not None and plan.p[2] - floor > rising and state.flat[2] < self._lift_off
 
     def _held_at_fence(self, verdict: Verdict, now: float) -> bool:
         """Whether the safety table keeps it inside, or it is where a flight to a place outside had to end."""
