@@ -229,6 +229,11 @@ class Connection:
         except TimeoutError:
             raise LinkFailed(self.uri, f"log {name} was not begun within {seconds:g} s") from None
 
+    @property
+    def failure(self) -> str:
+        """What the last packet that could not be sent has raised; empty if all could."""
+        return "" if self._writer is None else self._writer.failure
+
     def drop_logs(self) -> None:
         """Forget the blocks that were begun: the drone has."""
         self.cf.log.log_blocks = []

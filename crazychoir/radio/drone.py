@@ -217,6 +217,8 @@ class RadioDrone(Actor):
             self.state_of_link = "degraded" if silence > DEGRADED else "up"
             if self._cut and not self.supervisor & checks.LOCKED:
                 connection.urgent(emergency())
+            if failure := connection.failure:
+                self._say("sending", f"a packet could not be sent: {failure}")
             self._feed_watchdog()
             self._go_on_landing()
             if silence < DEGRADED and self.clock.now_ns() - max(self._own_ns, self._logs_ns) > FORGOTTEN * SECOND:

@@ -22,8 +22,8 @@ from crazychoir.types import FPQR, FRPY, XYZ, Command, FullState, Pose, Vel
 
 ALL = 0
 """Mask of groups: every drone that hears it."""
-FARTHEST = 32.0
-"""m, m/s, m/s2, rad/s: what 16 bits of a thousandth hold."""
+LARGEST = 32_767
+"""mm, mm/s, mm/s2, mrad/s: what 16 bits hold."""
 
 
 class RadioHandler:
@@ -144,7 +144,10 @@ class RadioHandlerFullState(_OnBoard):
         a, j, yaw = tuple(s[6:9]), tuple(s[9:12]), float(s[12])
         axes = flat_attitude((a[0], a[1], a[2] + GRAVITY), yaw)
         q, w = quaternion(np.array(axes).T), body_rates(a, j, yaw, float(s[13]))
-        milli = [round(1e3 * min(max(float(x), -FARTHEST), FARTHEST)) for x in (*s[0:9], *w)]
+        milli = [round(1e3 * float(x)) for x in (*s[0:9], *w)]
+        if max(map(abs, milli)) > LARGEST:
+            found = [x / 1e3 for x in milli]
+            raise CodecError(f"full state {found}: {LARGEST / 1e3:g} m, m/s, m/s2 and rad/s are allowed at most.")
         return self._streamed(FORMS["full_state"].packet(*milli[:9], compressed(np.array(q)), *milli[9:]))
 
 

@@ -9,6 +9,7 @@ from typing import Any, Self
 
 from system.agents import CRAZYCHOIR, Program
 
+from crazychoir.errors import Refused
 from crazychoir.launch.network import apart
 from crazychoir.radio.virtual.control import ask
 from crazychoir.swarm.config import SwarmConfig
@@ -61,7 +62,7 @@ class Hall:
             try:
                 self.state()
                 return self
-            except Exception:  # noqa: BLE001 - it is starting
+            except Refused:  # it is starting
                 await asyncio.sleep(0.1)
         raise AssertionError(f"the hall does not open: {self.programs[0].text}")
 

@@ -10,7 +10,6 @@ from pathlib import Path
 
 import pytest
 
-pytest.importorskip("cflib")
 pytestmark = [pytest.mark.system, pytest.mark.real_time]
 HERE = Path(__file__).parent
 PROGRAMS = (

@@ -17,6 +17,14 @@ class Slow:
         self.sent: list[int] = []
         self.busy, self.free = threading.Event(), threading.Event()
 
+    def until(self, count: int) -> None:
+        """Wait until so many packets are sent."""
+        for _ in range(500):
+            if len(self.sent) >= count:
+                return
+            threading.Event().wait(0.01)
+        raise AssertionError(f"only {self.sent} sent")
+
     def __call__(self, packet: Packet) -> None:
         self.busy.set()
         assert self.free.wait(5.0)
@@ -34,8 +42,7 @@ def test_orders_keep_their_order_and_of_each_kind_the_newest_is_sent() -> None:
     writer.put(packet(2))
     writer.put(packet(3))
     slow.free.set()
-    while len(slow.sent) < 5:
-        pass
+    slow.until(5)
     writer.end()
     assert writer.join(5.0)
     assert slow.sent == [1, 2, 3, 12, 20]
@@ -91,8 +98,7 @@ def test_what_is_forgotten_is_not_sent() -> None:
     writer.forget("command")
     writer.put(packet(2))
     slow.free.set()
-    while len(slow.sent) < 3:
-        pass
+    slow.until(3)
     writer.end()
     assert writer.join(5.0)
     assert slow.sent == [1, 2, 10]
