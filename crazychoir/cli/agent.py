@@ -1,8 +1,6 @@
 """crazychoir-agent: one drone of a swarm, or a few, in this process."""
 
-import ctypes
 import logging
-import signal
 from pathlib import Path
 from typing import Annotated
 
@@ -13,7 +11,6 @@ from crazychoir.cli.show import STDERR, STDOUT, fail, prints_aside, result_table
 from crazychoir.errors import CrazyChoirError
 
 log = logging.getLogger(__name__)
-PR_SET_PDEATHSIG = 1
 app = typer.Typer(add_completion=False)
 
 
@@ -32,8 +29,7 @@ def agent(
 ) -> None:
     """Fly drones of a swarm; Ctrl-C lands them."""
     if child is not None:
-        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGHUP)
-        signal.signal(signal.SIGINT, signal.SIG_DFL)  # before it flies it ends, and says nothing
+        ending.with_parent()
     set_up_logging()
     from crazychoir.cli.chosen import configured  # kernels and network: 1 s that --help does not need
     from crazychoir.cli.process import run_agent

@@ -1,9 +1,22 @@
-"""How a command's process ends."""
+"""How a command's process ends, and with whom."""
 
+import ctypes
 import os
+import signal
 import sys
 import threading
 from collections.abc import Callable
+
+_PR_SET_PDEATHSIG = 1
+
+
+def with_parent() -> None:
+    """A process that another one has started lands or ends by SIGHUP when that one is gone.
+
+    Ctrl-C comes to it through its parent; before there is anything to land it ends at once, and says nothing.
+    """
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGHUP)
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
 def run(app: Callable[[], None]) -> None:

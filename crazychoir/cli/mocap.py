@@ -1,7 +1,5 @@
 """crazychoir-mocap: motion capture, in a process of its own, for drones whose agents are elsewhere."""
 
-import ctypes
-import signal
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -10,7 +8,6 @@ import typer
 
 from crazychoir.cli import ending
 from crazychoir.cli.show import STDERR, Progress, fail, set_up_logging, write_json
-from crazychoir.cli.world import PR_SET_PDEATHSIG
 from crazychoir.errors import ConfigError, CrazyChoirError
 
 if TYPE_CHECKING:
@@ -34,8 +31,7 @@ def mocap(
 ) -> None:
     """Tell the drones of a swarm where they are; Ctrl-C ends it as soon as none of them has an agent."""
     if child:
-        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGHUP)
-        signal.signal(signal.SIGINT, signal.SIG_DFL)  # before it is there it ends, and says nothing
+        ending.with_parent()
     set_up_logging()
     from crazychoir.cli.mocap_process import mocap_table, run_mocap  # kernels and network: 1 s
     from crazychoir.swarm.config import find_swarm

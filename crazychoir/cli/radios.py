@@ -1,7 +1,5 @@
 """crazychoir-radio: the owner of a dongle, in a process of its own; its drones' agents are elsewhere."""
 
-import ctypes
-import signal
 from typing import Annotated
 
 import typer
@@ -10,7 +8,6 @@ from crazychoir.cli import ending
 from crazychoir.cli.show import STDERR, fail, set_up_logging, write_json
 from crazychoir.errors import ConfigError, CrazyChoirError
 
-PR_SET_PDEATHSIG = 1
 app = typer.Typer(add_completion=False)
 
 
@@ -24,8 +21,7 @@ def radios(
 ) -> None:
     """Own a dongle: the links to all its drones; Ctrl-C ends it as soon as nobody flies."""
     if child:
-        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGHUP)
-        signal.signal(signal.SIGINT, signal.SIG_DFL)  # before there is a link it ends, and says nothing
+        ending.with_parent()
     set_up_logging()
     from crazychoir.cli.chosen import chosen_swarm  # kernels and network: 1 s that --help does not need
     from crazychoir.cli.process import run_radios
