@@ -14,10 +14,9 @@ from crazychoir.errors import CodecError, CrazyChoirError
 from crazychoir.math3d import Mat
 from crazychoir.mocap.frames import ASK, MOST, PATIENCE, Frame
 from crazychoir.radio.virtual.faults import Faults
-from crazychoir.radio.virtual.port import AT_ONCE, Address, opened
+from crazychoir.radio.virtual.port import Address, opened, waiting
 from crazychoir.runtime.clock import SECOND, Clock
 
-LONGEST = 65_000
 Question = dict[str, Any]
 Answer = Callable[[Question], Any]
 
@@ -69,15 +68,7 @@ class Cameras:
             self._send(datagram, who)
 
     def _readable(self) -> None:
-        for _ in range(AT_ONCE):
-            if self._socket is None:
-                return
-            try:
-                data, sender = self._socket.recvfrom(LONGEST)
-            except BlockingIOError:
-                return
-            except OSError:
-                continue
+        for data, sender in waiting(self._socket):
             if data == ASK:
                 self._watchers[sender] = self.clock.now_ns() + round(PATIENCE * SECOND)
             else:

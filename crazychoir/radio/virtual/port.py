@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import socket
+from collections.abc import Iterator
 from functools import partial
 
 from crazychoir.errors import CodecError, ConfigError
@@ -16,7 +17,7 @@ BUFFER = 1 << 20
 """Bytes that the system keeps for a socket, so that a late server loses nothing."""
 NULL = 3
 """Channel of the link's port for packets that say nothing."""
-AT_ONCE, LONGEST = 200, 2048
+AT_ONCE, LONGEST = 200, 65_536
 """Datagrams that are read in one pass of the loop, and their bytes."""
 Address = tuple[str, int]
 
@@ -33,6 +34,19 @@ def opened(at: Address) -> socket.socket:
         where, do = f"virtual Crazyflies: UDP port {at[1]} of {at[0]}", "Choose another --port."
         raise ConfigError(where, str(error.strerror), "a port that is free", do) from error
     return found
+
+
+def waiting(at: socket.socket | None) -> Iterator[tuple[bytes, Address]]:
+    """The datagrams that wait at a socket, and who has sent them; so many at once, and none once it is closed."""
+    for _ in range(AT_ONCE):
+        if at is None or at.fileno() < 0:
+            return
+        try:
+            yield at.recvfrom(LONGEST)
+        except BlockingIOError:
+            return
+        except OSError:  # a client that is gone is nobody's business
+            continue
 
 
 class Port:
@@ -67,15 +81,7 @@ class Port:
                 self.open()
 
     def _readable(self) -> None:
-        for _ in range(AT_ONCE):
-            if self._socket is None:
-                return
-            try:
-                data, sender = self._socket.recvfrom(LONGEST)
-            except BlockingIOError:
-                return
-            except OSError:  # a client that is gone is nobody's business
-                continue
+        for data, sender in waiting(self._socket):
             self._received(data, sender)
 
     def _received(self, data: bytes, sender: Address) -> None:
