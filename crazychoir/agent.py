@@ -215,7 +215,11 @@ class Agent:
         return CollisionFilter(config.collision, traffic, fence, a_max, v_max, ground)
 
     def _see(self, traffic: Traffic, i: int) -> None:
-        """The cameras of drones that a radio reaches tell where they are, whether their agents are there or not."""
+        """Of drones that a radio reaches, their owners tell whether it does, and the cameras where they are."""
+        for j in self.config.reached:
+            if j != i:
+                call = Call(self.clock, partial(traffic.linked, j), f"drone {i} knows the link of {j}")
+                self.bus.subscribe(LINK, self.config.source(LINK, j), i, call, LINK.rate)
         for j in self.config.seen:
             if j != i:
                 call = Call(self.clock, partial(traffic.seen, j), f"drone {i} sees {j}")
