@@ -264,6 +264,15 @@ async def test_owners_of_dongles_that_are_killed(tmp_path) -> None:
         assert f"dongle {i}: its owner ended with code -9: started again" in flight.text
 
 
+async def test_a_host_that_is_lost_with_agents_and_owners(tmp_path) -> None:
+    flight = await fly(tmp_path, (0.0, killed(AGENT)), (0.0, killed(OWNER)))
+    for i in (0, 1):
+        assert 1.8 < flight.still[i] < 2.6, "as without a radio"
+    assert flight.still[2] < 20.0, "the owner that is started again finds it in the air, and nobody who flies it"
+    assert flight.softly(2)
+    assert flight.softly(WELL)
+
+
 async def test_an_operator_who_stops_all(tmp_path) -> None:
     flight = await fly(tmp_path, (0.0, lambda hall, run: hall.interrupt(run)))
     for i in flight.last:
