@@ -366,11 +366,12 @@ class Collision(Table, frozen=True, kw_only=True):
 
 
 class Control(Table, frozen=True, kw_only=True):
-    """[control]: sender: what the drone is sent;  gains: of the tracking controller, instead of the standard;
-    position_rate: Hz, of the position strategy, 0: each tick;  filter: of the poses.
+    """[control]: sender: what the drone is sent, none: "fpqr", or "frpy" to one that a radio reaches;  gains: of the
+    tracking controller, instead of the standard;  position_rate: Hz, of the position strategy, 0: each tick;  filter:
+    of the poses.
     """
 
-    sender: Sender = "fpqr"
+    sender: Sender | None = None
     gains: Free = field(default_factory=dict)
     position_rate: Rate = 0.0
     filter: Filter = "kalman"
