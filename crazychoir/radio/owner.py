@@ -19,7 +19,9 @@ from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import Clock
 from crazychoir.runtime.places import runtime_folder
 from crazychoir.runtime.supervisor import Supervisor
+from crazychoir.safety.guard import Fence
 from crazychoir.simulation.remote import RemoteBody
+from crazychoir.swarm.checks import limit_area
 from crazychoir.swarm.config import SwarmConfig
 from crazychoir.swarm.radios import PINGS, capacity_of
 
@@ -58,6 +60,7 @@ class RadioProcess(Actor):
             for i, drone in self.drones.items()
         }  # fmt: skip
         self.rate, self.failure, self._ending = rate, "", 0.0
+        self._limit = Fence.box(*limit_area(config))
         self._supervisor = Supervisor(clock, f"dongle {dongle}", self._failed)
 
     def _pace(self) -> Pace:
@@ -74,6 +77,7 @@ class RadioProcess(Actor):
         async for _ in self.clock.ticks(LOOKS):
             for i, body in self.bodies.items():
                 body.look()
+                self._keep_inside(i, body)
                 if self.drones[i].orphan:
                     body.abandon()
             tick += 1
@@ -82,6 +86,13 @@ class RadioProcess(Actor):
                     drone.report()
             if self._ending and self._alone():
                 self._supervisor.stop()
+
+    def _keep_inside(self, i: int, body: RemoteBody) -> None:
+        """Whose agent says nothing is looked after here: beyond the limit area its motors are cut."""
+        drone, now = self.drones[i], self.clock.now()
+        seen = drone.place if drone.flying and body.silence > LEFT_ALONE else None
+        if seen is not None and now - seen[0] < LEFT_ALONE and (beyond := self._limit.outside(*seen[1].p)) > 0.0:
+            body.stop(f"{beyond:.2f} m outside the limit area, and nobody commands it")
 
     def _alone(self) -> bool:
         """Whether nobody commands, and nobody flies, or has had the time to land."""
