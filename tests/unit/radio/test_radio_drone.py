@@ -53,7 +53,8 @@ def head(form: str) -> tuple[int, int, int]:
 
 def made(clock, kind: str = "xyz", rate: float = 50.0, pose: str = "mocap", **radio) -> tuple[RadioDrone, Kept]:
     row = {"id": 0, "home": [0, 0, 0], "uri": "udp://127.0.0.1:19850", "pose": pose}
-    config = SwarmConfig.of({"name": "a", "drones": [row], "control": {"sender": kind}, "radio": {"log_rate": 50.0} | radio})
+    tables = {"control": {"sender": kind}, "radio": {"log_rate": 50.0} | radio}
+    config = SwarmConfig.of({"name": "a", "drones": [row]} | tables)
     bus = Bus(clock)
     bus.port(BODIES)
     drone = RadioDrone(bus, config, 0, kind, rate, TableOfContents(Path("nowhere")))
