@@ -72,7 +72,8 @@ PLANS_ON_BOARD = tuple(rule for rule in REACHED if rule.measure != "link" or rul
 """The same where its planner is on board: it goes on with its plan, and nobody could tell it to brake."""
 TOLD = ("link", "battery", "empty", "tumbled", "body")
 """Of a drone that a radio reaches: s since its last packet; s that its battery is below LOW V, V below EMPTY; 1 if it
-lies on its back, or has crashed; 1 if what the cameras take for it does not rise when it takes off."""
+lies on its back, has crashed, or is locked by its firmware; 1 if what the cameras take for it does not rise when it
+takes off."""
 LOW, EMPTY = 3.2, 3.0
 """V, of one cell under load: what the firmware calls low and critical."""
 
@@ -87,7 +88,7 @@ TEXT = {
     "battery": "battery below 3.2 V for {value:.1f} s, limit {limit:.1f} s: {doing}",
     "empty": "battery {value:.2f} V below 3.0 V: {doing}",
     "body": "its body does not rise as it takes off: another drone's, or too little thrust: {doing}",
-    "tumbled": "tumbled or crashed, as its firmware says: {doing}",
+    "tumbled": "tumbled, crashed or locked, as its firmware says: {doing}",
 }
 EDGE = 0.005
 """m: how far from the fence is said from here on."""

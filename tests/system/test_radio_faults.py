@@ -173,7 +173,7 @@ async def test_a_radio_silent_for_a_second(tmp_path, watchdog) -> None:
     assert 2 not in flight.levelled, "its planner is on board"
     assert "its radio is silent" in flight.text
     if watchdog:
-        flight.fell(2, "locked", 0.6, 1.4)
+        flight.fell(2, "locked, as its firmware says", 0.6, 1.4)
     else:
         flight.flew_on(2)
 

@@ -1,0 +1,48 @@
+"""What a drone that a radio reaches says of itself, as the guard is told it."""
+
+import math
+
+import pytest
+from virtual_time import virtual
+
+from crazychoir.bus.local import BODIES, Bus
+from crazychoir.bus.topics import LINK
+from crazychoir.safety.guard import PLANS_ON_BOARD, REACHED, Action, Guard
+from crazychoir.safety.radio_watch import RadioWatch
+from crazychoir.types import LinkStatus, State
+
+HOVER = State.at((0.0, 0.0, 1.0))
+FLYING = 1 << 4
+
+
+async def judged(clock, table, seconds: float = 0.0, **said) -> Action:
+    """The verdict about a drone of which an owner says this, so many s long."""
+    bus = Bus(clock)
+    owner, port, guard = bus.port(BODIES + 3), bus.port(3), Guard(table=table)
+    watch = RadioWatch(port, BODIES + 3, guard)
+    action = Action.NOMINAL
+    for _ in range(1 + round(seconds / 0.1)):
+        status = LinkStatus("up", **({"silence": 0.02, "battery": 3.9, "supervisor": FLYING} | said))
+        owner.publish(LINK, status)
+        await clock.sleep(0.1)
+        watch.look()
+        action = max(action, guard.check(clock.now(), HOVER, 0.01).action)
+    return action
+
+
+@pytest.mark.parametrize("table", [REACHED, PLANS_ON_BOARD])
+def test_what_it_says_and_what_follows(table) -> None:
+    @virtual
+    async def check(clock) -> None:
+        assert await judged(clock, table) is Action.NOMINAL
+        for bit in (5, 6, 7):  # on its back, locked, crashed
+            assert await judged(clock, table, supervisor=FLYING | 1 << bit) is Action.CUT
+        assert await judged(clock, table, 4.5, battery=3.1) is Action.NOMINAL
+        assert await judged(clock, table, 5.5, battery=3.1) is Action.LAND
+        assert await judged(clock, table, battery=2.9) is Action.LAND
+        assert await judged(clock, table, battery=math.nan) is Action.NOMINAL, "it has not said it yet"
+        silent = await judged(clock, table, silence=0.6)
+        assert silent is (Action.BRAKE if table is REACHED else Action.NOMINAL), "its planner flies on anyway"
+        assert await judged(clock, table, silence=4.1) is Action.LAND
+
+    check()
