@@ -21,6 +21,7 @@ from crazychoir.radio.compressed import quaternion
 from crazychoir.radio.connection import Connection
 from crazychoir.radio.contents import TableOfContents
 from crazychoir.radio.crtp import FORMS, HIGH_LEVEL, Packet
+from crazychoir.radio.dongles import DongleFailed
 from crazychoir.radio.firmware import Firmware
 from crazychoir.radio.handlers import HANDLERS, RadioHandler, emergency, idles, pose_packet
 from crazychoir.radio.thrust import command_a_newton
@@ -44,6 +45,9 @@ FIRST, AGAIN = 0.2, 1.0
 """s between two attempts to connect: until the deadline, and after it."""
 REOPENS = 1.5
 """s that an attempt gets in flight: tables are known by then."""
+TABLES = 30.0
+"""s more that one gets that answers and is being told of, before its first flight: over a dongle that four share about
+10 s of tables of contents, once a firmware."""
 FORGOTTEN = 1.0
 """s without a log of one that answers otherwise: its firmware has dropped its blocks, as after 1 s of silence."""
 RESTARTED, WRAPS = 500, 1 << 24
@@ -134,7 +138,7 @@ class RadioDrone(Actor):
     async def _connect(self, connection: Connection, began: float) -> None:
         deadline = self.config.radio.connect_deadline
         left = max(began + deadline - self.clock.now(), deadline / 4.0)
-        await connection.open(REOPENS if self._prepared else left)
+        await connection.open(REOPENS if self._prepared else left, 0.0 if self._prepared else TABLES)
         if self._cut:
             connection.urgent(emergency())
         firmware = Firmware(connection)
@@ -211,6 +215,8 @@ class RadioDrone(Actor):
         async for _ in self.clock.ticks(LOOKS, drone=self.drone):
             if self.why:
                 raise LinkFailed(self.row.uri, self.why)
+            if gone := connection.dongle_failure:
+                raise DongleFailed(self.row.uri, gone)
             silence = connection.silence
             if silence > LOST:
                 raise LinkFailed(self.row.uri, f"silent for {silence:.1f} s")
@@ -253,6 +259,7 @@ class RadioDrone(Actor):
         return up and self.flying and not self._flown_here and self._landing is None
 
     def _failed(self, error: Exception, began: float) -> None:
+        self.dongle_failure = error.reason if isinstance(error, DongleFailed) else ""
         if isinstance(error, ConfigError):
             self._change("refused", str(error))
         elif self._prepared:
@@ -268,8 +275,8 @@ class RadioDrone(Actor):
         self.state_of_link, self.why = state, ""
         self.problem = why
 
-    problem = ""
-    """Why its link is not up."""
+    problem = dongle_failure = ""
+    """Why its link is not up; and whether that is because of its dongle, which all its links share."""
 
     def _lost(self, reason: str) -> None:
         """From its connection: the driver has given up."""

@@ -3,6 +3,7 @@
 import contextlib
 import fcntl
 import logging
+import math
 import os
 from collections.abc import Iterator
 from typing import IO, Any
@@ -21,7 +22,7 @@ from crazychoir.runtime.places import runtime_folder
 from crazychoir.runtime.supervisor import Supervisor
 from crazychoir.simulation.remote import RemoteBody
 from crazychoir.swarm.config import SwarmConfig
-from crazychoir.swarm.radios import PINGS, capacity_of
+from crazychoir.swarm.radios import capacity_of
 
 log = logging.getLogger(__name__)
 LEFT_ALONE = 1.0
@@ -61,8 +62,8 @@ class RadioProcess(Actor):
         self._supervisor = Supervisor(clock, f"dongle {dongle}", self._failed)
 
     def _pace(self) -> Pace:
-        """Of what a dongle carries beside cflib's own echoes, and a little less: what waits in it grows old."""
-        return Pace(self.clock, PACED * capacity_of(self.config, self.dongle) - PINGS * len(self.ids))
+        """Of what a dongle carries, and a little less: what waits in it grows old."""
+        return Pace(self.clock, PACED * capacity_of(self.config, self.dongle))
 
     async def serve(self, *services: Actor) -> None:
         """Until its end."""
@@ -71,7 +72,9 @@ class RadioProcess(Actor):
     async def run(self) -> None:
         """Say how the links are, and look after drones that nobody commands."""
         tick, every = 0, round(LOOKS / LINK.rate)
+        began = self.clock.now()
         async for _ in self.clock.ticks(LOOKS):
+            self._look_at_dongle(self.clock.now() - began)
             for i, body in self.bodies.items():
                 body.look()
                 if self.drones[i].orphan:
@@ -82,6 +85,15 @@ class RadioProcess(Actor):
                     drone.report()
             if self._ending and self._alone():
                 self._supervisor.stop()
+
+    def _look_at_dongle(self, age: float) -> None:
+        """One that was pulled out ends this process: nothing in it finds a dongle again as surely as a new one."""
+        why = next((drone.dongle_failure for drone in self.drones.values() if drone.dongle_failure), "")
+        used = any(math.isfinite(drone.silence) for drone in self.drones.values())
+        if why and (used or age > self.config.radio.connect_deadline):
+            for drone in self.drones.values():
+                drone.report()
+            self.abort(why)
 
     def _alone(self) -> bool:
         """Whether nobody commands, and nobody flies, or has had the time to land."""

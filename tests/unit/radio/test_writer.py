@@ -25,10 +25,11 @@ class Slow:
             threading.Event().wait(0.01)
         raise AssertionError(f"only {self.sent} sent")
 
-    def __call__(self, packet: Packet) -> None:
+    def __call__(self, packet: Packet) -> bool:
         self.busy.set()
         assert self.free.wait(5.0)
         self.sent.append(packet.data[0])
+        return True
 
 
 def test_orders_keep_their_order_and_of_each_kind_the_newest_is_sent() -> None:
@@ -63,17 +64,18 @@ def test_what_waits_in_order_is_sent_before_its_end() -> None:
 def test_a_driver_that_raises_is_tried_again() -> None:
     sent: list[int] = []
 
-    def send(one: Packet) -> None:
+    def send(one: Packet) -> bool:
         if one.data == b"\x01":
             raise OSError("USB")
         sent.append(one.data[0])
+        return True
 
     writer = Writer("test", send)
     writer.put(packet(1))
     writer.put(packet(2))
     writer.end()
     assert writer.join(5.0)
-    assert (sent, writer.failure) == ([2], "OSError: USB")
+    assert (sent, writer.failed(), writer.failed()) == ([2], "OSError: USB", "")
 
 
 def test_a_link_that_takes_nothing_does_not_grow() -> None:
