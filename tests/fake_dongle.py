@@ -11,6 +11,9 @@ from types import SimpleNamespace
 
 import pytest
 import usb.core
+from cflib.drivers import crazyradio
+
+from crazychoir.radio import drivers
 
 CHANNEL, ADDRESS, RATE, ARC = 0x01, 0x02, 0x03, 0x06
 """Requests of a Crazyradio that change what its next packet does."""
@@ -118,21 +121,16 @@ class FakeDongle:
         return array("B", self._answer)
 
 
-@pytest.fixture
-def plugged(monkeypatch):
-    """Plugs fake dongles in, the first as number 0; all drones' sockets are closed at the end."""
-    from cflib.drivers import crazyradio
-
-    from crazychoir.radio import drivers
-
+@contextlib.contextmanager
+def plugged(*dongles):
+    """These are there for cflib, the first as number 0; the sockets of their drones are closed at the end."""
     drivers.ready()
-    there: list[FakeDongle] = []
-    monkeypatch.setattr(crazyradio, "_find_devices", lambda serial=None: [one for one in there if one.there])
-
-    def plug(*dongles):
-        there.extend(dongles)
-
-    yield plug
-    for dongle in there:
-        for drone in dongle.drones.values():
-            drone.close()
+    try:
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(crazyradio, "_find_devices", lambda serial=None: [one for one in dongles if one.there])
+            yield
+    finally:
+        for dongle in dongles:
+            dongle.there = False  # links that a failing test has left open end too
+            for drone in dongle.drones.values():
+                drone.close()

@@ -6,6 +6,7 @@ import logging
 import math
 import threading
 from collections.abc import Callable, Iterable
+from functools import partial
 from types import MethodType
 from typing import Any
 
@@ -92,7 +93,7 @@ class Connection:
             if self._heard_ns is None or not tables:
                 raise LinkFailed(self.uri, f"{self._stage()} within {seconds:g} s") from None
             await self._until_told(seconds, tables)
-        self._writer = Writer(self.uri, self._put, self._turn)
+        self._writer = Writer(self.uri, self._put, self._turn, partial(drivers.room, self.cf))
         self._echoing = self._loop.create_task(self._echo())
 
     async def _until_told(self, seconds: float, tables: float) -> None:

@@ -95,6 +95,12 @@ class PatientRadioDriver(RadioDriver):  # type: ignore[misc]
             return False
         return True
 
+    def room(self) -> bool:
+        """Whether there is, or is in time."""
+        waiting: Outbox = self.out_queue
+        with waiting.not_full:
+            return waiting.not_full.wait_for(lambda: not waiting.queue, ROOM)
+
     def close(self) -> None:
         """Once its thread has ended, or has had the time to; nobody waits for packets any more."""
         thread, turns = self._thread, self._radio
@@ -107,6 +113,12 @@ class PatientRadioDriver(RadioDriver):  # type: ignore[misc]
         if self.in_queue is not None:
             self.in_queue.put(None)
         self._radio = None
+
+
+def room(cf: Any) -> bool:
+    """Whether a packet would leave soon; one that is closed has room, and whoever sends is told."""
+    link = cf.link
+    return link.room() if isinstance(link, PatientRadioDriver) else True
 
 
 def _ignored(message: str) -> None:

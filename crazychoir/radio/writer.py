@@ -36,18 +36,22 @@ MOST = 1000
 class Writer:
     """Sends packets in order, and between them the newest of each kind, in turn; urgent ones before all others.
 
-    send: puts a packet on the link; may take a short time; False: it has no room for it, which is tried again, unless
-    something more urgent or newer has come meanwhile;  turn: waits until one may be sent.
+    send: puts a packet on the link; False: it has no room for it, which is tried again, unless something more urgent or
+    newer has come meanwhile;  turn: waits until one may be sent;  room: waits a short time for room on the link, so
+    that what is sent is the newest by then; False: there is none yet.
     """
 
-    def __init__(self, name: str, send: Callable[[Packet], bool], turn: Callable[[], None] = lambda: None) -> None:
-        self._send, self._turn, self._work = send, turn, threading.Condition()
+    def __init__(
+        self, name: str, send: Callable[[Packet], bool], turn: Callable[[], None] = lambda: None,
+        room: Callable[[], bool] = lambda: True,
+    ) -> None:  # fmt: skip
+        self._send, self._turn, self._room, self._work = send, turn, room, threading.Condition()
         self._urgent: deque[Packet] = deque()
         self._ordered: deque[Packet] = deque()
         self._newest: dict[str, Packet] = {}
         self._ends = False
-        self.sent = self.refused = self.full = 0
-        """Packets that have gone; those for which too many were waiting; tries that found no room."""
+        self.sent = self.refused = 0
+        """Packets that have gone; those for which too many were waiting."""
         self.failure = ""
         """What the last send that failed has raised."""
         self._thread = threading.Thread(target=self._run, name=f"{name} writer", daemon=True)
@@ -100,8 +104,8 @@ class Writer:
     def _run(self) -> None:
         while self._waits():
             self._turn()
-            while not self._has_sent():
-                pass  # its turn has come: whatever is next by now
+            while not (self._room() and self._has_sent()):
+                pass  # its turn has come: whatever is next by then
 
     def _waits(self) -> bool:
         """Until there is something to send; False at its end."""
@@ -118,7 +122,6 @@ class Writer:
             return True
         try:
             if not self._send(packet):
-                self.full += 1
                 return False
             self.sent += 1
         except Exception as error:  # noqa: BLE001 - whatever a driver raises, the next packet may get through

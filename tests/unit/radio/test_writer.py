@@ -104,3 +104,47 @@ def test_what_is_forgotten_is_not_sent() -> None:
     writer.end()
     assert writer.join(5.0)
     assert slow.sent == [1, 2, 10]
+
+
+def test_a_link_without_room_gets_what_is_newest_and_most_urgent_when_it_has_some() -> None:
+    sent: list[int] = []
+    room, looked = threading.Event(), threading.Event()
+
+    def has_room() -> bool:
+        looked.set()
+        return room.wait(0.005)
+
+    writer = Writer("test", lambda one: not sent.append(one.data[0]), room=has_room)
+    writer.newest("command", packet(1))
+    assert looked.wait(5.0)
+    writer.put(packet(2))
+    for number in (3, 4):
+        writer.newest("command", packet(number))
+    for first in (90, 95):  # said again before it could go: once is enough
+        writer.urgent([packet(first), packet(first + 1)])
+    room.set()
+    writer.end()
+    assert writer.join(5.0)
+    assert sent in ([95, 96, 2], [95, 96, 2, 4])
+
+
+def test_what_finds_no_room_is_sent_again_unless_it_is_forgotten_meanwhile() -> None:
+    tried: list[int] = []
+    full, free = threading.Event(), threading.Event()
+
+    def send(one: Packet) -> bool:
+        tried.append(one.data[0])
+        full.set()
+        return free.wait(0.005)
+
+    writer = Writer("test", send)
+    writer.newest("command", packet(7))
+    assert full.wait(5.0)
+    writer.forget("command")
+    writer.put(packet(8))
+    threading.Event().wait(0.05)
+    before = len(tried)
+    free.set()
+    writer.end()
+    assert writer.join(5.0)
+    assert set(tried[before - 1 :]) == {8}
