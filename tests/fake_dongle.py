@@ -9,11 +9,7 @@ from array import array
 from collections import deque
 from types import SimpleNamespace
 
-import pytest
 import usb.core
-from cflib.drivers import crazyradio
-
-from crazychoir.radio import drivers
 
 CHANNEL, ADDRESS, RATE, ARC = 0x01, 0x02, 0x03, 0x06
 """Requests of a Crazyradio that change what its next packet does."""
@@ -119,18 +115,3 @@ class FakeDongle:
         self._users.release()
         self._require()
         return array("B", self._answer)
-
-
-@contextlib.contextmanager
-def plugged(*dongles):
-    """These are there for cflib, the first as number 0; the sockets of their drones are closed at the end."""
-    drivers.ready()
-    try:
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(crazyradio, "_find_devices", lambda serial=None: [one for one in dongles if one.there])
-            yield
-    finally:
-        for dongle in dongles:
-            dongle.there = False  # links that a failing test has left open end too
-            for drone in dongle.drones.values():
-                drone.close()

@@ -183,14 +183,13 @@ class Dongles:
     def _opened(self, number: int) -> Dongle:
         self._why.pop(number, None)
         try:
-            dongle = Dongle(number, lambda why: self._fails(number, f"{why}. It was pulled out, or has no power"))
+            return Dongle(number, lambda why: self._fails(number, f"{why}. It was pulled out, or has no power"))
         except Exception as error:
             self._fails(number, f"{error}. {PLUG}")
             raise
-        return dongle
 
     def _fails(self, number: int, why: str) -> None:
-        self._why[number] = f"dongle {number}: {why}"
+        self._why[number] = why
 
     def _leave(self, number: int, dongle: Dongle) -> None:
         with self._lock:

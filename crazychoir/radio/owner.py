@@ -58,7 +58,7 @@ class RadioProcess(Actor):
             i: RemoteBody(self.bus.ports[BODIES + i], drone, drone, drone.kind, flight=config.flight, ask=drone.ask)
             for i, drone in self.drones.items()
         }  # fmt: skip
-        self.rate, self.failure, self._ending = rate, "", 0.0
+        self.rate, self.failure, self._missing, self._ending = rate, "", "", 0.0
         self._supervisor = Supervisor(clock, f"dongle {dongle}", self._failed)
 
     def _pace(self) -> Pace:
@@ -90,6 +90,9 @@ class RadioProcess(Actor):
         """One that was pulled out ends this process: nothing in it finds a dongle again as surely as a new one."""
         why = next((drone.dongle_failure for drone in self.drones.values() if drone.dongle_failure), "")
         used = any(math.isfinite(drone.silence) for drone in self.drones.values())
+        if why and why != self._missing:
+            log.error("dongle %d: %s", self.dongle, why)
+        self._missing = why
         if why and (used or age > self.config.radio.connect_deadline):
             for drone in self.drones.values():
                 drone.report()

@@ -11,14 +11,17 @@ from functools import partial
 from types import SimpleNamespace
 
 import pytest
-from fake_dongle import FakeDongle, Receiver, plugged
+from cflib.drivers import crazyradio
+from fake_dongle import FakeDongle, Receiver
 from system.hall import udp_block
 
 from crazychoir.errors import LinkFailed
+from crazychoir.radio import drivers
 from crazychoir.radio.connection import Connection
 from crazychoir.radio.contents import TableOfContents
 from crazychoir.radio.crtp import FORMS, Packet
 from crazychoir.radio.dongles import DongleFailed
+from crazychoir.radio.drone import TABLES
 from crazychoir.radio.firmware import Firmware
 from crazychoir.radio.handlers import emergency
 from crazychoir.radio.owner import RadioProcess
@@ -35,6 +38,21 @@ HOVER = FORMS["hover"]
 def known(tmp_path_factory):
     """A folder for tables of contents, which the first test that connects fills."""
     return tmp_path_factory.mktemp("contents")
+
+
+@contextlib.contextmanager
+def plugged(*dongles):
+    """These are there for cflib, the first as number 0; the sockets of their drones are closed at the end."""
+    drivers.ready()
+    try:
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(crazyradio, "_find_devices", lambda serial=None: [one for one in dongles if one.there])
+            yield
+    finally:
+        for dongle in dongles:
+            dongle.there = False  # links that a failing test has left open end too
+            for drone in dongle.drones.values():
+                drone.close()
 
 
 @contextlib.asynccontextmanager
@@ -210,6 +228,18 @@ async def test_a_dongle_that_is_pulled_out_is_named(known, n) -> None:
         links = await opened(there, known, n)
         assert links[0].dongle_failure == ""
         await closed(links)
+
+
+@pytest.mark.slow
+async def test_four_cold_ones_are_told_their_tables_once_and_in_time(tmp_path, monkeypatch) -> None:
+    """250 exchanges a second; the tables of this firmware model have 471 entries, which one of the four is asked."""
+    async with air(4, 250.0) as there, owner(there.clock, swarm(4), tmp_path, monkeypatch) as (radios, _):
+        limit = radios.config.radio.connect_deadline + TABLES
+        await until(lambda: all(drone.state_of_link == "up" for drone in radios.drones.values()), limit)
+        entries = [sum(plain(packet)[:2] in (b"\x5c\x02", b"\x2c\x02") for packet in drone.up)
+                   for drone in there.dongle.drones.values()]  # fmt: skip
+        assert sum(entries) < 600, "asked of one, with a few that were asked again"
+        assert there.dongle.used < limit * 250.0
 
 
 async def test_who_is_not_there_is_named_within_its_deadline(known) -> None:
