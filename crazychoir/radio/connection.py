@@ -106,10 +106,11 @@ class Connection:
         async with asyncio.timeout(seconds):
             while not self._opened.done():
                 await asyncio.wait([self._opened], timeout=AGAIN)
-                if not self._opened.done() and (gone := self.dongle_failure):
-                    raise DongleFailed(self.uri, gone)
-                if not self._opened.done() and self.cf.link is not None and self._version < VERSION_KNOWN:
-                    self._to_thread(SOURCE)  # cflib asks once
+                if not self._opened.done() and self.cf.link is not None:
+                    if gone := self.dongle_failure:
+                        raise DongleFailed(self.uri, gone)
+                    if self._version < VERSION_KNOWN:
+                        self._to_thread(SOURCE)  # cflib asks once
             self._opened.result()
 
     async def _echo(self) -> None:

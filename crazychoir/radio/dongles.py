@@ -181,12 +181,13 @@ class Dongles:
         return Turns(dongle, lambda: self._leave(number, dongle))
 
     def _opened(self, number: int) -> Dongle:
-        self._why.pop(number, None)
         try:
-            return Dongle(number, lambda why: self._fails(number, f"{why}. It was pulled out, or has no power"))
+            dongle = Dongle(number, lambda why: self._fails(number, f"{why}. It was pulled out, or has no power"))
         except Exception as error:
             self._fails(number, f"{error}. {PLUG}")
             raise
+        self._why.pop(number, None)
+        return dongle
 
     def _fails(self, number: int, why: str) -> None:
         self._why[number] = why

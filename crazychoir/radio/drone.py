@@ -259,7 +259,6 @@ class RadioDrone(Actor):
         return up and self.flying and not self._flown_here and self._landing is None
 
     def _failed(self, error: Exception, began: float) -> None:
-        self.dongle_failure = error.reason if isinstance(error, DongleFailed) else ""
         if isinstance(error, ConfigError):
             self._change("refused", str(error))
         elif self._prepared:
@@ -275,8 +274,8 @@ class RadioDrone(Actor):
         self.state_of_link, self.why = state, ""
         self.problem = why
 
-    problem = dongle_failure = ""
-    """Why its link is not up; and whether that is because of its dongle, which all its links share."""
+    problem = ""
+    """Why its link is not up."""
 
     def _lost(self, reason: str) -> None:
         """From its connection: the driver has given up."""

@@ -14,6 +14,7 @@ from crazychoir.control.robots import sender_of
 from crazychoir.errors import Refused
 from crazychoir.radio.budget import rates
 from crazychoir.radio.contents import TableOfContents, folder
+from crazychoir.radio.dongles import DONGLES
 from crazychoir.radio.drone import LOOKS, RadioDrone
 from crazychoir.radio.writer import Pace
 from crazychoir.runtime.actor import Actor
@@ -87,16 +88,18 @@ class RadioProcess(Actor):
                 self._supervisor.stop()
 
     def _look_at_dongle(self, age: float) -> None:
-        """One that was pulled out ends this process: nothing in it finds a dongle again as surely as a new one."""
-        why = next((drone.dongle_failure for drone in self.drones.values() if drone.dongle_failure), "")
+        """One that was pulled out ends this process: nothing in it finds a dongle again as surely as a new one.
+
+        One that is not there is waited for as long as its drones are.
+        """
+        before, self._missing = self._missing, DONGLES.failure(self.config.drone(self.ids[0]).uri)
+        if not self._missing:
+            return
         used = any(math.isfinite(drone.silence) for drone in self.drones.values())
-        if why and why != self._missing:
-            log.error("dongle %d: %s", self.dongle, why)
-        self._missing = why
-        if why and (used or age > self.config.radio.connect_deadline):
-            for drone in self.drones.values():
-                drone.report()
-            self.abort(why)
+        if before and (used or age > self.config.radio.connect_deadline):
+            self.abort(self._missing)
+        elif not (before or used):
+            log.error("dongle %d: %s", self.dongle, self._missing)
 
     def _alone(self) -> bool:
         """Whether nobody commands, and nobody flies, or has had the time to land."""

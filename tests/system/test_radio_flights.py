@@ -127,7 +127,10 @@ def by_radio(config: SwarmConfig, folder: Path) -> dict[str, Any]:
 @pytest.mark.slow
 async def test_a_dongle_that_is_pulled_out_in_flight_and_plugged_in_again_finds_its_drones(tmp_path, fake_usb) -> None:
     some = figures(2, "xyz").replace(mission_options={"size": 0.1, "laps": 6.0, "period": 10.0})
-    config = reached(some)
+    raw = json.loads(reached(some, radio={"log_rate": 25.0}).dumps())
+    for drone in raw["drones"]:
+        drone["pose"] = "onboard"  # who has no dongle tells nobody what the cameras see
+    config = SwarmConfig.of(raw)
     async with Hall(config, tmp_path, "--capacity", "100000") as hall:
         hall.path.write_text(json.dumps(by_radio(config, fake_usb)))
         run = await hall.fly()
