@@ -52,8 +52,10 @@ FORGOTTEN = 1.0
 """s without a log of one that answers otherwise: its firmware has dropped its blocks, as after 1 s of silence."""
 RESTARTED, WRAPS = 500, 1 << 24
 """ms: a drone's time that falls back by more is that of one that was started again; and where it wraps."""
-LANDS_AGAIN, ORPHANED = 1.0, 3.0
-"""s between two words to land; and after which one that flies, and that nobody commands, is landed."""
+UNHEARD, LANDS_AGAIN, ORPHANED = 0.25, 1.0, 3.0
+"""s between two words to land: until its planner answers, and from then on; and after which one that flies, and that
+nobody commands, is landed."""
+LANDS = tuple(FORMS[name].head for name in ("land", "land_with_velocity"))
 STOPS = 0.5
 """s between two plans to stop, of a drone that stands."""
 WATCHDOG = 0.25
@@ -98,7 +100,7 @@ class RadioDrone(Actor):
         self.state_of_link, self.why = "connecting", ""
         self.refused_plans = self.reconnected = self.malformed = 0
         self._stopped = True
-        self._cut = self._placed = self._prepared = self._arming = self._fed = self._flown_here = False
+        self._cut = self._placed = self._prepared = self._arming = self._fed = self._flown_here = self._lands = False
         self._landing: XYZ | None = None
         self._due_ns = self._stop_due_ns = self._watchdog_ns = 0
         self._own: State | None = None
@@ -246,10 +248,10 @@ class RadioDrone(Actor):
     def _go_on_landing(self) -> None:
         """Who has been told to land is told again until its motors stand: a packet may be lost, and a link."""
         now_ns = self.clock.now_ns()
-        if not self.flying:
-            self._landing = None
-        elif self._landing is not None and now_ns >= self._landing_ns:
-            self._landing_ns = now_ns + round(LANDS_AGAIN * SECOND)
+        if not self.flying or self._landing is None:
+            self._landing, self._lands = None, False
+        elif now_ns >= self._landing_ns:
+            self._landing_ns = now_ns + round(UNHEARD * SECOND)
             self._transmit(self._landing)
 
     @property
@@ -386,7 +388,12 @@ class RadioDrone(Actor):
     # What it says -----------------------------------------------------------------------------------------------------
 
     def _heard(self, packet: Packet) -> None:
-        if packet.port == HIGH_LEVEL and len(packet.data) >= 4 and packet.data[3] != 0:
+        if packet.port != HIGH_LEVEL or len(packet.data) < 4:
+            return
+        if packet.data[:1] in LANDS:
+            self._landing_ns = self.clock.now_ns() + round(LANDS_AGAIN * SECOND)
+            self._lands = self._lands or packet.data[3] == 0
+        if packet.data[3] != 0 and not (self._lands and packet.data[:1] in LANDS):  # one that lands does not do so anew
             self.refused_plans += 1
             self._say("planner", f"its planner refuses command {packet.data[0]} with {packet.data[3]}")
 
