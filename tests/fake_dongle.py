@@ -21,12 +21,12 @@ RSSI = 40
 class Receiver:
     """The radio of one drone, with its half of safelink: a bit each way tells a new packet from one sent again.
 
-    port: of the virtual drone on this machine;  loss: share of exchanges that fail;  silent: all do;  up: packets that
-    it has taken, in order.
+    port: of the virtual drone on this machine;  loss: share of exchanges that fail;  silent: all do;  tries: exchanges
+    with it;  up: packets that it has taken, in order.
     """
 
     def __init__(self, port, loss=0.0):
-        self.loss, self.silent, self.up = loss, False, []
+        self.loss, self.silent, self.tries, self.up = loss, False, 0, []
         self._safe, self._expects, self._sent = False, 0, 1
         self._payload, self._waiting = b"", deque()
         self._door = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -106,6 +106,8 @@ class FakeDongle:
 
     def _exchange(self, packet):
         drone = self.drones.get((self._channel, self._address.hex().upper()))
+        if drone is not None:
+            drone.tries += 1
         if drone is None or drone.silent or self._draw.random() < drone.loss:
             return b"\x00"
         back = drone.exchange(packet)

@@ -199,10 +199,12 @@ async def test_one_that_is_silent_takes_little_time_and_gets_the_newest_when_it_
         silent, other = there.dongle.drones.values()
         silent.silent = True
         other.up.clear()
+        silent.tries = 0
         for k in range(100):
             flood(links, 0.3 + 1e-3 * k)
             await asyncio.sleep(0.01)
         assert len([packet for packet in other.up if packet[1] == HOVER.head[0]]) > 75
+        assert silent.tries < 80, "it would be 125 of the 250 exchanges"
         assert links[0].silence > 0.8
         silent.up.clear()
         silent.silent = False
