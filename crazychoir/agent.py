@@ -51,6 +51,8 @@ from crazychoir.swarm.roster import Barrier
 from crazychoir.worlds import owners
 
 log = logging.getLogger(__name__)
+RESTARTED = 20.0
+"""s without a word of the owner of a dongle, which `run` starts again, after which it does not come back."""
 VERBS = (*ORDERS, "impair", "param_get", "param_set", "task_add", "task_cancel", "ping")
 """What operators may ask of a drone."""
 
@@ -183,9 +185,8 @@ class Agent:
     def _remote(self, i: int) -> RemoteLink:
         port, reached = self.bus.ports[i], self.config.reached
         dongle = next((k for k, ids in self.config.dongles.items() if i in ids), 0)
-        return RemoteLink(port, f"the owner of dongle {dongle} (crazychoir-radio --dongle {dongle})") if (
-            i in reached
-        ) else RemoteLink(port)
+        owner = f"the owner of dongle {dongle} (crazychoir-radio --dongle {dongle})"
+        return RemoteLink(port, owner, RESTARTED) if i in reached else RemoteLink(port)
 
     def _controls(self, i: int) -> Controls:
         drone, plant = self.config.drone(i), self.config.plant
@@ -215,7 +216,11 @@ class Agent:
         return CollisionFilter(config.collision, traffic, fence, a_max, v_max, ground)
 
     def _see(self, traffic: Traffic, i: int) -> None:
-        """The cameras of drones that a radio reaches tell where they are, whether their agents are there or not."""
+        """Of drones that a radio reaches, their owners tell whether it does, and the cameras where they are."""
+        for j in self.config.reached:
+            if j != i:
+                call = Call(self.clock, partial(traffic.linked, j), f"drone {i} knows the link of {j}")
+                self.bus.subscribe(LINK, self.config.source(LINK, j), i, call, LINK.rate)
         for j in self.config.seen:
             if j != i:
                 call = Call(self.clock, partial(traffic.seen, j), f"drone {i} sees {j}")

@@ -94,24 +94,25 @@ def controls(
     Raises ConfigError for gains that are not stable behind this platform.
     """
     choice = Control() if choice is None else choice
+    sender = choice.sender or "fpqr"
     late = (
         STANDARD.on_motors(platform, command_delay) if plant == "motors" else STANDARD.on_rates(rate_lag, command_delay)
     )
     gains = changed(late, choice.gains, f"{where}.gains")
-    require_stable(gains, platform, plant, where, choice.sender)
-    if choice.gains and choice.sender in ON_BOARD:
-        found, allowed = f"gains for the sender {choice.sender}", "none: the firmware's own fly what it is sent"
+    require_stable(gains, platform, plant, where, sender)
+    if choice.gains and sender in ON_BOARD:
+        found, allowed = f"gains for the sender {sender}", "none: the firmware's own fly what it is sent"
         raise ConfigError(f"{where}.gains", found, allowed, "Leave them out, or send fpqr or frpy.")
-    trim, send = Trim(), SENDERS[choice.sender]()
-    if choice.sender == "vel":
+    trim, send = Trim(), SENDERS[sender]()
+    if sender == "vel":
         tracker: CrazyflieController = VelocityController(VelocityCtrlStrategy(), send, FullStateTraj())
         return Controls(platform, plant, tracker, None, trim, gains)
-    if choice.sender == "fullstate":
+    if sender == "fullstate":
         return Controls(platform, plant, FullStateController(send, FullStateTraj()), None, trim, gains)
-    if choice.sender == "xyz":
+    if sender == "xyz":
         return Controls(platform, plant, WaypointController(send, FullStateTraj()), None, trim, gains)
     attitudes: list[AttitudeControl] = [
-        AngleAttitudeCtrl(row, platform) if choice.sender == "frpy" else GeometryAttitudeCtrl(row, platform)
+        AngleAttitudeCtrl(row, platform) if sender == "frpy" else GeometryAttitudeCtrl(row, platform)
         for row in (gains, FORMATION)
     ]
     tracker = HierarchicalController(

@@ -137,4 +137,4 @@ ROBOTS: dict[str, tuple[str, Callable[[Flight], Controls]]] = {
 def sender_of(config: SwarmConfig, i: int) -> str:
     """What robot i is sent: its uri says so, or its row [control] or [[roles]]."""
     uri = config.drone(i).uri
-    return ROBOTS[uri][0] if uri in ROBOTS else config.control_of(i).sender
+    return ROBOTS[uri][0] if uri in ROBOTS else str(config.control_of(i).sender)

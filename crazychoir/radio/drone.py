@@ -240,7 +240,9 @@ class RadioDrone(Actor):
     def _feed_watchdog(self) -> None:
         """The choice of [radio] watchdog: without us it is to cut its motors."""
         now_ns = self.clock.now_ns()
-        self._fed = self._fed or (self.config.radio.watchdog and self.kind == "xyz" and self.flying)
+        wanted = self.config.radio.watchdog
+        cuts = self.seen_by_cameras if wanted is None else wanted
+        self._fed = self._fed or (cuts and self.kind == "xyz" and self.flying)
         if self._fed and now_ns >= self._watchdog_ns:  # once begun it must go on, on the ground too
             self._watchdog_ns = now_ns + round(WATCHDOG * SECOND)
             self._send_now([FORMS["emergency_stop_watchdog"].packet()])
@@ -278,6 +280,8 @@ class RadioDrone(Actor):
 
     problem = ""
     """Why its link is not up."""
+    place: tuple[float, Pose] | None = None
+    """When, s, and where the cameras have seen it last, and were believed."""
 
     def _lost(self, reason: str) -> None:
         """From its connection: the driver has given up."""
@@ -356,6 +360,7 @@ class RadioDrone(Actor):
         if not self._gate.believes(pose, self.clock.now(), self.flying):
             self._say("jump", "its pose jumps: another body's, or a mistake of the cameras: its estimator is not told")
             return
+        self.place = self.clock.now() - age, pose
         if age <= NEWEST and self.connection is not None:
             try:
                 self.connection.newest("pose", pose_packet(pose))

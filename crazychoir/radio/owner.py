@@ -21,7 +21,9 @@ from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import Clock
 from crazychoir.runtime.places import runtime_folder
 from crazychoir.runtime.supervisor import Supervisor
+from crazychoir.safety.guard import Fence
 from crazychoir.simulation.remote import RemoteBody
+from crazychoir.swarm.checks import limit_area
 from crazychoir.swarm.config import SwarmConfig
 from crazychoir.swarm.radios import capacity_of
 
@@ -60,6 +62,7 @@ class RadioProcess(Actor):
             for i, drone in self.drones.items()
         }  # fmt: skip
         self.rate, self.failure, self._missing, self._ending = rate, "", "", 0.0
+        self._limit = Fence.box(*limit_area(config))
         self._supervisor = Supervisor(clock, f"dongle {dongle}", self._failed)
 
     def _pace(self) -> Pace:
@@ -78,6 +81,7 @@ class RadioProcess(Actor):
             self._look_at_dongle(self.clock.now() - began)
             for i, body in self.bodies.items():
                 body.look()
+                self._keep_inside(i, body)
                 if self.drones[i].orphan:
                     body.abandon()
             tick += 1
@@ -100,6 +104,13 @@ class RadioProcess(Actor):
             self.abort(self._missing)
         elif not (before or used):
             log.error("dongle %d: %s", self.dongle, self._missing)
+
+    def _keep_inside(self, i: int, body: RemoteBody) -> None:
+        """Whose agent says nothing is looked after here: beyond the limit area its motors are cut."""
+        drone, now = self.drones[i], self.clock.now()
+        seen = drone.place if drone.flying and body.silence > LEFT_ALONE else None
+        if seen is not None and now - seen[0] < LEFT_ALONE and (beyond := self._limit.outside(*seen[1].p)) > 0.0:
+            body.stop(f"{beyond:.2f} m outside the limit area, and nobody commands it")
 
     def _alone(self) -> bool:
         """Whether nobody commands, and nobody flies, or has had the time to land."""

@@ -68,6 +68,8 @@ TABLE = (
 )
 REACHED = tuple(Rule("pose", 20.0, Action.CUT, latched=True) if r.measure == "pose" and r.latched else r for r in TABLE)
 """The table of a drone that a radio reaches: its firmware lands it by its own sensors when nobody sees it."""
+PLANS_ON_BOARD = tuple(rule for rule in REACHED if rule.measure != "link" or rule.action is not Action.BRAKE)
+"""The same where its planner is on board: it goes on with its plan, and nobody could tell it to brake."""
 TOLD = ("link", "battery", "empty", "tumbled", "body")
 """Of a drone that a radio reaches: s since its last packet; s that its battery is below LOW V, V below EMPTY; 1 if it
 lies on its back, or has crashed; 1 if what the cameras take for it does not rise when it takes off."""

@@ -32,7 +32,18 @@ from crazychoir.safety.collision.filter import CollisionFilter
 from crazychoir.safety.collision.planned import PlannedFlights
 from crazychoir.safety.estimate import SEEN, believed, filter_of
 from crazychoir.safety.flights import Flights, braking
-from crazychoir.safety.guard import BELOW_GROUND, EDGE, REACHED, TABLE, Action, Fence, Guard, Throttle, Verdict
+from crazychoir.safety.guard import (
+    BELOW_GROUND,
+    EDGE,
+    PLANS_ON_BOARD,
+    REACHED,
+    TABLE,
+    Action,
+    Fence,
+    Guard,
+    Throttle,
+    Verdict,
+)
 from crazychoir.safety.homecoming import Homecoming
 from crazychoir.safety.limits import ReferenceLimits
 from crazychoir.safety.modes import (
@@ -141,7 +152,7 @@ class Pilot(Actor):
         self.fence = fence.with_floor(ground if self._takes_off else ground - BELOW_GROUND)
         self.flights = Flights(limits, self.fence, a_max)
         self.clearance = Clearance(collision, self.flights, 1.0 / rate)
-        table = TABLE if reached == "no" else REACHED
+        table = TABLE if reached == "no" else REACHED if self.controls.sender.kind != "xyz" else PLANS_ON_BOARD
         self.guard = Guard(self.fence, table, a_max=a_max, ground=limits.ground, limit=limit_area)
         self._reached = reached != "no"
         self._gate = PoseGate() if reached == "seen" else None

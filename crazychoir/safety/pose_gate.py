@@ -13,6 +13,8 @@ TURN, FASTEST = math.radians(40.0), 10.0
 """rad, and rad/s beyond."""
 LATELY, KEPT = 0.03, 0.5
 """s, at least, over which the velocity is taken; and for which poses are kept for it."""
+UNKNOWN = 3.0
+"""m/s, with which one may fly whose velocity is not known yet."""
 
 
 class PoseGate:
@@ -20,7 +22,8 @@ class PoseGate:
 
         |p - (p_0 + v_0 h)| <= min(JUMP + HARDEST h^2 / 2, FARTHEST),   angle(q_0, q) <= TURN + FASTEST h
 
-    p_0, v_0, q_0: m, m/s, and the attitude, of the last pose that was believed;  h: s since then.
+    p_0, v_0, q_0: m, m/s, and the attitude, of the last pose that was believed;  h: s since then.  Before v_0 is known,
+    |p - p_0| <= min(JUMP + UNKNOWN h, FARTHEST).
     """
 
     def __init__(self) -> None:
@@ -38,11 +41,13 @@ class PoseGate:
     def _near(self, pose: Pose, born: float) -> bool:
         t, p, q = self._last[-1]
         h = max(born - t, 0.0)
-        gap = float(np.linalg.norm(pose.p - (p + h * self._velocity())))
+        v = self._velocity()
+        gap = float(np.linalg.norm(pose.p - (p if v is None else p + h * v)))
+        far = JUMP + (UNKNOWN * h if v is None else 0.5 * HARDEST * h * h)
         angle = 2.0 * math.acos(min(1.0, abs(float(q @ pose.q))))
-        return gap <= min(JUMP + 0.5 * HARDEST * h * h, FARTHEST) and angle <= TURN + FASTEST * h
+        return gap <= min(far, FARTHEST) and angle <= TURN + FASTEST * h
 
-    def _velocity(self) -> Vec:
+    def _velocity(self) -> Vec | None:
         t, p, _ = self._last[-1]
         first = next(((s, r) for s, r, _ in reversed(self._last) if t - s >= LATELY), None)
-        return np.zeros(3) if first is None else (p - first[1]) / (t - first[0])
+        return None if first is None else (p - first[1]) / (t - first[0])

@@ -46,10 +46,12 @@ class RemoteLink:
 
     The newest command counts, and each tick of the pilot brings one, so none is resent. From a cut on the cut itself is
     what goes out with each tick, so that a lost message delays it by a tick.
+
+    gone: s of silence after which the owner does not come back.
     """
 
-    def __init__(self, port: Port, owner: str = "its world's owner (crazychoir-world)") -> None:
-        self.port, self.owner, self._body = port, owner, BODIES + port.address
+    def __init__(self, port: Port, owner: str = "its world's owner (crazychoir-world)", gone: float = GONE) -> None:
+        self.port, self.owner, self.gone, self._body = port, owner, gone, BODIES + port.address
         self._cut = self._heard = False
         self._commander, self._asking = Commander(port), list[asyncio.Task[None]]()
         self.found_flying: Callable[[], None] = lambda: None
@@ -126,7 +128,7 @@ class OwnerWatch(Actor):
                 patient_until = math.inf
                 for i in waiting:
                     log.warning("drone %d: waiting for %s", i, self.links[i].owner)
-            for i in [i for i, link in self.links.items() if GONE < link.silence < math.inf]:
+            for i in [i for i, link in self.links.items() if link.gone < link.silence < math.inf]:
                 del self.links[i]
                 self.gone(i)
 
@@ -201,6 +203,12 @@ class RemoteBody:
         """It flies, and nobody has commanded it since its owner was started: it is landed."""
         log.warning("drone %d: flies, and nobody commands it: landing", self.drone)
         self.link.send(self._down(False))
+
+    def stop(self, reason: str) -> None:
+        """Motors off for good, whoever commands it."""
+        if not self._was_cut:
+            log.error("drone %d: %s: motors cut", self.drone, reason)
+            self._stop(True)
 
     def _nothing(self) -> Command:
         """Neither thrust nor speed."""

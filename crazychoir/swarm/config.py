@@ -13,9 +13,9 @@ from crazychoir.bus.topics import POSE, TRUTH, Topic
 from crazychoir.errors import ConfigError
 from crazychoir.swarm.checks import REPLAY, check, graph_of, owned
 from crazychoir.swarm.graph import Graph, span
-from crazychoir.swarm.radios import body_name, dongles, reached, seen
+from crazychoir.swarm.radios import body_name, dongles, is_reached, reached, seen
 from crazychoir.swarm.reading import parse, read, require_plain
-from crazychoir.swarm.tables import Control, Drone, Swarm, Table
+from crazychoir.swarm.tables import Control, Drone, Sender, Swarm, Table
 
 LOCAL = "127.0.0.1"
 WORLD = -1
@@ -125,9 +125,11 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
         raise ConfigError(f"swarm {self.name}", f"drone {i}", span(self.ids))
 
     def control_of(self, i: int) -> Control:
-        """The [[roles]] of drone i, else [control]."""
-        role = self.drone(i).role
-        return next((row for row in self.roles if row.name == role), self.control)
+        """The [[roles]] of drone i, else [control], with what it is sent: level, one whose link fails flies on."""
+        drone = self.drone(i)
+        row = next((row for row in self.roles if row.name == drone.role), self.control)
+        streamed: Sender = "frpy" if is_reached(drone) else "fpqr"
+        return msgspec.structs.replace(row, sender=row.sender or streamed)
 
     def graph(self) -> Graph:
         """The communication graph."""

@@ -263,7 +263,8 @@ class Radio(Table, frozen=True, kw_only=True):
     capacity: packets a second of a dongle that several drones share;  command_rate: Hz of set-points, 0: as many as
     the dongles carry, at most a command each pose;  pose_rate: Hz of the poses that a drone is told;  log_rate: Hz of
     what it says of itself;  connect_deadline: s a drone;  watchdog: an XYZ drone whose radio fails cuts its motors
-    after 1 s, else flies on;  thrust_map: of all drones, for firmware whose release is not known;  parameters: of the
+    after 1 s, else flies on; none: one that the cameras see cuts them, for by its own sensors it drifts away;
+    thrust_map: of all drones, for firmware whose release is not known;  parameters: of the
     firmware, of all drones;  origin: m, origin_yaw: rad, world frame: where the frame of poses that come from drones
     themselves (pose = "onboard") begins;  drift: whether a mission that needs a common frame may fly by such poses;
     dongles: their hosts.
@@ -274,7 +275,7 @@ class Radio(Table, frozen=True, kw_only=True):
     pose_rate: PoseRate = 10.0
     log_rate: Hertz = 10.0
     connect_deadline: Timeout = 10.0
-    watchdog: Flag = False
+    watchdog: Flag | None = None
     thrust_map: ThrustMap | None = None
     parameters: Free = field(default_factory=dict)
     origin: Position = (0.0, 0.0, 0.0)
@@ -367,11 +368,12 @@ class Collision(Table, frozen=True, kw_only=True):
 
 
 class Control(Table, frozen=True, kw_only=True):
-    """[control]: sender: what the drone is sent;  gains: of the tracking controller, instead of the standard;
-    position_rate: Hz, of the position strategy, 0: each tick;  filter: of the poses.
+    """[control]: sender: what the drone is sent, none: "fpqr", or "frpy" to one that a radio reaches;  gains: of the
+    tracking controller, instead of the standard;  position_rate: Hz, of the position strategy, 0: each tick;  filter:
+    of the poses.
     """
 
-    sender: Sender = "fpqr"
+    sender: Sender | None = None
     gains: Free = field(default_factory=dict)
     position_rate: Rate = 0.0
     filter: Filter = "kalman"

@@ -229,6 +229,18 @@ def test_a_prediction_and_a_correction_are_kalmans():
     assert own.as_rotvec() == pytest.approx(k * q.as_rotvec())
 
 
+def test_in_flight_only_the_force_along_the_body_counts():
+    onboard = Onboard(CRAZYFLIE_21)
+    fw = onboard.record
+    tilt = Rotation.from_euler("ZYX", [0.5, 0.2, -0.1])
+    fw["qx"], fw["qy"], fw["qz"], fw["qw"] = tilt.as_quat()
+    fw["samples"], fw["fx_sum"], fw["fy_sum"], fw["fz_sum"] = 10, 10 * 0.2, 10 * -0.3, 10 * 1.1
+    fw["flying"] = 1
+    predict(onboard.rows)
+    a = tilt.apply([0.0, 0.0, 1.1 * GRAVITY]) - [0.0, 0.0, GRAVITY]
+    assert [fw["vx"], fw["vy"], fw["vz"]] == pytest.approx(0.01 * a)
+
+
 def test_the_attitude_is_integrated_as_a_rotation():
     onboard = Onboard(CRAZYFLIE_21)
     fw = onboard.record

@@ -4,6 +4,7 @@ import asyncio
 import json
 import signal
 import socket
+import subprocess
 from pathlib import Path
 from typing import Any, Self
 
@@ -45,6 +46,12 @@ def reached(config: SwarmConfig, ids: tuple[int, ...] | None = None, per_dongle:
     for name, values in tables.items():
         raw[name] = raw[name] | values if isinstance(values, dict) else values
     return apart(SwarmConfig.of(raw), None)
+
+
+def processes(pattern: str) -> list[int]:
+    """Those whose command line matches, of this user."""
+    found = subprocess.run(["pgrep", "-f", pattern], capture_output=True, text=True, check=False).stdout
+    return [int(word) for word in found.split()]
 
 
 class Hall:

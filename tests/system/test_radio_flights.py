@@ -4,14 +4,13 @@ import asyncio
 import json
 import os
 import signal
-import subprocess
 import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
 from system.agents import Program
-from system.hall import Hall, reached
+from system.hall import Hall, processes, reached
 
 from crazychoir.guidance.mission import load
 from crazychoir.swarm.config import SwarmConfig, default_swarm
@@ -43,12 +42,6 @@ async def flown(config: SwarmConfig, folder, seconds: float = 150.0, *options: s
         assert all(landed[i]["resting"] and not landed[i]["crashed"] for i in landed), landed
         assert all(said["malformed"] == 0 for said in landed.values()), "a packet at which a firmware resets"
         return result
-
-
-def processes(pattern: str) -> list[int]:
-    """Those whose command line matches, of this user."""
-    found = subprocess.run(["pgrep", "-f", pattern], capture_output=True, text=True, check=False).stdout
-    return [int(word) for word in found.split()]
 
 
 async def in_the_air(hall: Hall, run: Program, *ids: int) -> None:

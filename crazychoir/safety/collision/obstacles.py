@@ -97,6 +97,8 @@ class Obstacles:
                 meeting.way(other.id, way, began)
         if now - other.heard > UNANSWERED:
             meeting.below(other.id, end(other.way))
+        if self.traffic.deaf(other.id):  # what it says, and where it is
+            self._guess(meeting, other.id)
 
     def _guess(self, meeting: Meeting, j: int) -> None:
         x = self._rows[j]

@@ -9,7 +9,7 @@ from crazychoir.bus.local import ANY, Port
 from crazychoir.bus.topics import STATE
 from crazychoir.runtime.clock import SECOND
 from crazychoir.runtime.mailbox import Call
-from crazychoir.types import State, Vec
+from crazychoir.types import LinkStatus, State, Vec
 
 BORN, SHARE, SOON, BORNE, HEARD, COLUMNS = 16, 17, 18, 19, 20, 21
 """Columns after the state (13,) and the acceleration (3,): s, when it was so; 1 if it gives way to nobody, else 0.5;
@@ -36,6 +36,8 @@ PATIENCE = ((1.0, 10.0), (2.0, 5.0))
 """s, of ages that are borne, and Hz, so that several states in a row may be lost before somebody brakes."""
 LOOK = 0.1
 """s, between two looks at who is near."""
+DEAF = 0.3
+"""s for which a radio is silent, after which its drone does not do what its agent says that it does."""
 
 
 class Traffic:
@@ -55,6 +57,7 @@ class Traffic:
         self.rows[:, HEARD] = -np.inf
         self.rows[:, BORNE] = np.inf
         self._shares = {j: 1.0 if j in alone else 0.5 for j in self.ids}
+        self._deaf = dict.fromkeys(self.ids, False)
         self.rows[:, SHARE] = list(self._shares.values())
         self._pace = np.zeros(len(self.ids))
         self._looks = 0.0
@@ -75,7 +78,8 @@ class Traffic:
         """Keep a state that a drone has said, `age` s ago, unless a newer one is there or it is none."""
         row = self._keep(message, age)
         if row is not None:
-            row[HEARD], row[SHARE] = max(row[HEARD], self.now() - age), self._shares[message[0]]
+            j = message[0]
+            row[HEARD], row[SHARE] = max(row[HEARD], self.now() - age), 1.0 if self._deaf[j] else self._shares[j]
 
     def told(self, message: tuple[int, State], age: float) -> None:
         """Keep a state of a drone that another one has told."""
@@ -87,6 +91,15 @@ class Traffic:
         if row is not None and self.now() - row[BORN] > UNHEARD:
             self._keep((j, state), age)
             row[SHARE] = 1.0
+
+    def linked(self, j: int, link: LinkStatus | None, age: float) -> None:
+        """How the radio of drone j is: one that does not hear its agent gives way to nobody, whatever that says."""
+        if j in self._deaf and link is not None:
+            self._deaf[j] = link.silence + age > DEAF
+
+    def deaf(self, j: int) -> bool:
+        """Whether the radio of drone j is silent: it goes on with what it heard last."""
+        return self._deaf[j]
 
     def _keep(self, message: tuple[int, State], age: float) -> Vec | None:
         """The row of a drone whose state this is; None if it is none, or of nobody."""

@@ -93,7 +93,8 @@ def predict(fw: Record) -> None:
         q <- q exp(w dt),  a = R f - g e3,  p <- p + v dt + a dt^2 / 2,  v <- v + a dt
         P <- A P A^T + Q,  A = [1 dt; 0 1],  Q = n^2 [dt^4/4 dt^3/2; dt^3/2 dt^2],  P_att <- P_att + (n_gyro dt)^2
 
-    f: specific force, m/s2 body, turned by the attitude at the middle;  n: noise of the acceleration, m/s2.
+    f: specific force, m/s2 body, turned by the attitude at the middle;  n: noise of the acceleration, m/s2.  In flight
+    rotors push along the body's z alone, and so does f: the accelerometer's bias across would count as much as drag.
     """
     if fw.samples == 0:
         return
@@ -101,7 +102,8 @@ def predict(fw: Record) -> None:
     half = exponential(0.5 * fw.p_sum * to_rate, 0.5 * fw.q_sum * to_rate, 0.5 * fw.r_sum * to_rate)
     middle = product((fw.qx, fw.qy, fw.qz, fw.qw), half)
     x, y, z = columns(middle)
-    fx, fy, fz = fw.fx_sum * to_force, fw.fy_sum * to_force, fw.fz_sum * to_force
+    across = 0.0 if fw.flying else to_force
+    fx, fy, fz = fw.fx_sum * across, fw.fy_sum * across, fw.fz_sum * to_force
     fw.qx, fw.qy, fw.qz, fw.qw = unit(product(middle, half))
     fw.acx = x[0] * fx + y[0] * fy + z[0] * fz
     fw.acy = x[1] * fx + y[1] * fy + z[1] * fz

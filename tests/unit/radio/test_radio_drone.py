@@ -12,9 +12,11 @@ from crazychoir.radio import checks
 from crazychoir.radio.contents import TableOfContents
 from crazychoir.radio.crtp import FORMS, HIGH_LEVEL, Packet
 from crazychoir.radio.drone import ORPHANED, OWN, STOPS, RadioDrone
+from crazychoir.radio.owner import RadioProcess
 from crazychoir.runtime.mailbox import Call
+from crazychoir.safety.pose_gate import PoseGate
 from crazychoir.swarm.config import SwarmConfig
-from crazychoir.types import FPQR, XYZ
+from crazychoir.types import FPQR, XYZ, Pose
 
 READY = checks.CAN_FLY | checks.AUTO_ARM
 STOP, LINE, LAND = (XYZ(verb, np.array([1.0, 0.0, 1.0, 0.0, 2.0])) for verb in ("stop", "line", "land"))
@@ -49,9 +51,10 @@ def head(form: str) -> tuple[int, int, int]:
     return one.port, one.channel, one.head[0]
 
 
-def made(clock, kind: str = "xyz", rate: float = 50.0) -> tuple[RadioDrone, Kept]:
-    raw = {"name": "a", "drones": [{"id": 0, "home": [0, 0, 0], "uri": "udp://127.0.0.1:19850"}]}
-    config = SwarmConfig.of(raw | {"control": {"sender": kind}})
+def made(clock, kind: str = "xyz", rate: float = 50.0, pose: str = "mocap", **radio) -> tuple[RadioDrone, Kept]:
+    row = {"id": 0, "home": [0, 0, 0], "uri": "udp://127.0.0.1:19850", "pose": pose}
+    tables = {"control": {"sender": kind}, "radio": {"log_rate": 50.0} | radio}
+    config = SwarmConfig.of({"name": "a", "drones": [row]} | tables)
     bus = Bus(clock)
     bus.port(BODIES)
     drone = RadioDrone(bus, config, 0, kind, rate, TableOfContents(Path("nowhere")))
@@ -202,3 +205,36 @@ async def test_a_plan_that_is_refused_is_counted_and_a_landing_that_never_began_
     for name in ("go_to", "land"):
         drone._heard(Packet(HIGH_LEVEL, 0, bytes([*FORMS[name].head, 0, 0, 1])))
     assert drone.refused_plans == 2
+
+
+@virtual
+async def test_who_would_drift_away_without_a_radio_is_given_a_watchdog(clock) -> None:
+    for kind, pose, radio, fed in (
+        ("xyz", "mocap", {}, 6),
+        ("xyz", "mocap", {"watchdog": False}, 0),
+        ("xyz", "onboard", {}, 0),
+        ("xyz", "onboard", {"watchdog": True}, 6),
+        ("frpy", "mocap", {}, 0),
+    ):
+        drone, kept = made(clock, kind, pose=pose, **radio)
+        drone._feed_watchdog()
+        assert not kept.sent, "on the ground nobody begins"
+        drone._well["supervisor.info"] = READY | checks.FLYING
+        for _ in range(30):
+            drone._feed_watchdog()
+            await clock.sleep(0.05)
+        assert kept.sent.count(head("emergency_stop_watchdog")) == fed, (kind, pose, radio)
+
+
+@virtual
+async def test_nobody_commands_it_and_it_is_beyond_the_limit(clock) -> None:
+    raw = {"name": "a", "drones": [{"id": 0, "home": [0, 0, 0], "uri": "udp://127.0.0.1:19850"}]}
+    owner = RadioProcess(clock, SwarmConfig.of(raw), 0, "radio", "here", 1)
+    drone, body, kept = owner.drones[0], owner.bodies[0], Kept()
+    drone.connection, drone._well["supervisor.info"] = kept, READY | checks.FLYING
+    await clock.sleep(5.0)
+    for x, cut in ((1.0, False), (20.0, True)):
+        drone._seen(Pose(np.array([x, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0])), 0.0)
+        drone._gate = PoseGate()
+        owner._keep_inside(0, body)
+        assert (head("emergency_stop") in kept.sent) is cut

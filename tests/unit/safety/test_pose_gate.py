@@ -24,6 +24,12 @@ def test_one_that_flies_is_believed_at_any_rate(hertz, speed) -> None:
 
 
 @pytest.mark.parametrize("hertz", [10.0, 100.0])
+def test_one_that_is_seen_first_in_full_flight_is_believed_on(hertz) -> None:
+    gate = PoseGate()
+    assert all(gate.believes(pose(2.5 * k / hertz), k / hertz, True) for k in range(30))
+
+
+@pytest.mark.parametrize("hertz", [10.0, 100.0])
 def test_a_jump_is_not_believed_for_as_long_as_it_lasts_and_its_end_is(hertz) -> None:
     gate = PoseGate()
     believed = [gate.believes(pose(0.3 if 2.0 <= k / hertz < 2.2 else 0.0), k / hertz, True) for k in range(40)]

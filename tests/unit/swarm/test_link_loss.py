@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from crazychoir.swarm.config import SwarmConfig
-from crazychoir.swarm.link_loss import BRAKES, CUT, TILTED, flies_on, inset
+from crazychoir.swarm.link_loss import BRAKES, CUT, STRAYS, TILTED, flies_on, inset
 
 
 @pytest.mark.parametrize("sender", ["fpqr", "frpy", "vel"])
@@ -12,7 +12,7 @@ from crazychoir.swarm.link_loss import BRAKES, CUT, TILTED, flies_on, inset
 def test_it_is_the_worst_place_of_all(sender, speed, acceleration) -> None:
     d = np.linspace(0.0, 50.0, 200_001)
     v = np.minimum(speed, np.sqrt(d * acceleration / BRAKES))
-    worst = np.max((CUT + TILTED[sender]) * v - d)
+    worst = STRAYS[sender] + np.max((CUT + TILTED[sender]) * v - d)
     assert flies_on(speed, acceleration, sender) == pytest.approx(worst, abs=1e-3)
 
 

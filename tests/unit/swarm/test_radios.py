@@ -94,3 +94,10 @@ def test_plans_count_as_they_are_sent() -> None:
     assert rates(udp(6, sender="xyz")) == {0: 0.0}
     with pytest.raises(ConfigError, match="8 x 22 poses, echoes and requests, 8 x 10 plans"):
         rates(udp(8, sender="xyz"))
+
+
+def test_who_is_reached_by_a_radio_is_streamed_angles_unless_the_file_says_otherwise() -> None:
+    config = swarm("udp://127.0.0.1:19850", "sim://")
+    assert [config.control_of(i).sender for i in config.ids] == ["frpy", "fpqr"]
+    said = config.replace(control={"sender": "fpqr"})
+    assert [said.control_of(i).sender for i in said.ids] == ["fpqr", "fpqr"]

@@ -20,7 +20,7 @@ from crazychoir.safety.collision.ways import end, flight, hardest, hold, moving,
 from crazychoir.safety.guard import Fence
 from crazychoir.safety.references import ahead
 from crazychoir.swarm.tables import Collision
-from crazychoir.types import FullState, Plan, State
+from crazychoir.types import FullState, LinkStatus, Plan, State
 
 FENCE = Fence.box((-3.0, -3.0, 0.25), (3.0, 3.0, 2.5))
 TICK = 0.01
@@ -454,3 +454,19 @@ async def test_who_brakes_unasked_begins_to_once(clock):
     assert len(begun) == 2
     await fly(clock, drones, 2.0)
     assert np.linalg.norm(one.v) < 0.01
+
+
+@virtual
+async def test_where_a_drone_is_whose_radio_is_silent_counts_whatever_way_its_agent_tells(clock):
+    """It says that it rests at the side; the cameras see it in the middle."""
+    for silence, clear in ((0.0, False), (1.0, True)):
+        _, drones = crowd(clock, (A, B), ((0.0, 2.5, 1.0),))
+        goes, elsewhere = drones
+        goes.filter.traffic.linked(1, LinkStatus("degraded", silence), 0.0)
+        for _ in range(1000):
+            await clock.sleep(TICK)
+            elsewhere.tick(clock.now_ns() / SECOND)
+            goes.filter.traffic.hear((1, State.at((0.0, 0.0, 1.0))), 0.0)
+            goes.tick(clock.now_ns() / SECOND)
+        d = np.linalg.norm((np.array(goes.track) - [0.0, 0.0, 1.0]) * [1.0, 1.0, 0.4], axis=1).min()
+        assert bool(d > 0.3) is clear, d

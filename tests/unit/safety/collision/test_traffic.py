@@ -5,7 +5,7 @@ from virtual_time import virtual
 
 from crazychoir.bus.local import Bus
 from crazychoir.safety.collision.traffic import HEARD, SHARE, Traffic
-from crazychoir.types import State
+from crazychoir.types import LinkStatus, State
 
 
 @virtual
@@ -23,3 +23,14 @@ async def test_where_the_cameras_see_a_drone_counts_while_nothing_is_heard_of_it
     traffic.seen(1, State.at((3.0, 0.0, 1.0)), 0.0)
     assert (row[0], row[SHARE]) == (3.0, 1.0)
     traffic.seen(7, State.at((3.0, 0.0, 1.0)), 0.0)
+
+
+@virtual
+async def test_a_drone_whose_radio_is_silent_gives_way_to_nobody_whatever_its_agent_says(clock):
+    traffic = Traffic(Bus(clock).port(0), [0, 1])
+    for silence, age, share in ((0.1, 0.1, 0.5), (0.2, 0.15, 1.0), (2.0, 0.0, 1.0), (0.0, 0.05, 0.5)):
+        traffic.linked(1, LinkStatus("up", silence), age)
+        traffic.linked(7, LinkStatus("up", silence), age)
+        traffic.linked(1, None, 9.0)
+        traffic.hear((1, State.at((2.0, 0.0, 1.0))), 0.0)
+        assert (traffic.row(1)[SHARE], traffic.deaf(1)) == (share, share == 1.0)
