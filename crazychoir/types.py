@@ -233,7 +233,7 @@ class LinkStatus(Wire, frozen=True, array_like=True, gc=False):
     """How the way to a drone is that a radio reaches, and what the drone says of itself.
 
     state: "connecting", "up", "degraded", "lost" or "absent", and "refused" if it cannot fly so;  silence: s since its
-    last packet;  latency: s, there and back, 95 of 100;  answered: share of packets that were;  rssi: dBm;  battery:
+    last packet;  latency: s, there and back, 95 of 100;  answered: share of echoes that were;  rssi: dBm;  battery:
     V;  supervisor: bits of its firmware's;  flying: its motors turn;  problems: why it may not take off, in words;
     release: of its firmware;  refused: plans that its firmware has not taken;  reconnected: how often. What is not
     known is NaN.

@@ -12,17 +12,30 @@ from crazychoir.control.gains import FORMATION, OF_TRACKING, RANGES, STANDARD, G
 from crazychoir.control.handlers import AccelerationTraj, FullStateTraj
 from crazychoir.control.margin import REQUIRED, Plant, margin
 from crazychoir.control.position import FlatnessAccelerationCtrl, FlatnessPositionCtrl
-from crazychoir.control.senders import CommunicationHandler, FPQRSender, FRPYSender, VelSender, XYZSender
+from crazychoir.control.senders import (
+    CommunicationHandler,
+    FPQRSender,
+    FRPYSender,
+    FullStateSender,
+    VelSender,
+    XYZSender,
+)
 from crazychoir.control.trim import Trim
-from crazychoir.control.velocity import VelocityController, VelocityCtrlStrategy, WaypointController
+from crazychoir.control.velocity import (
+    FullStateController,
+    VelocityController,
+    VelocityCtrlStrategy,
+    WaypointController,
+)
 from crazychoir.errors import ConfigError
 from crazychoir.platforms import PAPER, Platform
 from crazychoir.swarm.tables import Control
 
 SENDERS: dict[str, type[CommunicationHandler]] = {
     "fpqr": FPQRSender, "frpy": FRPYSender, "vel": VelSender, "xyz": XYZSender,
+    "fullstate": FullStateSender,
 }  # fmt: skip
-ON_BOARD = ("vel", "xyz")
+ON_BOARD = ("vel", "xyz", "fullstate")
 """Senders for which the gains are those of the firmware."""
 
 
@@ -88,12 +101,14 @@ def controls(
     gains = changed(late, choice.gains, f"{where}.gains")
     require_stable(gains, platform, plant, where, sender)
     if choice.gains and sender in ON_BOARD:
-        found, allowed = f"gains for the sender {sender}", "none: the firmware's own fly places and velocities"
+        found, allowed = f"gains for the sender {sender}", "none: the firmware's own fly what it is sent"
         raise ConfigError(f"{where}.gains", found, allowed, "Leave them out, or send fpqr or frpy.")
     trim, send = Trim(), SENDERS[sender]()
     if sender == "vel":
         tracker: CrazyflieController = VelocityController(VelocityCtrlStrategy(), send, FullStateTraj())
         return Controls(platform, plant, tracker, None, trim, gains)
+    if sender == "fullstate":
+        return Controls(platform, plant, FullStateController(send, FullStateTraj()), None, trim, gains)
     if sender == "xyz":
         return Controls(platform, plant, WaypointController(send, FullStateTraj()), None, trim, gains)
     attitudes: list[AttitudeControl] = [

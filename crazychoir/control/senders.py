@@ -5,7 +5,7 @@ from typing import Protocol
 import numpy as np
 
 from crazychoir.math3d import Vec
-from crazychoir.types import FPQR, FRPY, XYZ, Acc, Command, Drive, Vel
+from crazychoir.types import FPQR, FRPY, XYZ, Acc, Command, Drive, FullState, Vel
 
 STOP = XYZ("stop", np.zeros(5))
 
@@ -73,6 +73,21 @@ class VelSender:
     def steady(self, weight: float) -> Vel:
         """Stay."""
         return Vel(np.zeros(4))
+
+
+class FullStateSender:
+    """Sends full states, from u (14,) laid out as FullState.flat: the firmware flies them."""
+
+    topic, kind = "cmd", "fullstate"
+    idle: Command = STOP
+
+    def message(self, u: Vec) -> FullState:
+        """The command of u (14,), not copied."""
+        return FullState(u)
+
+    def steady(self, weight: float) -> None:
+        """Where that would be, nobody knows who knows nothing."""
+        return
 
 
 class AccSender:

@@ -72,6 +72,56 @@ class VelocityController(CrazyflieController):
         return np.zeros(4)
 
 
+class Learnt:
+    """What the firmware's integrals of the height and of the yaw know of a climb m/s and a turn rad/s that stay."""
+
+    def __init__(self) -> None:
+        self._learnt, self._asked = np.zeros(2), math.inf
+
+    def missing(self, climb: float, turn: float, now: float) -> tuple[float, float]:
+        """What they do not know of them yet; on the ground they forget all."""
+        h, self._asked = now - self._asked, now
+        if 0.0 <= h < GROUNDED:
+            self._learnt += (np.array([climb, turn]) - self._learnt) * -np.expm1(-h * LEARNING)
+        else:
+            self._learnt[:] = 0.0
+        return climb - float(self._learnt[0]), turn - float(self._learnt[1])
+
+
+class FullStateController(CrazyflieController):
+    """Passes references on to the firmware, whose PIDs fly them by its own estimate.
+
+        p_c = p_d(T) + (v_d(T) - u e3 + S a_d / k_v) / k_p,   yaw_c = yaw_d(T) + (yaw_d' - w) / k_yaw,   T = late
+
+    They make a velocity of what is missing to the place, and read no other: so it is that far ahead. Symbols as in
+    WaypointController; late: s, of the way of the command and the drone behind its set-points.
+    """
+
+    def __init__(
+        self, command_sender: CommunicationHandler, traj_handler: TrajectoryHandler, late: float = 0.05
+    ) -> None:
+        super().__init__(command_sender, traj_handler)
+        self.late, self._learnt = late, Learnt()
+
+    def law(self, state: State, reference: Vec, now: float) -> Vec | None:
+        """The reference (14,), ahead."""
+        if not finite(reference):
+            return None
+        t, a, rate, out = self.late, reference[6:9], float(reference[13]), reference.copy()
+        out[3:6] += t * a
+        v = out[3:6]
+        climb, turn = self._learnt.missing(float(v[2]), rate, now)
+        out[0:3] += t * v - 0.5 * t * t * a
+        out[0:2] += (v[0:2] + a[0:2] / VELOCITY_ON_BOARD) / POSITION_ON_BOARD
+        out[2] += climb / POSITION_ON_BOARD
+        out[12] += t * rate + turn / YAW_ON_BOARD
+        return out
+
+    def blind(self) -> Vec:
+        """The last one again: the firmware needs no state from here."""
+        return np.zeros(14) if self._last is None else self._last
+
+
 class WaypointController(CrazyflieController):
     """Flies references by the planner on board: every `every` s a straight line to where the reference will be.
 
@@ -95,7 +145,7 @@ class WaypointController(CrazyflieController):
         super().__init__(command_sender, traj_handler)
         self.every, self.ahead, self.late = every, ahead, late
         self._next, self._line = -math.inf, np.zeros(5)
-        self._learnt, self._asked = np.zeros(2), math.inf
+        self._learnt = Learnt()
 
     def command(self, state: State, reference: Reference | None, now: float) -> Command | None:
         """The next line if it is time for it."""
@@ -113,19 +163,11 @@ class WaypointController(CrazyflieController):
         line[3], line[4] = reference[12] + t * rate, self.ahead
         if not math.isfinite(sum(line.tolist())):
             return None
-        self._learn(float(v[2]), rate, now)
-        line[2] += (v[2] - self._learnt[0]) / POSITION_ON_BOARD
-        line[3] += (rate - self._learnt[1]) / YAW_ON_BOARD
+        climb, turn = self._learnt.missing(float(v[2]), rate, now)
+        line[2] += climb / POSITION_ON_BOARD
+        line[3] += turn / YAW_ON_BOARD
         self._line = line
         return line
-
-    def _learn(self, climb: float, turn: float, now: float) -> None:
-        """What the integrals on board know of a climb m/s and a rate of the yaw rad/s; on the ground they forget it."""
-        h, self._asked = now - self._asked, now
-        if 0.0 <= h < GROUNDED:
-            self._learnt += (np.array([climb, turn]) - self._learnt) * -np.expm1(-h * LEARNING)
-        else:
-            self._learnt[:] = 0.0
 
     def blind(self) -> Vec:
         """The last line again: the planner on board needs no state from here."""

@@ -6,6 +6,7 @@ import logging
 import math
 import threading
 from collections.abc import Callable, Iterable
+from functools import partial
 from types import MethodType
 from typing import Any
 
@@ -19,12 +20,14 @@ from crazychoir.errors import LinkFailed
 from crazychoir.radio import drivers
 from crazychoir.radio.contents import TableOfContents
 from crazychoir.radio.crtp import LINK, LOG, PARAM, Packet
+from crazychoir.radio.dongles import DONGLES, DongleFailed
+from crazychoir.radio.round_trips import ECHO, RoundTrips
 from crazychoir.radio.writer import Writer
 from crazychoir.runtime.clock import SECOND, Clock
+from crazychoir.swarm.radios import PINGS
 
 log = logging.getLogger(__name__)
 SOURCE, VERSION_KNOWN = Packet(LINK, 1, b"\x00"), 0
-ECHO = 0
 AGAIN = 0.25
 """s after which what was not answered is asked again."""
 ENDS = 0.5
@@ -32,8 +35,6 @@ ENDS = 0.5
 CLOSES = 3.0
 """s that closing a link takes at most; threads of cflib that hang in a driver are left behind."""
 LOG_DATA = 2
-ECHOES = 20
-"""Echoes of which the answered share is told: 2 s of them."""
 
 Data = Callable[[dict[str, float], int], None]
 """Called with log variables and the ms, of the drone's time since it was started, at which they were so."""
@@ -58,11 +59,10 @@ class Connection:
         self._over = False
         self._writer: Writer | None = None
         self._heard_ns: int | None = None
-        self._echoes: list[bool] = []
-        self.latency = math.nan
-        """s, there and back, 95 of 100 echoes; NaN before the first."""
-        self.quality = self.rssi = math.nan
-        """Share of packets that were acknowledged, and dBm: of a radio."""
+        self._echoing: asyncio.Task[None] | None = None
+        self._trips = RoundTrips()
+        self.rssi = math.nan
+        """dBm, of a radio."""
         self.cf = self._crazyflie(contents)
 
     def _crazyflie(self, contents: TableOfContents) -> Crazyflie:
@@ -75,28 +75,48 @@ class Connection:
         cf.connection_failed.add_callback(lambda uri, message: self._from_thread(self._failed, message))
         cf.connection_lost.add_callback(lambda uri, message: self._from_thread(self._failed, message))
         cf.packet_received.add_callback(self._received)
-        cf.packet_sent.add_callback(self._sent)
-        statistics = cf.link_statistics
-        statistics.latency_updated.add_callback(self._set_latency)
-        statistics.link_quality_updated.add_callback(self._set_quality)
-        statistics.uplink_rssi_updated.add_callback(self._set_rssi)
+        _without_echoes(cf)
+        cf.link_statistics.uplink_rssi_updated.add_callback(self._set_rssi)
         return cf
 
     # Open and close ---------------------------------------------------------------------------------------------
 
-    async def open(self, seconds: float) -> None:
-        """Until tables of contents are known; raises LinkFailed, which says how far it came."""
+    async def open(self, seconds: float, tables: float = 0.0) -> None:
+        """Until tables of contents are known; raises LinkFailed, which says how far it came.
+
+        seconds: that it gets to answer;  tables: s more for its tables, once it has.
+        """
         threading.Thread(target=self._open, name=f"{self.uri} opening", daemon=True).start()
         try:
-            async with asyncio.timeout(seconds):
-                while not self._opened.done():
-                    await asyncio.wait([self._opened], timeout=AGAIN)
-                    if not self._opened.done() and self.cf.link is not None and self._version < VERSION_KNOWN:
-                        self._to_thread(SOURCE)  # cflib asks once
-                self._opened.result()
+            await self._until_open(seconds)
         except TimeoutError:
-            raise LinkFailed(self.uri, f"{self._stage()} within {seconds:g} s") from None
-        self._writer = Writer(self.uri, self._put, self._turn)
+            if self._heard_ns is None or not tables:
+                raise LinkFailed(self.uri, f"{self._stage()} within {seconds:g} s") from None
+            await self._until_told(seconds, tables)
+        self._writer = Writer(self.uri, self._put, self._turn, partial(drivers.room, self.cf))
+        self._echoing = self._loop.create_task(self._echo())
+
+    async def _until_told(self, seconds: float, tables: float) -> None:
+        try:
+            await self._until_open(tables)
+        except TimeoutError:
+            raise LinkFailed(self.uri, f"{self._stage()} within {seconds + tables:g} s") from None
+
+    async def _until_open(self, seconds: float) -> None:
+        async with asyncio.timeout(seconds):
+            while not self._opened.done():
+                await asyncio.wait([self._opened], timeout=AGAIN)
+                if not self._opened.done() and self.cf.link is not None:
+                    if gone := self.dongle_failure:
+                        raise DongleFailed(self.uri, gone)
+                    if self._version < VERSION_KNOWN:
+                        self._to_thread(SOURCE)  # cflib asks once
+            self._opened.result()
+
+    async def _echo(self) -> None:
+        """As packets like others: cflib's own thread would compete with them, and hang when the air is full."""
+        async for _ in self.clock.ticks(PINGS):
+            self.newest("echo", self._trips.echo())
 
     def _open(self) -> None:
         """cflib's opening, which may never come back."""
@@ -104,6 +124,8 @@ class Connection:
             self.cf.open_link(self.uri)
         except Exception as error:  # noqa: BLE001 - whatever it is, whoever waits is told
             self._from_thread(self._failed, f"{type(error).__name__}: {error}")
+        if self._over:
+            self._close_link()  # it was closed before it was open
 
     @property
     def _version(self) -> int:
@@ -128,6 +150,8 @@ class Connection:
             self._opened.cancel()
         for _, waiting in self._asked:
             waiting.cancel()
+        if self._echoing is not None:
+            self._echoing.cancel()
         if self._writer is not None:
             self._writer.end()
         closed: asyncio.Future[None] = self._loop.create_future()
@@ -140,9 +164,7 @@ class Connection:
         cf = self.cf
         if self._writer is not None:
             self._writer.join(ENDS)
-        link, cf.link = cf.link, None
-        if link is not None:
-            link.close()
+        self._close_link()
         cf.incoming.stop()
         for timer in list(cf._answer_patterns.values()):
             timer.cancel()
@@ -152,6 +174,11 @@ class Connection:
             cf.incoming.join(ENDS)
         self._quietly(_resolve, closed)
 
+    def _close_link(self) -> None:
+        link, self.cf.link = self.cf.link, None
+        if link is not None:
+            link.close()
+
     # Packets ----------------------------------------------------------------------------------------------------
 
     def send(self, packet: Packet) -> None:
@@ -160,10 +187,9 @@ class Connection:
             self._writer.put(packet)
 
     def urgent(self, packets: Iterable[Packet]) -> None:
-        """Send these before all that waits."""
-        for packet in reversed(list(packets)):
-            if self._writer is not None:
-                self._writer.urgent(packet)
+        """Send these before all that waits; those that waited as urgent need not be sent any more."""
+        if self._writer is not None:
+            self._writer.urgent(packets)
 
     def newest(self, kind: str, packet: Packet) -> None:
         """Send this instead of the one of its kind that has not gone yet."""
@@ -200,12 +226,19 @@ class Connection:
         return math.inf if self._heard_ns is None else (self.clock.now_ns() - self._heard_ns) / SECOND
 
     @property
+    def latency(self) -> float:
+        """s, there and back, 95 of 100 echoes; NaN before the first."""
+        return self._trips.latency
+
+    @property
     def answered(self) -> float:
-        """Share of the last echoes that came back; of a radio: of all packets."""
-        if not math.isnan(self.quality):
-            return self.quality
-        echoes = self._echoes[:-1]  # the last may be on its way
-        return sum(echoes) / len(echoes) if echoes else math.nan
+        """Share of the last echoes that came back."""
+        return self._trips.answered
+
+    @property
+    def dongle_failure(self) -> str:
+        """Why its dongle cannot be used; empty if it can."""
+        return DONGLES.failure(self.uri)
 
     async def log(self, name: str, variables: Iterable[str], period: float, data: Data, seconds: float) -> None:
         """Let the drone say variables every `period` s, a multiple of 0.01; LinkFailed if it does not in time."""
@@ -231,22 +264,31 @@ class Connection:
 
     @property
     def failure(self) -> str:
-        """What the last packet that could not be sent has raised; empty if all could."""
-        return "" if self._writer is None else self._writer.failure
+        """What a packet that could not be sent has raised since this was asked; empty if all could."""
+        return "" if self._writer is None else self._writer.failed()
 
     def drop_logs(self) -> None:
         """Forget the blocks that were begun: the drone has."""
         self.cf.log.log_blocks = []
 
     def _to_thread(self, packet: Packet) -> None:
-        threading.Thread(target=self._put, args=(packet,), daemon=True).start()
+        threading.Thread(target=self._try, args=(packet,), daemon=True).start()
 
-    def _put(self, packet: Packet) -> None:
-        """From another thread."""
+    def _try(self, packet: Packet) -> None:
+        with contextlib.suppress(LinkFailed):
+            self._put(packet)
+
+    def _put(self, packet: Packet) -> bool:
+        """From another thread: whether there was room for it. Past cflib's lock, which one that waits would keep."""
         out = CRTPPacket()
         out.set_header(packet.port, packet.channel)
         out.data = packet.data
-        self.cf.send_packet(out)
+        if (link := self.cf.link) is None:
+            raise LinkFailed(self.uri, "its link is closed")
+        went = link.send_packet(out) is not False
+        if went and packet[:2] == (LINK, ECHO):
+            self._trips.left(packet, self.clock.now())
+        return went
 
     # From cflib's threads -----------------------------------------------------------------------------------------
 
@@ -262,21 +304,9 @@ class Connection:
         self._heard_ns = self.clock.now_ns()
         port, channel = packet.port, packet.channel
         if port == LINK and channel == ECHO:
-            if self._echoes:
-                self._echoes[-1] = True
+            self._trips.came(bytes(packet.data), self.clock.now())
         elif not (port == LOG and channel == LOG_DATA):
             self._from_thread(self._arrived, Packet(port, channel, bytes(packet.data)))
-
-    def _sent(self, packet: CRTPPacket) -> None:
-        if packet.port == LINK and packet.channel == ECHO:
-            self._echoes.append(False)
-            del self._echoes[:-ECHOES]
-
-    def _set_latency(self, milliseconds: float) -> None:
-        self.latency = milliseconds / 1e3
-
-    def _set_quality(self, percent: float) -> None:
-        self.quality = percent / 100.0
 
     def _set_rssi(self, rssi: float) -> None:
         self.rssi = -float(rssi)
@@ -290,7 +320,8 @@ class Connection:
     def _failed(self, message: str) -> None:
         reason = message.strip().splitlines()[-1] if message.strip() else "no reason is known"
         if not self._opened.done():
-            self._opened.set_exception(LinkFailed(self.uri, reason))
+            gone = self.dongle_failure
+            self._opened.set_exception(DongleFailed(self.uri, gone) if gone else LinkFailed(self.uri, reason))
         elif self._writer is not None:
             self._lost(reason)
 
@@ -313,6 +344,13 @@ def _fail(waiting: "asyncio.Future[None]", message: str) -> None:
 
 def _nothing() -> None:
     """In place of reading every parameter at each connection."""
+
+
+def _without_echoes(cf: Crazyflie) -> None:
+    """Its thread of echoes never begins, and nobody waits for its end; of a radio, signal strength is told as ever."""
+    latency = cf.link_statistics.latency
+    latency.start = latency.stop = _nothing
+    cf.remove_header_callback(latency._ping_response, LINK, ECHO)
 
 
 def _only_contents(param: Any, done: Callable[[], None], contents: TableOfContents) -> None:

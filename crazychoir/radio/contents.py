@@ -13,9 +13,9 @@ from cflib.crazyflie.log import LogTocElement
 from cflib.crazyflie.param import ParamTocElement
 
 log = logging.getLogger(__name__)
-PATIENCE, LOOKS = 8.0, 0.25
-"""s that a link waits for what another one is being told, which takes 5 s over a dongle that several share; and after
-which it looks whether that one has failed."""
+PATIENCE, LOOKS = 60.0, 0.25
+"""s that a link waits for what another one is being told, longer than each is given to open; and after which it looks
+whether that one, or itself, has been closed meanwhile."""
 FIELDS = ("ident", "group", "name", "ctype", "pytype", "access")
 KINDS = {"log": LogTocElement, "param": ParamTocElement}
 

@@ -21,6 +21,7 @@ from crazychoir.radio.compressed import quaternion
 from crazychoir.radio.connection import Connection
 from crazychoir.radio.contents import TableOfContents
 from crazychoir.radio.crtp import FORMS, HIGH_LEVEL, Packet
+from crazychoir.radio.dongles import DongleFailed
 from crazychoir.radio.firmware import Firmware
 from crazychoir.radio.handlers import HANDLERS, RadioHandler, emergency, idles, pose_packet
 from crazychoir.radio.thrust import command_a_newton
@@ -44,12 +45,17 @@ FIRST, AGAIN = 0.2, 1.0
 """s between two attempts to connect: until the deadline, and after it."""
 REOPENS = 1.5
 """s that an attempt gets in flight: tables are known by then."""
+TABLES = 30.0
+"""s more that one gets that answers and is being told of, before its first flight: over a dongle that four share about
+10 s of tables of contents, once a firmware."""
 FORGOTTEN = 1.0
 """s without a log of one that answers otherwise: its firmware has dropped its blocks, as after 1 s of silence."""
 RESTARTED, WRAPS = 500, 1 << 24
 """ms: a drone's time that falls back by more is that of one that was started again; and where it wraps."""
-LANDS_AGAIN, ORPHANED = 1.0, 3.0
-"""s between two words to land; and after which one that flies, and that nobody commands, is landed."""
+UNHEARD, LANDS_AGAIN, ORPHANED = 0.25, 1.0, 3.0
+"""s between two words to land: until its planner answers, and from then on; and after which one that flies, and that
+nobody commands, is landed."""
+LANDS = tuple(FORMS[name].head for name in ("land", "land_with_velocity"))
 STOPS = 0.5
 """s between two plans to stop, of a drone that stands."""
 WATCHDOG = 0.25
@@ -94,7 +100,7 @@ class RadioDrone(Actor):
         self.state_of_link, self.why = "connecting", ""
         self.refused_plans = self.reconnected = self.malformed = 0
         self._stopped = True
-        self._cut = self._placed = self._prepared = self._arming = self._fed = self._flown_here = False
+        self._cut = self._placed = self._prepared = self._arming = self._fed = self._flown_here = self._lands = False
         self._landing: XYZ | None = None
         self._due_ns = self._stop_due_ns = self._watchdog_ns = 0
         self._own: State | None = None
@@ -134,7 +140,7 @@ class RadioDrone(Actor):
     async def _connect(self, connection: Connection, began: float) -> None:
         deadline = self.config.radio.connect_deadline
         left = max(began + deadline - self.clock.now(), deadline / 4.0)
-        await connection.open(REOPENS if self._prepared else left)
+        await connection.open(REOPENS if self._prepared else left, 0.0 if self._prepared else TABLES)
         if self._cut:
             connection.urgent(emergency())
         firmware = Firmware(connection)
@@ -211,6 +217,8 @@ class RadioDrone(Actor):
         async for _ in self.clock.ticks(LOOKS, drone=self.drone):
             if self.why:
                 raise LinkFailed(self.row.uri, self.why)
+            if gone := connection.dongle_failure:
+                raise DongleFailed(self.row.uri, gone)
             silence = connection.silence
             if silence > LOST:
                 raise LinkFailed(self.row.uri, f"silent for {silence:.1f} s")
@@ -242,10 +250,10 @@ class RadioDrone(Actor):
     def _go_on_landing(self) -> None:
         """Who has been told to land is told again until its motors stand: a packet may be lost, and a link."""
         now_ns = self.clock.now_ns()
-        if not self.flying:
-            self._landing = None
-        elif self._landing is not None and now_ns >= self._landing_ns:
-            self._landing_ns = now_ns + round(LANDS_AGAIN * SECOND)
+        if not self.flying or self._landing is None:
+            self._landing, self._lands = None, False
+        elif now_ns >= self._landing_ns:
+            self._landing_ns = now_ns + round(UNHEARD * SECOND)
             self._transmit(self._landing)
 
     @property
@@ -385,7 +393,12 @@ class RadioDrone(Actor):
     # What it says -----------------------------------------------------------------------------------------------------
 
     def _heard(self, packet: Packet) -> None:
-        if packet.port == HIGH_LEVEL and len(packet.data) >= 4 and packet.data[3] != 0:
+        if packet.port != HIGH_LEVEL or len(packet.data) < 4:
+            return
+        if packet.data[:1] in LANDS:
+            self._landing_ns = self.clock.now_ns() + round(LANDS_AGAIN * SECOND)
+            self._lands = self._lands or packet.data[3] == 0
+        if packet.data[3] != 0 and not (self._lands and packet.data[:1] in LANDS):  # one that lands does not do so anew
             self.refused_plans += 1
             self._say("planner", f"its planner refuses command {packet.data[0]} with {packet.data[3]}")
 

@@ -1,20 +1,25 @@
 """What a connected drone is asked and told: parameters, release, arming; each ends by its deadline."""
 
 import difflib
+import math
 import struct
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
+
+from cflib.crazyflie.mem import MemoryElement
 
 from crazychoir.errors import LinkFailed
-from crazychoir.radio.connection import Connection
+from crazychoir.radio.connection import AGAIN, Connection
 from crazychoir.radio.crtp import FORMS, MEMORY, PARAM, PLATFORM, Packet
+from crazychoir.radio.handlers import ALL
 
 READ, WRITE = 1, 2
 DEADLINE = 2.0
 """s of one request: eight times asked."""
 CHUNK = 24
 """Bytes of a memory in one packet."""
-TRAJECTORIES, SIZE = 1, 4096
-"""Memory of trajectories: its number where it is the only one, and its bytes."""
+TRAJECTORIES, SIZE, SLOTS = MemoryElement.TYPE_TRAJ, 4096, 31
+"""Memory of trajectories: its kind, its bytes, and how many trajectories have a number."""
 
 
 class Firmware:
@@ -79,29 +84,51 @@ class Firmware:
             raise LinkFailed(self.connection.uri, "its firmware refuses to arm: see its supervisor")
 
     async def upload(self, memory: bytes, slot: int, pieces: int, offset: int = 0) -> None:
-        """A trajectory of so many pieces, as planning/upload.py makes them, to be started by its slot."""
-        if offset + len(memory) > SIZE:
+        """A trajectory of so many pieces, as planning/upload.py makes them, to be started by its slot.
+
+        offset: byte of the memory at which it begins. What does not fit is refused before anything is sent.
+        """
+        uri, where = self.connection.uri, self._memory()
+        if not 0 <= slot < SLOTS:
+            raise LinkFailed(uri, f"trajectory {slot}: slots 0 to {SLOTS - 1} are there")
+        if not 0 <= offset <= offset + len(memory) <= SIZE:
             allowed = f"{SIZE} are there: 31 pieces"
-            raise LinkFailed(self.connection.uri, f"trajectory {slot} ends at byte {offset + len(memory)}; {allowed}")
+            raise LinkFailed(uri, f"trajectory {slot} ends at byte {offset + len(memory)}; {allowed}")
         for start in range(0, len(memory), CHUNK):
-            head = struct.pack("<BI", TRAJECTORIES, offset + start)
+            head = struct.pack("<BI", where, offset + start)
             asked = Packet(MEMORY, WRITE, head + memory[start : start + CHUNK])
-            answer = await self._ask(
-                asked, lambda p, head=head: p[:2] == (MEMORY, WRITE) and p.data[:5] == head, f"trajectory {slot}"
-            )
+            answer = await self._ask(asked, partial(_written, head), f"trajectory {slot}")
             if answer.data[5:6] != b"\0":
                 raise LinkFailed(self.connection.uri, f"trajectory {slot}: its memory does not take byte {start}")
         await self.plan(FORMS["define_trajectory"].packet(slot, 1, 0, offset, pieces))
 
-    async def plan(self, packet: Packet) -> None:
-        """Something for the planner on board that may be said twice."""
-        answer = await self._ask(packet, lambda p: p[:2] == packet[:2] and p.data[:3] == packet.data[:3], "a plan")
+    async def start(self, slot: int, timescale: float = 1.0, relative: bool = False) -> None:
+        """Fly an uploaded trajectory, so many times as slow; relative: from where it is.
+
+        It is said once: said again, after an answer that was lost, it would begin anew.
+        """
+        await self.plan(FORMS["start_trajectory"].packet(ALL, relative, False, False, slot, timescale), math.inf)
+
+    def _memory(self) -> int:
+        """The number of the memory of trajectories among those that it has."""
+        numbers = [memory.id for memory in self.connection.cf.mem.mems if memory.type == TRAJECTORIES]
+        if not numbers:
+            raise LinkFailed(self.connection.uri, "its firmware has no memory for trajectories")
+        return int(numbers[0])
+
+    async def plan(self, packet: Packet, again: float = AGAIN) -> None:
+        """Something for the planner on board; again: s after which it is said again, infinite for what may not be."""
+        answer = await self._ask(
+            packet, lambda p: p[:2] == packet[:2] and p.data[:3] == packet.data[:3], "a plan", again
+        )
         if answer.data[3:4] != b"\0":
             raise LinkFailed(self.connection.uri, f"its planner refuses ({answer.data[3]})")
 
-    async def _ask(self, packet: Packet, answers: object, what: str) -> Packet:
+    async def _ask(
+        self, packet: Packet, answers: Callable[[Packet], bool], what: str, again: float = AGAIN
+    ) -> Packet:
         try:
-            return await self.connection.ask(packet, answers, DEADLINE)  # type: ignore[arg-type]
+            return await self.connection.ask(packet, answers, DEADLINE, again)
         except TimeoutError:
             raise LinkFailed(self.connection.uri, f"no answer about {what} within {DEADLINE:g} s") from None
 
@@ -113,6 +140,11 @@ class Firmware:
             near = ", ".join(difflib.get_close_matches(name, known, 3, 0.4)) or "none like it"
             raise LinkFailed(self.connection.uri, f"its firmware has no parameter {name}; it has {near}")
         return element  # type: ignore[no-any-return]
+
+
+def _written(head: bytes, packet: Packet) -> bool:
+    """Whether it answers a write of a memory that begins so."""
+    return packet[:2] == (MEMORY, WRITE) and packet.data[:5] == head
 
 
 class Element:

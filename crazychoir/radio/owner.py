@@ -3,6 +3,7 @@
 import contextlib
 import fcntl
 import logging
+import math
 import os
 from collections.abc import Iterator
 from typing import IO, Any
@@ -13,6 +14,7 @@ from crazychoir.control.robots import sender_of
 from crazychoir.errors import Refused
 from crazychoir.radio.budget import rates
 from crazychoir.radio.contents import TableOfContents, folder
+from crazychoir.radio.dongles import DONGLES
 from crazychoir.radio.drone import LOOKS, RadioDrone
 from crazychoir.radio.writer import Pace
 from crazychoir.runtime.actor import Actor
@@ -23,7 +25,7 @@ from crazychoir.safety.guard import Fence
 from crazychoir.simulation.remote import RemoteBody
 from crazychoir.swarm.checks import limit_area
 from crazychoir.swarm.config import SwarmConfig
-from crazychoir.swarm.radios import PINGS, capacity_of
+from crazychoir.swarm.radios import capacity_of
 
 log = logging.getLogger(__name__)
 LEFT_ALONE = 1.0
@@ -59,13 +61,13 @@ class RadioProcess(Actor):
             i: RemoteBody(self.bus.ports[BODIES + i], drone, drone, drone.kind, flight=config.flight, ask=drone.ask)
             for i, drone in self.drones.items()
         }  # fmt: skip
-        self.rate, self.failure, self._ending = rate, "", 0.0
+        self.rate, self.failure, self._missing, self._ending = rate, "", "", 0.0
         self._limit = Fence.box(*limit_area(config))
         self._supervisor = Supervisor(clock, f"dongle {dongle}", self._failed)
 
     def _pace(self) -> Pace:
-        """Of what a dongle carries beside cflib's own echoes, and a little less: what waits in it grows old."""
-        return Pace(self.clock, PACED * capacity_of(self.config, self.dongle) - PINGS * len(self.ids))
+        """Of what a dongle carries, and a little less: what waits in it grows old."""
+        return Pace(self.clock, PACED * capacity_of(self.config, self.dongle))
 
     async def serve(self, *services: Actor) -> None:
         """Until its end."""
@@ -74,7 +76,9 @@ class RadioProcess(Actor):
     async def run(self) -> None:
         """Say how the links are, and look after drones that nobody commands."""
         tick, every = 0, round(LOOKS / LINK.rate)
+        began = self.clock.now()
         async for _ in self.clock.ticks(LOOKS):
+            self._look_at_dongle(self.clock.now() - began)
             for i, body in self.bodies.items():
                 body.look()
                 self._keep_inside(i, body)
@@ -86,6 +90,20 @@ class RadioProcess(Actor):
                     drone.report()
             if self._ending and self._alone():
                 self._supervisor.stop()
+
+    def _look_at_dongle(self, age: float) -> None:
+        """One that was pulled out ends this process: nothing in it finds a dongle again as surely as a new one.
+
+        One that is not there is waited for as long as its drones are.
+        """
+        before, self._missing = self._missing, DONGLES.failure(self.config.drone(self.ids[0]).uri)
+        if not self._missing:
+            return
+        used = any(math.isfinite(drone.silence) for drone in self.drones.values())
+        if before and (used or age > self.config.radio.connect_deadline):
+            self.abort(self._missing)
+        elif not (before or used):
+            log.error("dongle %d: %s", self.dongle, self._missing)
 
     def _keep_inside(self, i: int, body: RemoteBody) -> None:
         """Whose agent says nothing is looked after here: beyond the limit area its motors are cut."""

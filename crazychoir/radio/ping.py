@@ -5,7 +5,6 @@ A link alone has no tables to fetch, no zero set-point at its end, and no thread
 
 import contextlib
 import re
-import struct
 import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -16,12 +15,9 @@ import numpy as np
 from crazychoir.errors import ConfigError
 from crazychoir.radio.addresses import RADIO
 from crazychoir.radio.crtp import LINK
+from crazychoir.radio.round_trips import ECHO, FORM
 from crazychoir.radio.survey_radio import PLUG
 
-ECHO = 0
-"""Channel of the link's port that gives back what it gets."""
-FORM = struct.Struct("<Bd")
-"""Of cflib's own echoes: who listens beside us takes each for one of them."""
 PATIENCE = 0.2
 """s after which an echo is lost."""
 FIRST = 3.0

@@ -2,7 +2,7 @@
 
 import threading
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 from crazychoir.radio.crtp import Packet
 from crazychoir.runtime.clock import SECOND, Clock
@@ -34,19 +34,26 @@ MOST = 1000
 
 
 class Writer:
-    """Sends packets in order, and between them the newest of each kind, in turn.
+    """Sends packets in order, and between them the newest of each kind, in turn; urgent ones before all others.
 
-    send: puts a packet on the link; may take its time, or raise;  turn: waits until one may be sent.
+    send: puts a packet on the link; False: it has no room for it, which is tried again, unless something more urgent or
+    newer has come meanwhile;  turn: waits until one may be sent;  room: waits a short time for room on the link, so
+    that what is sent is the newest by then; False: there is none yet.
     """
 
-    def __init__(self, name: str, send: Callable[[Packet], None], turn: Callable[[], None] = lambda: None) -> None:
-        self._send, self._turn, self._work = send, turn, threading.Condition()
+    def __init__(
+        self, name: str, send: Callable[[Packet], bool], turn: Callable[[], None] = lambda: None,
+        room: Callable[[], bool] = lambda: True,
+    ) -> None:  # fmt: skip
+        self._send, self._turn, self._room, self._work = send, turn, room, threading.Condition()
+        self._urgent: deque[Packet] = deque()
         self._ordered: deque[Packet] = deque()
         self._newest: dict[str, Packet] = {}
         self._ends = False
         self.sent = self.refused = 0
+        """Packets that have gone; those for which too many were waiting."""
         self.failure = ""
-        """What the last send has raised."""
+        """What the last send that failed has raised."""
         self._thread = threading.Thread(target=self._run, name=f"{name} writer", daemon=True)
         self._thread.start()
 
@@ -60,10 +67,10 @@ class Writer:
             self._work.notify()
         return True
 
-    def urgent(self, packet: Packet) -> None:
-        """Send this before all that waits."""
+    def urgent(self, packets: Iterable[Packet]) -> None:
+        """Send these before all that waits; those that waited as urgent need not be sent any more."""
         with self._work:
-            self._ordered.appendleft(packet)
+            self._urgent = deque(packets)
             self._work.notify()
 
     def newest(self, kind: str, packet: Packet) -> None:
@@ -76,6 +83,11 @@ class Writer:
         """What waits of this kind is not sent any more."""
         with self._work:
             self._newest.pop(kind, None)
+
+    def failed(self) -> str:
+        """What has been raised since this was asked."""
+        failure, self.failure = self.failure, ""
+        return failure
 
     def end(self) -> None:
         """Send what waits in order, then end."""
@@ -92,25 +104,42 @@ class Writer:
     def _run(self) -> None:
         while self._waits():
             self._turn()
-            if (packet := self._next()) is None:
-                continue
-            try:
-                self._send(packet)
-                self.sent += 1
-            except Exception as error:  # noqa: BLE001 - whatever a driver raises, the next packet may get through
-                self.failure = f"{type(error).__name__}: {error}"
+            while not (self._room() and self._has_sent()):
+                pass  # its turn has come: whatever is next by then
 
     def _waits(self) -> bool:
         """Until there is something to send; False at its end."""
         with self._work:
-            while not (self._ordered or self._newest or self._ends):
+            while not (self._urgent or self._ordered or self._newest or self._ends):
                 self._work.wait()
-            return bool(self._ordered or self._newest)
+            return bool(self._urgent or self._ordered or self._newest)
+
+    def _has_sent(self) -> bool:
+        """Whether what is next has gone, has failed for good, or does not wait any more."""
+        with self._work:
+            packet = self._next()
+        if packet is None:
+            return True
+        try:
+            if not self._send(packet):
+                return False
+            self.sent += 1
+        except Exception as error:  # noqa: BLE001 - whatever a driver raises, the next packet may get through
+            self.failure = f"{type(error).__name__}: {error}"
+        with self._work:
+            self._remove(packet)
+        return True
 
     def _next(self) -> Packet | None:
-        with self._work:
-            if self._ordered:
-                return self._ordered.popleft()
-            if self._newest:
-                return self._newest.pop(next(iter(self._newest)))
-            return None
+        for waiting in (self._urgent, self._ordered, list(self._newest.values())):
+            if waiting:
+                return waiting[0]
+        return None
+
+    def _remove(self, packet: Packet) -> None:
+        """It does not wait any more, if it has not been replaced meanwhile."""
+        for waiting in (self._urgent, self._ordered):
+            if waiting and waiting[0] is packet:
+                waiting.popleft()
+                return
+        self._newest = {kind: other for kind, other in self._newest.items() if other is not packet}

@@ -128,7 +128,7 @@ class CrazyflieLink:
         self.onboard = onboard
         self._controls = {XYZ: MotorCtrlXYZ(onboard), TAKES[kind]: CONTROLS[kind](onboard)}
         self._arms = onboard.firmware.needs_arming
-        if kind in ("vel", "xyz"):
+        if kind in ("vel", "xyz", "fullstate"):
             base = BASE_THRUST * thrust_raw(onboard.platform.weight, onboard.firmware)
             onboard.set("posCtlPid.thrustBase", base)
 

@@ -7,14 +7,14 @@ from typing import Any, Protocol
 from crazychoir.errors import ConfigError
 from crazychoir.math3d import Mat
 from crazychoir.platforms import Platform
-from crazychoir.types import FPQR, FRPY, XYZ, Acc, Command, Drive, Pose, State, Vel
+from crazychoir.types import FPQR, FRPY, XYZ, Acc, Command, Drive, FullState, Pose, State, Vel
 
 KINDS: dict[str, tuple[type[Any], ...]] = {
-    "fpqr": (FPQR,), "frpy": (FRPY,), "vel": (Vel, XYZ), "xyz": (XYZ,), "acc": (Acc, XYZ),
-    "drive": (Drive,),
+    "fpqr": (FPQR,), "frpy": (FRPY,), "vel": (Vel, XYZ), "xyz": (XYZ,),
+    "fullstate": (FullState, XYZ), "acc": (Acc, XYZ), "drive": (Drive,),
 }  # fmt: skip
-"""What is sent for each `sender` of a swarm file: velocities and accelerations end with the XYZ that stops; the last
-two are of robots that do not fly, whose uri says what they are sent."""
+"""What is sent for each `sender` of a swarm file: velocities, full states and accelerations end with the XYZ that
+stops; the last two are of robots that do not fly, whose uri says what they are sent."""
 Position = tuple[float, float, float]
 
 

@@ -134,7 +134,7 @@ def _radio_hosts(swarm: Swarm, where: str) -> None:
 
 
 PINGS, PLANS, OTHERS = 10.0, 10.0, 2.0
-"""Packets a second and drone: cflib's echoes, lines of the planner on board, and what else is asked."""
+"""Packets a second and drone: echoes, lines of the planner on board, and what else is asked."""
 ALONE = 1000.0
 """Packets a second of a dongle that never changes its channel and address: users of cflib, not measured here."""
 LEAST = {"fpqr": 50.0, "frpy": 30.0, "vel": 10.0, "fullstate": 20.0}

@@ -71,9 +71,10 @@ Inputs = Annotated[
     Meta(description='what steers it: "rates" (of the body) or "euler" (of the Euler angles)', examples=["rates"]),
 ]
 Sender = Annotated[
-    Literal["fpqr", "frpy", "vel", "xyz"],
+    Literal["fpqr", "frpy", "vel", "xyz", "fullstate"],
     Meta(
-        description='what is sent: "fpqr" (force, body rates), "frpy" (force, roll, pitch), "vel" or "xyz" (places)',
+        description='what is sent: "fpqr" (force, body rates), "frpy" (force, roll, pitch), "vel", "xyz" (places) or '
+        '"fullstate" (references, flown by the firmware)',
         examples=["fpqr"],
     ),
 ]
@@ -346,7 +347,7 @@ class Collision(Table, frozen=True, kw_only=True):
     method: "off", "barrier" (two together can always stop) or "cells" (each can, on its side of the middle);
     semi_axes: m, of the ellipsoid around each drone, which no other's meets: it is tall because of the downwash;
     margin: m, kept beyond twice the first of them;  slack: m, beyond that, between drones that fly agreed ways (those
-    that are sent "xyz" or "vel");  brake: m/s2, with which a drone counts on being able to brake;
+    that are sent "xyz", "vel" or "fullstate");  brake: m/s2, with which a drone counts on being able to brake;
     stiff, gamma: 1/s, how fast a gap closes at most, and how fast that limit is come to;  turn: how much a drone goes
     to the side where somebody is in its way;  range: m, within which others count;  unsure: m/s2, by which one that is
     not heard may change its acceleration;  lag, delay: s, with which drones obey.

@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from crazychoir.control.handlers import FullStateTraj
-from crazychoir.control.senders import VelSender, XYZSender
+from crazychoir.control.senders import FullStateSender, VelSender, XYZSender
 from crazychoir.control.velocity import (
     POSITION_ON_BOARD,
     VELOCITY_ON_BOARD,
     YAW_ON_BOARD,
+    FullStateController,
     VelocityController,
     VelocityCtrlStrategy,
     WaypointController,
@@ -71,6 +72,19 @@ def test_a_line_ends_where_the_set_point_must_be():
         assert line[axis] - start - speed * t == pytest.approx(speed / math.e / kp, rel=1e-9)
         line = controller.law(State.at((0.0, 0.0, 0.0)), steady.flat, 60.0)  # another flight
         assert line[axis] - start - speed * t == pytest.approx(speed / kp, rel=1e-9)
+
+
+def test_a_full_state_is_as_far_ahead_as_a_line():
+    """The place and the yaw are those of a line that ends at once; velocity, acceleration and jerk those of then."""
+    here, late = State.at((0.0, 0.0, 0.0)), 0.05
+    full = FullStateController(FullStateSender(), FullStateTraj(), late)
+    line = WaypointController(XYZSender(), FullStateTraj(), 0.0, ahead=0.0, late=late)
+    for now in np.linspace(0.0, 3.0, 31):
+        u, w = (controller.law(here, moving(now).flat, now) for controller in (full, line))
+        np.testing.assert_allclose([*u[0:3], u[12]], w[0:4], rtol=1e-12)
+        np.testing.assert_allclose(u[3:12], [*moving(now + late).v, *A, 0.0, 0.0, 0.0], atol=1e-12)
+        assert u[13] == 0.8
+    assert full.law(here, FullState.at((math.nan, 0.0, 0.0)).flat, 3.1) is None
 
 
 def cascade(controller, reference, seconds):

@@ -14,6 +14,7 @@ pytestmark = pytest.mark.system
 SENDERS = ("fpqr", "frpy", "vel", "xyz")
 YAW = math.radians(137.0)
 TURNING = [(platform, sender) for platform in ("cf21", "cf21plus", "cf21bl") for sender in SENDERS]
+TURNING.append(("cf21", "fullstate"))
 TILTED = [(platform, sender) for platform in ("cf21", "cf21plus", "cf21thrust", "cf21bl") for sender in SENDERS]
 names = {"ids": "-".join}
 
@@ -37,7 +38,10 @@ def at_full_rate(flight):
 
 @pytest.mark.parametrize("row", TURNING, **names)
 def test_the_yaw_turns_with_its_reference_across_pi(circles, row):
-    """Measured: 0.4 degrees of fpqr and frpy, 0.7 of vel, 0.9 of xyz; in the ramps, and all the way down, 3.3."""
+    """Measured: 0.4 degrees of fpqr and frpy, 0.7 of vel, 0.9 of xyz; in the ramps, and all the way down, 3.3.
+
+    Of fullstate 2.2 in the ramps.
+    """
     flight = circles[row]
     assert flight.result["success"], flight.result
     errors, full = np.abs(flight.yaw_errors_deg), at_full_rate(flight)
@@ -49,13 +53,13 @@ def test_the_yaw_turns_with_its_reference_across_pi(circles, row):
     assert np.any(np.abs(np.diff(flight.yaws[full])) > 6.0)
 
 
-MOST = {"fpqr": 0.002, "frpy": 0.005, "vel": 0.045, "xyz": 0.045}
+MOST = {"fpqr": 0.002, "frpy": 0.005, "vel": 0.045, "xyz": 0.045, "fullstate": 0.045}
 """m from the reference. Velocities and places are followed by the PIDs on board, which nobody tells of the drag."""
 
 
 @pytest.mark.parametrize("row", TURNING, **names)
 def test_the_circle_is_flown_to_the_millimetre_or_by_the_pids_on_board_to_a_few_centimetres(circles, row):
-    """Measured peaks: fpqr 0.7 mm, frpy 3 mm, vel 31 mm, xyz 26 mm."""
+    """Measured peaks: fpqr 0.7 mm, frpy 3 mm, vel 31 mm, xyz 26 mm, fullstate 30 mm."""
     flight = circles[row]
     assert np.max(np.linalg.norm(flight.errors[at_full_rate(flight)], axis=1)) <= MOST[row[1]]
 

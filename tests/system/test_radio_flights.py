@@ -1,6 +1,7 @@
 """Virtual Crazyflies, flown through cflib by agents, owners of dongles and a process of motion capture of their own."""
 
 import asyncio
+import json
 import os
 import signal
 import sys
@@ -91,6 +92,66 @@ async def test_a_drone_in_hover_keeps_hovering_through_a_reconnect_and_sees_no_z
         await run.end(60.0)
     assert landed["zeros"] == 0, "cflib's own closing sends one"
     assert landed["impact"] < 1.0
+
+
+@pytest.fixture
+def fake_usb(tmp_path, monkeypatch):
+    """A folder that says what a fake dongle of other processes reaches, and whether it is plugged in."""
+    folder = tmp_path / "usb"
+    folder.mkdir()
+    here = Path(__file__).parent
+    path = os.pathsep.join([str(here / "fake_usb"), str(here.parent), os.environ.get("PYTHONPATH", "")])
+    monkeypatch.setenv("FAKE_USB", str(folder))
+    monkeypatch.setenv("PYTHONPATH", path.rstrip(os.pathsep))
+    return folder
+
+
+def by_radio(config: SwarmConfig, folder: Path) -> dict[str, Any]:
+    """The swarm with its udp:// drones behind a fake dongle, whose folder is told where they are."""
+    raw, ports = json.loads(config.dumps()), {}
+    for drone in raw["drones"]:
+        address = f"E7E7E7E7{drone['id']:02X}"
+        ports[address] = int(drone["uri"].rpartition(":")[2])
+        drone["uri"] = f"radio://0/80/2M/{address}"
+    (folder / "drones").write_text(json.dumps(ports))
+    return raw
+
+
+@pytest.mark.slow
+async def test_a_dongle_that_is_pulled_out_in_flight_and_plugged_in_again_finds_its_drones(tmp_path, fake_usb) -> None:
+    some = figures(2, "xyz").replace(mission_options={"size": 0.1, "laps": 6.0, "period": 10.0})
+    raw = json.loads(reached(some, radio={"log_rate": 25.0}).dumps())
+    for drone in raw["drones"]:
+        drone["pose"] = "onboard"  # who has no dongle tells nobody what the cameras see
+    config = SwarmConfig.of(raw)
+    async with Hall(config, tmp_path, "--capacity", "100000") as hall:
+        hall.path.write_text(json.dumps(by_radio(config, fake_usb)))
+        run = await hall.fly()
+        await in_the_air(hall, run, 0, 1)
+        (fake_usb / "pulled").touch()
+        await run.says("pulled out")
+        await run.says("dongle 0: its owner ended with code 1: started again")
+        await run.says("Plug a Crazyradio in")
+        (fake_usb / "pulled").unlink()
+        landed = await hall.until(lambda state: all(state[i]["resting"] for i in (0, 1)), 60.0)
+        await run.end(60.0)
+    for said in landed.values():
+        assert (said["zeros"], said["crashed"], said["starts"]) == (0, "", 1), said
+        assert said["impact"] < 1.0, "landed by its firmware, as the owner that found it has told it"
+
+
+@pytest.mark.slow
+async def test_a_run_without_its_dongle_ends_and_says_what_to_do(tmp_path, fake_usb) -> None:
+    some = figures(1, "xyz", start_deadline=8.0)
+    config = reached(some, radio={"connect_deadline": 2.0})
+    (fake_usb / "pulled").touch()
+    async with Hall(config, tmp_path) as hall:
+        hall.path.write_text(json.dumps(by_radio(config, fake_usb)))
+        run = await hall.fly()
+        result = await run.end(90.0)
+    assert not result["success"]
+    assert result["code"] == 1
+    assert "Plug a Crazyradio in" in run.text
 
 
 @pytest.mark.slow

@@ -68,7 +68,7 @@ def test_gains_are_judged_with_the_attitude_control_that_flies_them():
         chosen.retune(replace(chosen.gains, kp=(20.0, 20.0, 10.0), kv=(3.0, 3.0, 5.0)))
 
 
-@pytest.mark.parametrize("sender", ["vel", "xyz"])
+@pytest.mark.parametrize("sender", ["vel", "xyz", "fullstate"])
 def test_gains_that_the_firmware_does_not_obey_are_refused(sender):
     with pytest.raises(ConfigError, match=r"control.gains.*fpqr or frpy"):
         controls(Control(sender=sender, gains={"kp": [5, 5, 9]}), plant="motors")
@@ -77,13 +77,14 @@ def test_gains_that_the_firmware_does_not_obey_are_refused(sender):
 
 
 @pytest.mark.parametrize("platform", PLATFORMS.values(), ids=lambda row: row.name)
-@pytest.mark.parametrize("sender", ["fpqr", "frpy", "vel", "xyz"])
+@pytest.mark.parametrize("sender", ["fpqr", "frpy", "vel", "xyz", "fullstate"])
 def test_every_sender_hovers_every_platform(platform, sender):
     chosen = controls(Control(sender=sender), platform, "motors")
     command = chosen.tracker.command(HERE, FullState.at((0, 0, 1)), 0.0)
     expected = {"fpqr": [platform.weight, 0, 0, 0], "frpy": [platform.weight, 0, 0, 0], "vel": np.zeros(4)}
+    expected["fullstate"] = FullState.at((0, 0, 1)).flat
     np.testing.assert_allclose(command.flat, expected.get(sender, [0, 0, 1, 0, 0.2]), atol=1e-12)
-    assert (chosen.follower is None) == (sender in ("vel", "xyz"))
+    assert (chosen.follower is None) == (sender in ("vel", "xyz", "fullstate"))
 
 
 def test_all_of_it_can_be_read():

@@ -85,11 +85,12 @@ def test_full_states_are_thousandths_with_rates_in_radians() -> None:
         handler.packets(FullState.at((99.0, 0, 0)))
 
 
-@pytest.mark.parametrize("kind", ["fpqr", "frpy", "vel", "xyz"])
+@pytest.mark.parametrize("kind", ["fpqr", "frpy", "vel", "xyz", "fullstate"])
 def test_what_is_no_number_never_leaves(kind: str) -> None:
-    broken = {"fpqr": FPQR, "frpy": FRPY, "vel": Vel}.get(kind, lambda flat: XYZ("line", np.append(flat, 1.0)))
+    broken = {"fpqr": FPQR, "frpy": FRPY, "vel": Vel, "fullstate": lambda flat: FullState(np.append(flat, [0.0] * 10))}
+    broken.setdefault("xyz", lambda flat: XYZ("line", np.append(flat, 1.0)))
     with pytest.raises(CodecError, match="finite numbers"):
-        HANDLERS[kind](CRAZYFLIE_21, NEWTON).packets(broken(np.array([np.nan, 0.0, 0.0, 0.0])))
+        HANDLERS[kind](CRAZYFLIE_21, NEWTON).packets(broken[kind](np.array([np.nan, 0.0, 0.0, 0.0])))
 
 
 def test_poses_and_the_emergency_stop() -> None:

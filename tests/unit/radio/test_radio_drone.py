@@ -10,8 +10,8 @@ from crazychoir.bus.local import BODIES, Bus
 from crazychoir.bus.topics import BODY
 from crazychoir.radio import checks
 from crazychoir.radio.contents import TableOfContents
-from crazychoir.radio.crtp import FORMS
-from crazychoir.radio.drone import LANDS_AGAIN, ORPHANED, OWN, STOPS, RadioDrone
+from crazychoir.radio.crtp import FORMS, HIGH_LEVEL, Packet
+from crazychoir.radio.drone import ORPHANED, OWN, STOPS, RadioDrone
 from crazychoir.radio.owner import RadioProcess
 from crazychoir.runtime.mailbox import Call
 from crazychoir.safety.pose_gate import PoseGate
@@ -105,15 +105,19 @@ async def test_a_landing_is_said_until_the_motors_stand_also_after_the_link_was_
     drone.connection = None
     drone.send(LAND)
     drone.connection = kept
-    for _ in range(round(2.5 / LANDS_AGAIN * 20)):
+    for _ in range(60):
+        before = len(kept.sent)
         drone._go_on_landing()
+        if len(kept.sent) > before >= 2:  # the third word gets through: it lands; then, that it does not do so anew
+            drone._heard(Packet(HIGH_LEVEL, 0, bytes([*FORMS["land"].head, 0, 0, before > 2])))
         await clock.sleep(0.05)
-    assert kept.sent == [head("land")] * 3
+    assert kept.sent == [head("land")] * 5, "at 0, 0.25 and 0.5 s until it answers, then at 1.5 and 2.5 s"
+    assert drone.refused_plans == 0
     tell(drone, READY)
     drone._go_on_landing()
     tell(drone, READY | checks.FLYING)
     drone._go_on_landing()
-    assert len(kept.sent) == 3, "it has landed"
+    assert len(kept.sent) == 5, "it has landed"
 
 
 @virtual
@@ -193,6 +197,14 @@ async def test_why_it_may_not_take_off(clock) -> None:
     assert drone.problems() == ["the cameras do not see it"]
     drone.connection, drone.problem = None, "no answer within 2 s"
     assert drone.problems() == ["no answer within 2 s"]
+
+
+@virtual
+async def test_a_plan_that_is_refused_is_counted_and_a_landing_that_never_began_too(clock) -> None:
+    drone, _ = made(clock)
+    for name in ("go_to", "land"):
+        drone._heard(Packet(HIGH_LEVEL, 0, bytes([*FORMS[name].head, 0, 0, 1])))
+    assert drone.refused_plans == 2
 
 
 @virtual
