@@ -22,9 +22,9 @@ NOISE, SHARE = math.radians(0.25), 0.2
 """rad, and share of its tilt, by which what a drone says of its own tilt and what is seen of it may differ."""
 ODD = 8.0
 """Cost of one sample at most: what no single pose, whatever it shows, exceeds."""
-CLEARLY, SIMPLER, UNLIKE = 12.0, 4.0, 40.0
-"""Cost by which another body, or the own one turned, must explain a drone's motion better; which a turn, that is fitted,
-must save beside another body; and beyond which its own body does not explain it, whoever's does."""
+CLEARLY, ALIKE, UNLIKE = 12.0, 6.0, 40.0
+"""Cost by which another body, or the own one turned, must explain a drone's motion better; within which these two do so
+equally well; and beyond which its own body does not, whoever's does."""
 RATIO, MOVED = 3.0, 0.5
 """How many times less that cost is then; and the share of all motion that is left where nobody's body explains it."""
 TURNED = math.radians(30.0)
@@ -133,7 +133,7 @@ class Ascent:
             self._rises = j, now
         if j == self.drone or now - self._rises[1] < SURELY:
             return ""
-        return f"it flies, its body stays, and that of drone {j}, which does not fly, rises: exchanged"
+        return f"it flies, its body stays on the floor, and that of drone {j}, which does not fly, rises"
 
     def _by_tilts(self) -> str:
         s, own = np.array(self._own), np.array(self._seen[self.drone])
@@ -146,13 +146,13 @@ class Ascent:
         j = min(others, key=lambda j: others[j], default=self.drone)
         swapped, (turned, psi) = others.get(j, math.inf), self._turned(s, own)
         better = min(mine - CLEARLY, mine / RATIO)
-        if swapped < better and swapped < turned + SIMPLER:
-            return f"it tilts as the body of drone {j} does, not as its own: exchanged"
-        if turned < better:
-            return f"its body tilts as if turned by {math.degrees(psi):.0f} deg about z: defined the wrong way round"
+        if min(swapped, turned) < better:
+            as_another = [f"the body of drone {j}"] * (swapped < min(better, turned + ALIKE))
+            as_turned = [f"its own turned by {math.degrees(psi):.0f} deg about z"] * (turned < min(better, swapped + ALIKE))
+            return f"it does not tilt as its body does, but as {' or '.join([*as_another, *as_turned])}"
         left, moved = np.sum(np.abs(s[:, None] - own) ** 2, axis=0), np.sum(np.abs(own) ** 2, axis=0)
         nobodys = mine > UNLIKE and bool(np.all(left > MOVED * (moved + np.sum(np.abs(s) ** 2))))
-        return "its body does not tilt as it does" if nobodys else ""
+        return "it does not tilt as its body does" if nobodys else ""
 
     def _turned(self, s: Complex, own: Complex) -> tuple[float, float]:
         """The cost of its own body, turned as fits best, and by how many rad; infinite if that is by little."""
