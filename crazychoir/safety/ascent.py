@@ -19,14 +19,17 @@ from crazychoir.math3d import Vec
 
 Complex = npt.NDArray[np.complex128]
 NOISE, SHARE = math.radians(0.25), 0.2
-"""rad, and share of its tilt, by which what a drone says of its own tilt and what is seen of it may differ."""
-ODD = 8.0
-"""Cost of one sample at most: what no single pose, whatever it shows, exceeds."""
+"""rad, and share of its tilt, by which what a drone says of its own tilt and what is seen of it may differ, beside what
+the cameras are seen to be wrong by."""
+ODD = 5.0
+"""Cost of one sample at most: a pose that is wrong touches two, and tells nothing."""
 CLEARLY, ALIKE, UNLIKE = 12.0, 6.0, 40.0
 """Cost by which another body, or the own one turned, must explain a drone's motion better; within which these two do so
 equally well; and beyond which its own body does not, whoever's does."""
 RATIO, MOVED = 3.0, 0.5
 """How many times less that cost is then; and the share of all motion that is left where nobody's body explains it."""
+SHAKEN = math.radians(1.0)
+"""rad: more noise than that is none: somebody puts the drone down."""
 TURNED = math.radians(30.0)
 """rad: a body that is turned by less is not called so."""
 LAGS = (0.01, 0.025, 0.04)
@@ -34,7 +37,7 @@ LAGS = (0.01, 0.025, 0.04)
 STAYS, ROSE, SURELY = 0.03, 0.15, 0.2
 """m by less than which a body has not risen, by which another has that should not; and s for which that is so."""
 WINDOW, STOOD, KEPT = 20, 0.5, 1.5
-"""Samples that are looked at; s of standing before the take-off, from which tilts count; and for which poses are kept."""
+"""Samples that are looked at; s of standing before the take-off, from which tilts count; and of poses that are kept."""
 SHORTEST, LONGEST, ENOUGH = 2.0, 8.0, 40.0
 """s that a take-off is watched: at least, at most; and the cost of its motion from which on it has been judged."""
 
@@ -81,10 +84,12 @@ class Track:
         share = (t - times[k - 1]) / (times[k] - times[k - 1])
         return (1.0 - share) * self._tilts[k - 1] + share * self._tilts[k]
 
-    def mean(self, since: float) -> complex:
-        """From a time on; nan if it was not seen."""
-        found = [u for t, u in zip(self._times, self._tilts, strict=True) if t >= since]
-        return sum(found) / len(found) if found else complex(math.nan)
+    def rest(self, since: float) -> tuple[complex, float]:
+        """The mean from a time on, nan if it was not seen; and the variance an axis, rad2, at most SHAKEN^2."""
+        found = np.array([u for t, u in zip(self._times, self._tilts, strict=True) if t >= since])
+        if not found.size:
+            return complex(math.nan), 0.0
+        return complex(found.mean()), min(0.5 * float(found.var()), SHAKEN**2)
 
 
 class Ascent:
@@ -92,19 +97,21 @@ class Ascent:
 
         s_k = u_own(t_k) - mean of u_own before,   b_jk = u_j(t_k - lag) - mean of u_j before
         J_j(psi) = min over lags of sum_k min(|s_k - e^(i psi) b_jk|^2 / (2 sigma_k^2), ODD)
-        sigma_k^2 = NOISE^2 + (SHARE |s_k|)^2
+        sigma_k^2 = NOISE^2 + n_own^2 + n_i^2 + (SHARE |s_k|)^2
 
-    over the last WINDOW samples. Its body is another's if J_i(0) - J_j(0) > CLEARLY for a j; turned, if
-    J_i(0) - J_i(psi) > CLEARLY for the psi = arg sum_k s_k conj(b_ik) that fits best, |psi| > TURNED; in both cases the
-    better cost is less than J_i(0) / RATIO. It is nobody's if J_i(0) > UNLIKE, and sum |s - b|^2 > MOVED sum |s|^2 +
-    |b|^2. And it is another's if it stays on the floor, while that of a drone that does not fly rises.
+    over the last WINDOW samples;  n_own, n_i: rad, standard deviations an axis before the take-off.
+    Its body is another's if J_i(0) - J_j(0) > CLEARLY for a j; turned, if J_i(0) - J_i(psi) > CLEARLY for the
+    psi = arg sum_k s_k conj(b_ik) that fits best, |psi| > TURNED; in both cases the better cost is less than
+    J_i(0) / RATIO. It is nobody's if J_i(0) > UNLIKE and sum |s - b|^2 > MOVED sum (|s|^2 + |b|^2). And it is another's
+    if it stays on the floor, while that of a drone that does not fly rises.
     """
 
     def __init__(self, i: int, now: float, own: Track, bodies: Mapping[int, Track]) -> None:
         self.drone, self._began, self._bodies = i, now, bodies
         since = now - STOOD
-        self._level = own.mean(since)
-        self._zeros = {j: track.mean(since) for j, track in bodies.items()}
+        self._level, noise = own.rest(since)
+        self._zeros = {j: track.rest(since)[0] for j, track in bodies.items()}
+        self._noise = NOISE**2 + noise + bodies[i].rest(since)[1]
         self._own: deque[complex] = deque(maxlen=WINDOW)
         self._seen: dict[int, deque[list[complex]]] = {j: deque(maxlen=WINDOW) for j in bodies}
         self._moved = 0.0
@@ -119,7 +126,7 @@ class Ascent:
         self._own.append(s)
         for j, track in self._bodies.items():
             self._seen[j].append([track.at(now - lag) - self._zeros[j] for lag in LAGS])
-        self._moved += min(abs(s) ** 2 / (2.0 * NOISE**2), ODD)
+        self._moved += min(abs(s) ** 2 / (2.0 * self._noise), ODD)
         watched = now - self._began
         self.over = watched > LONGEST or (watched > SHORTEST and self._moved > ENOUGH)
         return self._by_tilts() or (self._by_heights(now) if flies else "")
@@ -139,17 +146,18 @@ class Ascent:
         s, own = np.array(self._own), np.array(self._seen[self.drone])
         good = np.isfinite(s) & np.isfinite(own).all(axis=1)
         s, own = s[good], own[good]
-        mine = _cost(s, own)
+        mine = self._cost(s, own)
         if mine <= CLEARLY:
             return ""
-        others = {j: _cost(s, np.array(seen)[good]) for j, seen in self._seen.items() if j != self.drone}
+        others = {j: self._cost(s, np.array(seen)[good]) for j, seen in self._seen.items() if j != self.drone}
         j = min(others, key=lambda j: others[j], default=self.drone)
         swapped, (turned, psi) = others.get(j, math.inf), self._turned(s, own)
         better = min(mine - CLEARLY, mine / RATIO)
         if min(swapped, turned) < better:
-            as_another = [f"the body of drone {j}"] * (swapped < min(better, turned + ALIKE))
-            as_turned = [f"its own turned by {math.degrees(psi):.0f} deg about z"] * (turned < min(better, swapped + ALIKE))
-            return f"it does not tilt as its body does, but as {' or '.join([*as_another, *as_turned])}"
+            another, its_own = f"the body of drone {j}", f"its own turned by {math.degrees(psi):.0f} deg about z"
+            likely = [another] * (swapped < min(better, turned + ALIKE))
+            likely += [its_own] * (turned < min(better, swapped + ALIKE))
+            return f"it does not tilt as its body does, but as {' or '.join(likely)}"
         left, moved = np.sum(np.abs(s[:, None] - own) ** 2, axis=0), np.sum(np.abs(own) ** 2, axis=0)
         nobodys = mine > UNLIKE and bool(np.all(left > MOVED * (moved + np.sum(np.abs(s) ** 2))))
         return "it does not tilt as its body does" if nobodys else ""
@@ -157,13 +165,12 @@ class Ascent:
     def _turned(self, s: Complex, own: Complex) -> tuple[float, float]:
         """The cost of its own body, turned as fits best, and by how many rad; infinite if that is by little."""
         psi = cmath.phase(complex(np.sum(s[:, None] * own.conj())))
-        return (_cost(s, cmath.exp(1j * psi) * own) if abs(psi) > TURNED else math.inf), psi
+        return (self._cost(s, cmath.exp(1j * psi) * own) if abs(psi) > TURNED else math.inf), psi
 
-
-def _cost(s: Complex, seen: Complex) -> float:
-    """J: s (n,), seen (n, lags); who was not seen explains nothing."""
-    if not s.size:
-        return 0.0
-    variance = 2.0 * (NOISE**2 + (SHARE * np.abs(s)) ** 2)
-    each = np.abs(s[:, None] - seen) ** 2 / variance[:, None]
-    return float(np.where(np.isfinite(each), np.minimum(each, ODD), ODD).sum(axis=0).min())
+    def _cost(self, s: Complex, seen: Complex) -> float:
+        """J: s (n,), seen (n, lags); who was not seen explains nothing."""
+        if not s.size:
+            return 0.0
+        variance = 2.0 * (self._noise + (SHARE * np.abs(s)) ** 2)
+        each = np.abs(s[:, None] - seen) ** 2 / variance[:, None]
+        return float(np.where(np.isfinite(each), np.minimum(each, ODD), ODD).sum(axis=0).min())

@@ -4,8 +4,6 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
-from random import Random
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -40,7 +38,7 @@ class Wire:
 
     silence, latency, answered, rssi, failure = 0.0, 0.02, 1.0, math.nan, ""
 
-    def __init__(self, clock: Clock, drone: VirtualCrazyflie, draw: Random) -> None:
+    def __init__(self, clock: Clock, drone: VirtualCrazyflie, draw: np.random.Generator) -> None:
         self.clock, self.drone, self.draw, self._logs = clock, drone, draw, readings(drone)
 
     def send(self, packet: Packet) -> None:
@@ -75,8 +73,8 @@ class Wire:
 
 @dataclass
 class Ascent:
-    """What one drone did. rows: (t, x, y, z, tilt rad, motors) each 10 ms;  named: (t, m) when and where its motors
-    were told to stop.
+    """What one drone did. rows: (s, x, y, z m, tilt rad, sum of its motors' shares) each 10 ms;  reason: why the safety
+    table has brought it down, and found: s after its lift-off, at which height m, and tilt rad.
     """
 
     rows: list[tuple[float, ...]] = field(default_factory=list)
@@ -86,8 +84,8 @@ class Ascent:
 
 
 class Hall(Actor):
-    """The world, its cameras, the owner of the dongles; body_of: by drone, whose body is taken for its own, for i the
-    camera's view is that of body_of[i]; reaches: whom its radio reaches in its place;  turned: rad, of a body.
+    """The world, its cameras, the owner of the dongles. By drone, what is wrong: body_of: whose body is taken for its
+    own;  reaches: whom its radio reaches in its place;  turned: rad, by which its body's axes are turned about z.
     """
 
     name = "hall"
@@ -98,7 +96,7 @@ class Hall(Actor):
         self.agent, self.clock, config = agent, agent.clock, agent.config
         hall = of_swarm(config, ())
         self.world = hall.world(seed)
-        self.body_of, self.turned, draw = body_of, turned, Random(seed)
+        self.body_of, self.turned, draw = body_of, turned, np.random.default_rng(seed)
         self.blur, self.ids = Blur(config.replace(seed=seed)), config.ids
         bus, contents = agent.bus, TableOfContents(Path("nowhere"))
         self.drones, self.bodies, self.tracks = {}, {}, {i: Ascent() for i in config.ids}
@@ -184,8 +182,7 @@ def ascend(
     """All take off, hover, and land."""
 
     async def does(me: Any) -> Any:
-        draw = Random(1000 * seed + me.id)
-        await me.sleep(2.0 + 0.05 * draw.random())
+        await me.sleep(2.0 + 0.05 * float(np.random.default_rng([seed, me.id]).random()))
         if flying is None or me.id in flying:
             await me.take_off()
         await me.sleep(hover)
