@@ -75,7 +75,7 @@ PLANS_ON_BOARD = tuple(rule for rule in REACHED if rule.measure != "link" or rul
 TOLD = ("link", "battery", "empty", "tumbled", "body", "astray")
 """Of a drone that a radio reaches: s since its last packet; s that its battery is below LOW V, V below EMPTY; 1 if it
 lies on its back, or has crashed; 1 if what the cameras take for it does not rise when it takes off; 1 if that does not
-move as the drone does, 2 if so near the floor."""
+move as the drone does, 2 if it may not land."""
 LOW, EMPTY = 3.2, 3.0
 """V, of one cell under load: what the firmware calls low and critical."""
 

@@ -107,8 +107,9 @@ THRUST, MISJUDGED = ("fpqr", "frpy"), 0.15
 RISING, RISING_ON_BOARD = 0.2, 0.4
 """m above the floor where a drone that takes off should be, at which one that is still there is none: flown by thrust
 from here, or by its firmware, which is later."""
-FALLS = 0.2
-"""m above the floor, up to which a drone whose pose is not its own falls: higher, its firmware lands it without."""
+FALLS = 0.4
+"""m above the floor, up to which a drone whose pose is not its own falls: higher, its firmware lands it without poses.
+One that flies by its own estimate, which was told them, falls from wherever it is: it would fly away by metres."""
 
 NOMINAL = Action.NOMINAL  # members of an enumeration are slow to look up
 LOW = (TAKEOFF, LAND)
@@ -591,7 +592,8 @@ class Pilot(Actor):
         if self.mode is TAKEOFF and self._reached:
             self.guard.tell("body", float(self._stays_down(state, now)))
         if self._reached and (why := self.astray()):
-            self.guard.tell("astray", 2.0 if state.flat[2] < self._lift_off - LIFTED + FALLS else 1.0, why)
+            falls = state.flat[2] < self._lift_off - LIFTED + FALLS or self.controls.sender.kind not in THRUST
+            self.guard.tell("astray", 2.0 if falls else 1.0, why)
         if self._held_at_fence(verdict, now):
             self.at_fence += 1
         if self.mode is not LAND and self.clearance.deaf(now):

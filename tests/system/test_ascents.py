@@ -36,7 +36,7 @@ def test_wrong_bodies_are_named_in_the_ascent(kind, case):
 
 
 def test_bodies_that_are_their_drones_are_let_fly():
-    check(ascend(swarm("frpy", **WINDY), 1), ())
+    check(ascend(swarm("frpy", **WINDY), 1, hover=1.0), ())
 
 
 def test_of_one_that_takes_off_alone_with_the_body_of_another():

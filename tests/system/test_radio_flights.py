@@ -223,4 +223,5 @@ async def test_drones_with_wrong_bodies_are_named_in_the_ascent_and_come_down(tm
         assert "it does not tilt as its body does, but as" in result["results"][i]["reason"], result["reasons"]
     assert max(far[i] for i in wrong) < 0.5, far
     assert all(said["p"][2] < 0.05 for said in landed.values())
-    assert result["results"]["1"]["success"] is (1 not in wrong), result["reasons"]
+    for i in [i for i in homes if i not in wrong]:  # it may have failed with its team
+        assert f"drone {i}: stopped" not in result["reasons"].get(str(i), ""), result["reasons"]
