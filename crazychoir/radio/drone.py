@@ -24,7 +24,7 @@ from crazychoir.radio.contents import TableOfContents
 from crazychoir.radio.crtp import FORMS, HIGH_LEVEL, Packet
 from crazychoir.radio.firmware import Firmware
 from crazychoir.radio.handlers import HANDLERS, RadioHandler, emergency, idles, pose_packet, position_packet
-from crazychoir.radio.sights import MOTION, Sights, TakeOff
+from crazychoir.radio.sights import MOTION, RATE, Sights, TakeOff
 from crazychoir.radio.thrust import command_a_newton
 from crazychoir.runtime.actor import ON_FAILURE, Actor
 from crazychoir.runtime.clock import SECOND
@@ -113,8 +113,8 @@ class RadioDrone(Actor):
         if self.seen_by_cameras:
             here = self.port.address
             self._take_off, self._told = TakeOff(i, sights or Sights(bus, config, here)), Pace(config.radio.pose_rate)
-            bus.subscribe(POSE, EYES + i, here, self._pose, config.radio.pose_rate)
-            bus.subscribe(POSE, EYES + i, here, Call(self.clock, self._seen, "pose"), config.radio.pose_rate)
+            bus.subscribe(POSE, EYES + i, here, self._pose, RATE)
+            bus.subscribe(POSE, EYES + i, here, Call(self.clock, self._seen, "pose"), RATE)
 
     # Its life -----------------------------------------------------------------------------------------------------
 
@@ -354,6 +354,8 @@ class RadioDrone(Actor):
         """The cameras have seen it: its own estimator, by which it lands if we fail, is told."""
         if not self._gate.believes(pose, self.clock.now(), self.flying):
             self._say("jump", "its pose jumps: another body's, or a mistake of the cameras: its estimator is not told")
+            if self._take_off is not None:
+                self._take_off.give_up()
             return
         if self._astray():
             return  # it lands by its own sensors
@@ -405,7 +407,8 @@ class RadioDrone(Actor):
         v = MILLI * np.array([values[name] for name in OWN[3:6]])
         p, v, q = self._in_the_world(p, v, quaternion(int(values[OWN[6]])))
         self._own, self._own_ns = State(np.array([*p, *v, *q, 0.0, 0.0, 0.0])), self.clock.now_ns()
-        if self._take_off is not None and self._take_off.note(self.clock.now(), q, self.flying):
+        latency = math.nan if self.connection is None else self.connection.latency
+        if self._take_off is not None and self._take_off.note(self.clock.now(), q, self.flying, latency):
             self.report()
         if not self.seen_by_cameras:
             self.port.publish(POSE, Pose(np.array([*p, *q])))

@@ -10,9 +10,9 @@ from crazychoir.radio.crtp import SUPERVISOR, Packet
 from crazychoir.radio.firmware import Firmware
 from crazychoir.runtime.clock import Clock
 
-BOARD = {"led.bitmask": 0xFF}
+BOARD: dict[str, float] = {"led.bitmask": 0xFF}
 """All of the board: the upper bit takes them from the firmware."""
-RING = {"ring.solidRed": 255, "ring.solidGreen": 255, "ring.solidBlue": 255, "ring.effect": 7}
+RING: dict[str, float] = {"ring.solidRed": 255, "ring.solidGreen": 255, "ring.solidBlue": 255, "ring.effect": 7}
 """The deck below it: one colour."""
 RING_DECK = "deck.bcLedRing"
 ASKED = Packet(SUPERVISOR, 0, b"\x0c")

@@ -15,6 +15,8 @@ RATE = 50.0
 """Hz, at which bodies are looked at, and not their drones told of it."""
 MOTION = 20.0
 """Hz, at least, at which a drone that cameras see says how it is tilted."""
+LATE = 0.2
+"""s, there and back, from which on what a drone says of itself is too old to be compared."""
 
 
 class Sights:
@@ -58,14 +60,22 @@ class TakeOff:
         if math.isnan(self._began):
             self._began, self._ascent = now, Ascent(self.drone, now, self._own, self.sights.tracks)
 
-    def note(self, now: float, q: Vec, flies: bool) -> bool:
-        """It has said how it is turned, q (4,) body to world, and whether it flies; whether something was found now."""
+    def give_up(self) -> None:
+        """Its pose jumps: that is another row of the safety table."""
+        if not self.found:
+            self._ascent = None
+
+    def note(self, now: float, q: Vec, flies: bool, latency: float) -> bool:
+        """It has said how it is turned, q (4,) body to world, and whether it flies; whether something was found now.
+
+        latency: s, there and back, nan if it is not known.
+        """
         u = tilt(q)
         self._own.add(now, u)
         if (self._flies and not flies) or (not flies and now - self._began > LONGEST):
             self._began, self._ascent = math.nan, None
         self._flies = flies
-        if self._ascent is None or self.found:
+        if self._ascent is None or self.found or latency > LATE:
             return False
         self.found = self._ascent.judge(now, u, flies)
         if self._ascent.over and not self.found:

@@ -32,8 +32,8 @@ SHAKEN = math.radians(1.0)
 """rad: more noise than that is none: somebody puts the drone down."""
 TURNED = math.radians(30.0)
 """rad: a body that is turned by less is not called so."""
-LAGS = (0.01, 0.025, 0.04)
-"""s by which what a drone says of itself may be late."""
+LAGS = (0.01, 0.03, 0.05, 0.08, 0.12)
+"""s by which what a drone says of itself may be late: the one of these that fits best."""
 STAYS, ROSE, SURELY = 0.03, 0.15, 0.2
 """m by less than which a body has not risen, by which another has that should not; and s for which that is so."""
 WINDOW, STOOD, KEPT = 20, 0.5, 1.5
