@@ -155,7 +155,7 @@ class Agent:
             self._remotes[i].found_flying = pilot.take_over
         watch = RadioWatch(port, config.source(LINK, i), pilot.guard) if reached != "no" else None
         if watch is not None:
-            pilot.unfit, pilot.turning = watch.problems, watch.turning
+            pilot.unfit, pilot.turning, pilot.astray = watch.problems, watch.turning, watch.astray
             self._radios.append(watch)
         supervisor = self._supervisor(i)
         guidance = self.mission.guidance(i, config)

@@ -235,8 +235,8 @@ class LinkStatus(Wire, frozen=True, array_like=True, gc=False):
     state: "connecting", "up", "degraded", "lost" or "absent", and "refused" if it cannot fly so;  silence: s since its
     last packet;  latency: s, there and back, 95 of 100;  answered: share of echoes that were;  rssi: dBm;  battery:
     V;  supervisor: bits of its firmware's;  flying: its motors turn;  problems: why it may not take off, in words;
-    release: of its firmware;  refused: plans that its firmware has not taken;  reconnected: how often. What is not
-    known is NaN.
+    release: of its firmware;  refused: plans that its firmware has not taken;  reconnected: how often;  astray: how the
+    body that the cameras take for it has moved otherwise, empty if it has not. What is not known is NaN.
     """
 
     state: str
@@ -251,6 +251,7 @@ class LinkStatus(Wire, frozen=True, array_like=True, gc=False):
     release: str = ""
     refused: int = 0
     reconnected: int = 0
+    astray: str = ""
 
 
 class Plan(Wire, frozen=True, array_like=True, gc=False):

@@ -7,6 +7,7 @@ import typer
 
 from crazychoir.cli import (
     ending,
+    identify,
     look,
     orders,
     param,
@@ -42,6 +43,7 @@ app.command()(solve.solve)
 app.command()(simulate.simulate)
 app.command()(plot.plot)
 app.command()(render.render)
+app.command()(identify.identify)
 for command in (look.topics, look.echo, look.hz, look.status, look.impair, orders.stop):
     app.command()(command)
 for verb in orders.TEXTS:

@@ -82,12 +82,13 @@ def _shared(hall: "Hall", text: str | None, each: int | None, capacity: float | 
 
 def _table(states: dict[int, Any]) -> Table:
     """A line a drone."""
-    columns = ("drone", "port", "client", "supervisor", "height", "battery", "up", "down", "lost")
+    columns = ("drone", "port", "client", "supervisor", "height", "battery", "up", "down", "lost", "LEDs")
     table = Table(*columns, box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), show_edge=False)
     for i, state in states.items():
         table.add_row(
             str(i), str(state["at"][1]), state["client"] or "", state["crashed"] or state["supervisor"],
             f"{state['p'][2]:.2f} m", f"{state['vbat']:.2f} V", *(str(state[name]) for name in ("up", "down", "lost")),
+            "lit" if state["led"] else "",
         )  # fmt: skip
     return table
 

@@ -15,6 +15,7 @@ from crazychoir.bus.local import BODIES, EYES, Bus
 from crazychoir.bus.topics import BODY, LINK, POSE, TELEMETRY, TRUTH
 from crazychoir.errors import CodecError, ConfigError, LinkFailed
 from crazychoir.math3d import product, quaternion_of_yaw, yaw_of
+from crazychoir.mocap.view import Pace
 from crazychoir.platforms import platform
 from crazychoir.radio import checks
 from crazychoir.radio.compressed import quaternion
@@ -23,7 +24,8 @@ from crazychoir.radio.contents import TableOfContents
 from crazychoir.radio.crtp import FORMS, HIGH_LEVEL, Packet
 from crazychoir.radio.dongles import DongleFailed
 from crazychoir.radio.firmware import Firmware
-from crazychoir.radio.handlers import HANDLERS, RadioHandler, emergency, idles, pose_packet
+from crazychoir.radio.handlers import HANDLERS, RadioHandler, emergency, idles, pose_packet, position_packet
+from crazychoir.radio.sights import MOTION, RATE, Sights, TakeOff
 from crazychoir.radio.thrust import command_a_newton
 from crazychoir.runtime.actor import ON_FAILURE, Actor
 from crazychoir.runtime.clock import SECOND
@@ -78,7 +80,7 @@ class RadioDrone(Actor):
     """Drone i of a swarm, whose agent's commands come to its body's port.
 
     kind: of commands;  rate: Hz of set-points;  contents: shared by all links of the process;  turn: waits
-    until a packet may be sent.
+    until a packet may be sent;  sights: shared, too, None: its own.
     """
 
     name = "radio"
@@ -88,7 +90,7 @@ class RadioDrone(Actor):
 
     def __init__(
         self, bus: Bus, config: SwarmConfig, i: int, kind: str, rate: float, contents: TableOfContents,
-        turn: Callable[[], None] = lambda: None,
+        turn: Callable[[], None] = lambda: None, sights: Sights | None = None,
     ) -> None:  # fmt: skip
         self.bus, self.clock, self.config, self.drone, self.kind = bus, bus.clock, config, i, kind
         self.port, self.rate, self._contents, self._turn = bus.ports[BODIES + i], rate, contents, turn
@@ -113,10 +115,12 @@ class RadioDrone(Actor):
         self._asked: dict[tuple[str, ...], float] = {}
         self._tasks: list[asyncio.Task[None]] = []
         self._pose: Latest[Pose] = Latest(self.clock, f"drone {i} pose", UNSEEN)
+        self._take_off: TakeOff | None = None
         if self.seen_by_cameras:
             here = self.port.address
-            bus.subscribe(POSE, EYES + i, here, self._pose, config.radio.pose_rate)
-            bus.subscribe(POSE, EYES + i, here, Call(self.clock, self._seen, "pose"), config.radio.pose_rate)
+            self._take_off, self._told = TakeOff(i, sights or Sights(bus, config, here)), Pace(config.radio.pose_rate)
+            bus.subscribe(POSE, EYES + i, here, self._pose, RATE)
+            bus.subscribe(POSE, EYES + i, here, Call(self.clock, self._seen, "pose"), RATE)
 
     # Its life -----------------------------------------------------------------------------------------------------
 
@@ -205,7 +209,8 @@ class RadioDrone(Actor):
         self._placed = True
 
     async def _begin_logs(self, connection: Connection) -> None:
-        period, seconds = 1.0 / self.config.radio.log_rate, REOPENS
+        rate, seconds = self.config.radio.log_rate, REOPENS
+        period = 1.0 / (max(rate, MOTION) if self.seen_by_cameras else rate)
         self._logs_ns = self.clock.now_ns()
         connection.drop_logs()
         await connection.log("own", (*OWN, *WELL), period, self._take_own, seconds)
@@ -311,6 +316,8 @@ class RadioDrone(Actor):
             self._due_ns = max(self._due_ns + period_ns, now_ns - period_ns // 2)
         if self._platform.firmware.needs_arming and not stops:
             self._arm()
+        if self._take_off is not None and not stops and not self.flying:
+            self._take_off.begin(self.clock.now())
         self._stopped, self._landing = stops, None
         self._flown_here = self._flown_here or not stops
         self._transmit(command)
@@ -359,11 +366,16 @@ class RadioDrone(Actor):
         """The cameras have seen it: its own estimator, by which it lands if we fail, is told."""
         if not self._gate.believes(pose, self.clock.now(), self.flying):
             self._say("jump", "its pose jumps: another body's, or a mistake of the cameras: its estimator is not told")
+            if self._take_off is not None:
+                self._take_off.give_up()
             return
         self.place = self.clock.now() - age, pose
-        if age <= NEWEST and self.connection is not None:
+        if self._astray():
+            return  # it lands by its own sensors
+        if age <= NEWEST and self.connection is not None and self._told.passes(self.clock.now()):
+            watched = self._take_off is not None and self._take_off.watched
             try:
-                self.connection.newest("pose", pose_packet(pose))
+                self.connection.newest("pose", position_packet(pose) if watched else pose_packet(pose))
             except CodecError:
                 self.malformed += 1
 
@@ -413,6 +425,9 @@ class RadioDrone(Actor):
         v = MILLI * np.array([values[name] for name in OWN[3:6]])
         p, v, q = self._in_the_world(p, v, quaternion(int(values[OWN[6]])))
         self._own, self._own_ns = State(np.array([*p, *v, *q, 0.0, 0.0, 0.0])), self.clock.now_ns()
+        latency = math.nan if self.connection is None else self.connection.latency
+        if self._take_off is not None and self._take_off.note(self.clock.now(), q, self.flying, latency):
+            self.report()
         if not self.seen_by_cameras:
             self.port.publish(POSE, Pose(np.array([*p, *q])))
             self.port.publish(TRUTH, self._own)
@@ -462,10 +477,14 @@ class RadioDrone(Actor):
         if not (self._prepared and self._placed) and not self.flying:
             unseen = self.seen_by_cameras and self._pose.fresh() is None
             return ["the cameras do not see it" if unseen else "is being prepared"]
-        found = [*checks.supervisor_problems(self.supervisor), *checks.battery_problems(self.battery)]
+        found = [*checks.supervisor_problems(self.supervisor), *checks.battery_problems(self.battery), *self._astray()]
         if self.flying:
             return found
         return found + (self._unseen() if self.seen_by_cameras else self._unsure())
+
+    def _astray(self) -> list[str]:
+        """What its last take-off has shown of the body that is taken for its own."""
+        return [self._take_off.found] if self._take_off is not None and self._take_off.found else []
 
     def _unseen(self) -> list[str]:
         own = None if self._own is None else Pose(np.array([*self._own.p, *self._own.flat[6:10]]))
@@ -487,7 +506,7 @@ class RadioDrone(Actor):
         return LinkStatus(
             self.state_of_link, self.silence, battery=float(self.battery), supervisor=self.supervisor,
             flying=self.flying, problems=self.problems(), release=self.release, refused=self.refused_plans,
-            reconnected=self.reconnected, **known,
+            reconnected=self.reconnected, astray="; ".join(self._astray()), **known,
         )  # fmt: skip
 
     def report(self) -> None:

@@ -163,6 +163,11 @@ def pose_packet(pose: Pose) -> Packet:
     return FORMS["external_pose"].packet(*pose.flat.tolist())
 
 
+def position_packet(pose: Pose) -> Packet:
+    """What tells a drone where it is, and not how it is turned."""
+    return FORMS["external_position"].packet(*pose.p.tolist())
+
+
 def emergency() -> list[Packet]:
     """Motors off for good, said in both ways that firmware knows."""
     return [FORMS["emergency_stop"].packet(), FORMS["supervisor_stop"].packet()]

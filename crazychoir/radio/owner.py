@@ -16,6 +16,7 @@ from crazychoir.radio.budget import rates
 from crazychoir.radio.contents import TableOfContents, folder
 from crazychoir.radio.dongles import DONGLES
 from crazychoir.radio.drone import LOOKS, RadioDrone
+from crazychoir.radio.sights import Sights
 from crazychoir.radio.writer import Pace
 from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import Clock
@@ -53,9 +54,9 @@ class RadioProcess(Actor):
         rate, contents = rates(config)[dongle], TableOfContents(folder())
         for i in self.ids:
             self.bus.port(BODIES + i, incarnation)
-        turn = self._pace().turn
+        turn, sights = self._pace().turn, Sights(self.bus, config, BODIES + self.ids[0])
         self.drones = {
-            i: RadioDrone(self.bus, config, i, sender_of(config, i), rate, contents, turn) for i in self.ids
+            i: RadioDrone(self.bus, config, i, sender_of(config, i), rate, contents, turn, sights) for i in self.ids
         }
         self.bodies = {
             i: RemoteBody(self.bus.ports[BODIES + i], drone, drone, drone.kind, flight=config.flight, ask=drone.ask)

@@ -65,15 +65,17 @@ TABLE = (
     Rule("empty", 0.00, Action.LAND, latched=True),
     Rule("tumbled", 0.00, Action.CUT, latched=True),
     Rule("body", 0.00, Action.CUT, latched=True),
+    Rule("astray", 0.00, Action.LAND, latched=True),
+    Rule("astray", 1.00, Action.CUT, latched=True),
 )
 REACHED = tuple(Rule("pose", 20.0, Action.CUT, latched=True) if r.measure == "pose" and r.latched else r for r in TABLE)
 """The table of a drone that a radio reaches: its firmware lands it by its own sensors when nobody sees it."""
 PLANS_ON_BOARD = tuple(rule for rule in REACHED if rule.measure != "link" or rule.action is not Action.BRAKE)
 """The same where its planner is on board: it goes on with its plan, and nobody could tell it to brake."""
-TOLD = ("link", "battery", "empty", "tumbled", "body")
+TOLD = ("link", "battery", "empty", "tumbled", "body", "astray")
 """Of a drone that a radio reaches: s since its last packet; s that its battery is below LOW V, V below EMPTY; 1 if it
 lies on its back, has crashed, or is locked by its firmware; 1 if what the cameras take for it does not rise when it
-takes off."""
+takes off; 1 if that does not move as the drone does, 2 if it may not land."""
 LOW, EMPTY = 3.2, 3.0
 """V, of one cell under load: what the firmware calls low and critical."""
 
@@ -88,6 +90,7 @@ TEXT = {
     "battery": "battery below 3.2 V for {value:.1f} s, limit {limit:.1f} s: {doing}",
     "empty": "battery {value:.2f} V below 3.0 V: {doing}",
     "body": "its body does not rise as it takes off: another drone's, or too little thrust: {doing}",
+    "astray": "{said}: {doing}",
     "tumbled": "tumbled, crashed or locked, as its firmware says: {doing}",
 }
 EDGE = 0.005
@@ -194,6 +197,7 @@ class Guard:
         least = {m: min((r.limit for r in table if r.measure == m), default=math.inf) for m in TEXT}
         self._least = least
         self._told: dict[str, float] = dict.fromkeys(TOLD, -math.inf)
+        self._said: dict[str, str] = {}
         self._told_well = True
         self._least_pose, self._least_reference = least["pose"], least["reference"]
         self._least_stop = min(least["fence"], least["stop"], least["limit area"])
@@ -222,9 +226,10 @@ class Guard:
             return ALL_WELL
         return self._judge(now, self._measured(state, pose_age, age, stop))
 
-    def tell(self, measure: str, value: float) -> None:
-        """A measure of TOLD now."""
+    def tell(self, measure: str, value: float, said: str = "") -> None:
+        """A measure of TOLD now; said: what its reason says in place of {said}."""
         self._told[measure] = value
+        self._said[measure] = said
         self._told_well = all(value <= self._least[m] for m, value in self._told.items())
 
     @property
@@ -255,7 +260,7 @@ class Guard:
             if not value <= rule.limit:  # a NaN is beyond every limit
                 self._acting[rule], self._found[rule] = math.inf, value
                 if rule.latched:
-                    self._latched.setdefault(rule, _reason(rule, value))
+                    self._latched.setdefault(rule, _reason(rule, value, self._said.get(rule.measure, "")))
             elif rule in self._acting:
                 self._settle(rule, value, now)
         worst = max(self._acting, key=lambda rule: rule.action, default=None)
@@ -273,8 +278,10 @@ class Guard:
             del self._acting[rule]
 
 
-def _reason(rule: Rule, value: float) -> str:
+def _reason(rule: Rule, value: float, said: str = "") -> str:
     """What was found, the limit, what is done."""
     at_edge = rule.measure == "stop" and abs(value) < EDGE
-    text = (AT_EDGE if at_edge else TEXT[rule.measure]).format(value=value, limit=rule.limit, doing=DOING[rule.action])
+    text = (AT_EDGE if at_edge else TEXT[rule.measure]).format(
+        value=value, limit=rule.limit, doing=DOING[rule.action], said=said
+    )
     return f"{text}, for good" if rule.latched else text

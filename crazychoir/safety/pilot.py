@@ -107,6 +107,9 @@ THRUST, MISJUDGED = ("fpqr", "frpy"), 0.15
 RISING, RISING_ON_BOARD = 0.2, 0.4
 """m above the floor where a drone that takes off should be, at which one that is still there is none: flown by thrust
 from here, or by its firmware, which is later."""
+FALLS = 0.4
+"""m above the floor, up to which a drone whose pose is not its own falls: higher, its firmware lands it without poses.
+One that flies by its own estimate, which was told them, falls from wherever it is: it would fly away by metres."""
 
 NOMINAL = Action.NOMINAL  # members of an enumeration are slow to look up
 LOW = (TAKEOFF, LAND)
@@ -170,6 +173,8 @@ class Pilot(Actor):
         """Whether its firmware says that its motors turn, which lands it."""
         self.unfit: Callable[[], list[str]] = list
         """Says why its drone may not take off, beside what is known here."""
+        self.astray: Callable[[], str] = str
+        """How what the cameras take for it has moved otherwise than the drone; empty if it has not."""
         self.awaits_start = limits.operator
         """Whether its mission waits for an operator's start: until then guidance moves nothing."""
         self.started_at: Point | None = None
@@ -586,6 +591,9 @@ class Pilot(Actor):
                 return self._idle
         if self.mode is TAKEOFF and self._reached:
             self.guard.tell("body", float(self._stays_down(state, now)))
+        if self._reached and (why := self.astray()):
+            falls = state.flat[2] < self._lift_off - LIFTED + FALLS or self.controls.sender.kind not in THRUST
+            self.guard.tell("astray", 2.0 if falls else 1.0, why)
         if self._held_at_fence(verdict, now):
             self.at_fence += 1
         if self.mode is not LAND and self.clearance.deaf(now):
@@ -760,7 +768,7 @@ class Pilot(Actor):
             self.cut(verdict.reason)
         elif verdict.action is Action.LAND:
             self._give_up(verdict.reason)
-            if verdict.measure == "pose" and self._reached:
+            if verdict.measure in ("pose", "astray") and self._reached:
                 self._hand_over()
         elif verdict.action is Action.BRAKE and self.mode is not LAND:
             self._brake()

@@ -50,6 +50,11 @@ class RadioWatch(Actor):
         status = self._status.fresh()
         return status is None or status.flying
 
+    def astray(self) -> str:
+        """How what the cameras take for it has moved otherwise than it, empty if it has not."""
+        status = self._status.peek()
+        return "" if status is None else status.astray
+
     def problems(self) -> list[str]:
         """Why its drone may not take off."""
         status = self._status.fresh()

@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+import math
 import os
 import signal
 import sys
@@ -246,3 +247,41 @@ async def test_a_formation_stands_by_roll_and_pitch_at_the_rate_that_a_dongle_ca
 async def test_twenty_fly_a_figure(tmp_path) -> None:
     config = reached(figures(20, "xyz", processes=[list(range(10)), list(range(10, 20))]), per_dongle=4)
     await flown(config, tmp_path, 200.0)
+
+
+async def farthest(hall: Hall, run: Program, homes: dict[int, Any]) -> dict[int, float]:
+    """m from above where they stand, of drones whose motors turn, until the run is over."""
+    far = dict.fromkeys(homes, 0.0)
+    while run.process.returncode is None:
+        for i, said in hall.state().items():
+            if any(share > 0.01 for share in said["motors"]):
+                far[i] = max(far[i], math.dist(said["p"][:2], homes[i][:2]))
+        await asyncio.sleep(0.05)
+    return far
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("case", "sender"), [("exchanged", "fpqr"), ("exchanged", "xyz"), ("turned", "frpy")])
+async def test_drones_with_wrong_bodies_are_named_in_the_ascent_and_come_down(tmp_path, case, sender) -> None:
+    """Exchanged: each radio reaches the drone whose body is taken for the other's, and which stands at its home."""
+    config = reached(figures(2, sender))
+    raw = json.loads(config.dumps())
+    homes = {drone["id"]: drone["home"] for drone in raw["drones"]}
+    wrong = (0, 1) if case == "exchanged" else (0,)
+    if case == "exchanged":
+        a, b = (drone["uri"] for drone in raw["drones"])
+        raw["drones"][0]["uri"], raw["drones"][1]["uri"] = b, a
+    async with Hall(config, tmp_path) as hall:
+        if case == "turned":
+            hall.fault(0, turned=math.pi)
+        (tmp_path / "flown.json").write_text(json.dumps(raw))
+        run = await hall._start("run", str(tmp_path / "flown.json"), "--json")
+        far = await asyncio.wait_for(farthest(hall, run, homes), 90.0)
+        result = await run.end(30.0)
+        landed = hall.state()
+    for i in map(str, wrong):
+        assert "it does not tilt as its body does, but as" in result["results"][i]["reason"], result["reasons"]
+    assert max(far[i] for i in wrong) < 0.5, far
+    assert all(said["p"][2] < 0.05 for said in landed.values())
+    for i in [i for i in homes if i not in wrong]:  # it may have failed with its team
+        assert f"drone {i}: stopped" not in result["reasons"].get(str(i), ""), result["reasons"]

@@ -11,7 +11,7 @@ import numpy as np
 
 from crazychoir.bus.plain import plain
 from crazychoir.errors import CodecError, CrazyChoirError
-from crazychoir.math3d import Mat
+from crazychoir.math3d import Mat, Vec, product, quaternion_of_yaw
 from crazychoir.mocap.frames import ASK, MOST, PATIENCE, Frame
 from crazychoir.radio.virtual.faults import Faults
 from crazychoir.radio.virtual.port import Address, opened, waiting
@@ -22,15 +22,21 @@ Answer = Callable[[Question], Any]
 
 
 def seen(states: Mat, rows: dict[int, int], faults: dict[int, Faults], names: dict[int, str]) -> dict[str, Any]:
-    """{name: (7,) p m, q} as the cameras take it: some bodies lost, elsewhere, or taken for each other."""
+    """{name: (7,) p m, q} as the cameras take it: some bodies lost, elsewhere, turned, or taken for each other."""
     bodies: dict[str, Any] = {}
     for i, name in names.items():
         fault = faults[i]
         other = int(fault.swap) if fault.swap >= 0.0 else i
         if not fault.pose_lost and len(bodies) < MOST:
             state = states[rows[other]]
-            bodies[name] = np.array([*(state[:3] + np.array(fault.offset)), *state[6:10]])
+            bodies[name] = np.array([*(state[:3] + np.array(fault.offset)), *_turned(state[6:10], fault.turned)])
     return bodies
+
+
+def _turned(q: Vec, yaw: float) -> Any:
+    """(4,) of a body whose axes are turned by `yaw` rad about its z: q q_z(yaw)."""
+    (a, b, c, d), (e, f, g, h) = q.tolist(), quaternion_of_yaw(yaw).tolist()
+    return product((a, b, c, d), (e, f, g, h)) if yaw else q
 
 
 class Cameras:

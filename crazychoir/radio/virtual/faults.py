@@ -60,6 +60,7 @@ KNOBS = {
     "deck_lost": _switch("its deck does not see the lighthouses"),
     "pose_lost": _switch("the cameras do not see it"),
     "offset": Knob(-10, 10, "m along x, y, z by which the cameras see it elsewhere", size=3),
+    "turned": Knob(-math.pi, math.pi, "rad about its z by which its body is put on, or defined, the wrong way round"),
     "swap": Knob(-1, 9999, "the drone that the cameras take for it, and the other way round; -1: none", whole=True),
 }  # fmt: skip
 
@@ -79,6 +80,7 @@ class Faults:
     deck_lost: float = 0.0
     pose_lost: float = 0.0
     offset: tuple[float, ...] = (0.0, 0.0, 0.0)
+    turned: float = 0.0
     swap: float = -1.0
 
     def listed(self) -> dict[str, Any]:

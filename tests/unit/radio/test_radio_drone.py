@@ -238,3 +238,50 @@ async def test_nobody_commands_it_and_it_is_beyond_the_limit(clock) -> None:
         drone._gate = PoseGate()
         owner._keep_inside(0, body)
         assert (head("emergency_stop") in kept.sent) is cut
+
+
+def seen(drone: RadioDrone, q=(0.0, 0.0, 0.0, 1.0)) -> None:
+    """The cameras have."""
+    drone._seen(Pose(np.array([0.0, 0.0, 0.0, *q])), 0.0)
+
+
+@virtual
+async def test_in_its_ascent_it_is_told_places_until_its_body_is_known_to_move_as_it_does(clock) -> None:
+    drone, kept = made(clock)
+
+    async def said_for(seconds: float, supervisor: int) -> list[tuple[int, int, int]]:
+        kept.sent.clear()
+        for _ in range(round(20 * seconds)):
+            tell(drone, supervisor)
+            seen(drone)
+            await clock.sleep(0.05)
+        return [(port, channel, -1 if channel == 0 else first) for port, channel, first in kept.sent if port == 6]
+
+    pose, place = head("external_pose"), (FORMS["external_position"].port, FORMS["external_position"].channel, -1)
+    assert set(await said_for(1.0, READY)) == {pose}
+    drone.send(LINE)
+    told = await said_for(4.0, READY | checks.FLYING)
+    assert set(told) == {place}
+    assert 38 <= len(told) <= 42, "as often as [radio] says"
+    assert set((await said_for(6.0, READY | checks.FLYING))[-10:]) == {pose}, "it has been watched for long enough"
+    await said_for(0.5, READY)
+    drone.send(LINE)
+    assert set(await said_for(1.0, READY | checks.FLYING)) == {place}, "so is its next ascent"
+
+
+@virtual
+async def test_whose_body_moves_otherwise_is_told_nothing_more_and_may_not_take_off(clock) -> None:
+    drone, kept = made(clock)
+    drone._prepared = drone._placed = True
+    for k in range(60):
+        tell(drone, READY | checks.FLYING * (k > 20))
+        swing = 0.05 * max(k - 22, 0) / 2.0
+        drone._take_off.sights.tracks[0].add(clock.now(), complex(0.0, swing), 0.0)  # its own tilt stays
+        if k == 20:
+            drone.send(LINE)
+        await clock.sleep(0.05)
+    assert drone.status().astray == "it does not tilt as its body does"
+    assert drone.status().astray in drone.problems()
+    kept.sent.clear()
+    seen(drone)
+    assert kept.sent == []

@@ -190,3 +190,15 @@ def test_what_can_just_stop_inside_is_not_said_to_be_outside():
 
 def test_a_swarm_file_is_refused_if_its_poses_would_always_be_too_old():
     assert min(rule.limit for rule in TABLE if rule.measure == "pose") == OLDEST_POSE
+
+
+def test_what_is_told_with_a_reason_says_it():
+    guard = Guard()
+    state = State.at((0.0, 0.0, 1.0))
+    guard.tell("astray", 1.0, "it tilts otherwise")
+    assert guard.check(0.0, state, 0.0).action is Action.LAND
+    guard.tell("astray", 2.0, "it tilts otherwise")
+    verdict = guard.check(0.1, state, 0.0)
+    assert (verdict.action, verdict.reason) == (Action.CUT, "it tilts otherwise: motors cut, for good")
+    guard.tell("astray", 0.0)
+    assert guard.check(9.0, state, 0.0) == verdict

@@ -1,0 +1,53 @@
+"""crazychoir identify: which of the drones on the bench is it?"""
+
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from crazychoir.cli.look import JsonOption
+from crazychoir.cli.show import STDERR, fail, interrupted, prints_aside, set_up_logging, write_json
+from crazychoir.errors import ConfigError, CrazyChoirError
+
+if TYPE_CHECKING:
+    from crazychoir.swarm.config import SwarmConfig
+
+
+def identify(
+    drone: Annotated[int, typer.Argument(help="Its id.")],
+    swarm: Annotated[str | None, typer.Option(help="Swarm file; else ./swarm.toml.")] = None,
+    seconds: Annotated[float, typer.Option(min=0.1, max=600.0, help="How long, in s.")] = 5.0,
+    as_json: JsonOption = False,
+) -> None:
+    """Light the LEDs of a drone that a radio reaches, while no crazychoir-radio has its dongle."""
+    set_up_logging()
+    from crazychoir.radio import identify as leds  # cflib: --help does not need it
+    from crazychoir.radio.contents import TableOfContents, folder
+    from crazychoir.radio.owner import owned
+    from crazychoir.runtime.clock import Clock, run_wall
+    from crazychoir.swarm.config import find_swarm
+
+    try:
+        config, _ = find_swarm(swarm)
+        uri, dongle = _reached(config, drone)
+
+        async def light(clock: Clock) -> dict[str, float]:
+            contents, deadline = TableOfContents(folder()), config.radio.connect_deadline
+            return await leds.identify(clock, uri, contents, seconds, deadline)
+
+        with owned(config, dongle), prints_aside():
+            STDERR.print(f"drone {drone} ({uri}): its LEDs are lit for {seconds:g} s", highlight=False)
+            lit = run_wall(light)
+    except CrazyChoirError as error:
+        fail(error, as_json)
+    except KeyboardInterrupt:
+        interrupted(as_json)
+    if as_json:
+        write_json({"success": True, "drone": drone, "uri": uri, "seconds": seconds, "parameters": lit})
+
+
+def _reached(config: "SwarmConfig", drone: int) -> tuple[str, int]:
+    """Its uri and its dongle."""
+    for dongle, ids in config.dongles.items():
+        if drone in ids:
+            return config.drone(drone).uri, dongle
+    raise ConfigError("DRONE", drone, f"drones that a radio reaches: {list(config.reached)}")
