@@ -104,9 +104,9 @@ STILL_TURNING = 10.0
 Reached = Literal["no", "seen", "own"]
 THRUST, MISJUDGED = ("fpqr", "frpy"), 0.15
 """Senders of a thrust, and the share by which it may be off: a wrong thrust map is off by 0.27."""
-RISING, RISING_ON_BOARD = 0.2, 0.4
-"""m above the floor where a drone that takes off should be, at which one that is still there is none: flown by thrust
-from here, or by its firmware, which is later."""
+RISING, STANDS, STANDS_ON_BOARD = 0.2, 0.4, 0.8
+"""m above the floor where a drone that takes off should be; and s after which one that is still there is none: flown by
+thrust from here, or by its firmware, which is later."""
 FALLS = 0.4
 """m above the floor, up to which a drone whose pose is not its own falls: higher, its firmware lands it without poses.
 One that flies by its own estimate, which was told them, falls from wherever it is: it would fly away by metres."""
@@ -193,6 +193,7 @@ class Pilot(Actor):
         self._a = STILL  # m/s2, what the last command asks of the drone
         self._flown: FullState | None = None  # in the last tick, if it was a FullState
         self._lift_off = 0.0  # m, the height above which a drone that takes off flies
+        self._rises_at = 0.0  # s, when it last was not on the floor while it should be in the air
         self._obeyed = Action.NOMINAL  # the last verdict
         self._ticked_ns = 0
         self._cut_for = ""
@@ -351,7 +352,7 @@ class Pilot(Actor):
         start = FullState.at(self.state.p, yaw=yaw_of(self.state.q))
         duration = self.flights.go_to(start, goal, start.yaw, 0.0, self.clock.now())
         self._flown, self._beyond = start, False
-        self._lift_off = self.state.p[2] + LIFTED
+        self._lift_off, self._rises_at = self.state.p[2] + LIFTED, self.clock.now()
         if self.started_at is None:
             self.started_at = start.p
         self._change(Event.TAKE_OFF)
@@ -609,10 +610,11 @@ class Pilot(Actor):
         return command if self._down_at == math.inf else None
 
     def _stays_down(self, state: State, now: float) -> bool:
-        """Whether what the cameras take for it stands on the floor while it should be in the air."""
+        """Whether what the cameras take for it stands on the floor while it should be in the air, for some time."""
         plan, floor = self.flights.sample(now), self._lift_off - LIFTED
-        rising = RISING if self.controls.sender.kind in THRUST else RISING_ON_BOARD
-        return plan is not None and plan.p[2] - floor > rising and state.flat[2] < self._lift_off
+        if plan is None or plan.p[2] - floor <= RISING or state.flat[2] >= self._lift_off:
+            self._rises_at = now
+        return now - self._rises_at > (STANDS if self.controls.sender.kind in THRUST else STANDS_ON_BOARD)
 
     def _held_at_fence(self, verdict: Verdict, now: float) -> bool:
         """Whether the safety table keeps it inside, or it is where a flight to a place outside had to end."""
