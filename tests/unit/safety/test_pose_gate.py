@@ -55,3 +55,24 @@ def test_no_gap_excuses_half_a_metre() -> None:
     gate.believes(pose(0.0), 0.0, True)
     assert gate.believes(pose(0.4), 1.0, True)
     assert not gate.believes(pose(1.0), 3.0, True)
+
+
+@pytest.mark.parametrize("hertz", [50.0, 100.0])
+def test_poses_that_were_late_and_come_together_keep_nobody_unseen(hertz) -> None:
+    """For 0.25 s nothing is read; then all poses at once, as if they were born then."""
+    for speed in (0.0, 1.0, 2.0):
+        gate, believed = PoseGate(), []
+        for k in range(round(3.0 * hertz)):
+            t = k / hertz
+            born = 1.25 if 1.0 < t <= 1.25 else t
+            believed.append(gate.believes(pose(speed * t), born + 0.001 * (t - born), True))
+        assert all(believed[round(1.4 * hertz) :]), speed
+
+
+@pytest.mark.parametrize("hertz", [10.0, 50.0, 100.0])
+@pytest.mark.parametrize("jump", [0.3, 0.6, 2.0])
+def test_another_body_is_never_believed_however_long_it_is_seen(hertz, jump) -> None:
+    gate = PoseGate()
+    for k in range(round(8.0 * hertz)):
+        t = k / hertz
+        assert gate.believes(pose(0.2 * math.sin(t) + jump * (t > 2.0)), t, True) is (t <= 2.0)
