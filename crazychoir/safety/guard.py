@@ -65,6 +65,7 @@ TABLE = (
     Rule("empty", 0.00, Action.LAND, latched=True),
     Rule("tumbled", 0.00, Action.CUT, latched=True),
     Rule("body", 0.00, Action.CUT, latched=True),
+    Rule("gone", 0.00, Action.CUT, latched=True),
     Rule("astray", 0.00, Action.LAND, latched=True),
     Rule("astray", 1.00, Action.CUT, latched=True),
 )
@@ -72,10 +73,11 @@ REACHED = tuple(Rule("pose", 20.0, Action.CUT, latched=True) if r.measure == "po
 """The table of a drone that a radio reaches: its firmware lands it by its own sensors when nobody sees it."""
 PLANS_ON_BOARD = tuple(rule for rule in REACHED if rule.measure != "link" or rule.action is not Action.BRAKE)
 """The same where its planner is on board: it goes on with its plan, and nobody could tell it to brake."""
-TOLD = ("link", "battery", "empty", "tumbled", "body", "astray")
+TOLD = ("link", "battery", "empty", "tumbled", "body", "astray", "gone")
 """Of a drone that a radio reaches: s since its last packet; s that its battery is below LOW V, V below EMPTY; 1 if it
 lies on its back, has crashed, or is locked by its firmware; 1 if what the cameras take for it does not rise when it
-takes off; 1 if that does not move as the drone does, 2 if it may not land."""
+takes off; 1 if that does not move as the drone does, 2 if it may not land; m outside the limit area where a body is
+seen for some time that is not believed to be its own."""
 LOW, EMPTY = 3.2, 3.0
 """V, of one cell under load: what the firmware calls low and critical."""
 
@@ -91,6 +93,7 @@ TEXT = {
     "empty": "battery {value:.2f} V below 3.0 V: {doing}",
     "body": "its body does not rise as it takes off: another drone's, or too little thrust: {doing}",
     "astray": "{said}: {doing}",
+    "gone": "its body, or another, is seen {value:.2f} m outside the limit area: {doing}",
     "tumbled": "tumbled, crashed or locked, as its firmware says: {doing}",
 }
 EDGE = 0.005
@@ -231,6 +234,10 @@ class Guard:
         self._told[measure] = value
         self._said[measure] = said
         self._told_well = all(value <= self._least[m] for m, value in self._told.items())
+
+    def beyond(self, p: Vec) -> float:
+        """m by which p (3,) m is outside the limit area."""
+        return self._limit.outside(*p.tolist())
 
     @property
     def acts(self) -> bool:

@@ -107,6 +107,9 @@ THRUST, MISJUDGED = ("fpqr", "frpy"), 0.15
 RISING, STANDS, STANDS_ON_BOARD = 0.2, 0.4, 0.8
 """m above the floor where a drone that takes off should be; and s after which one that is still there is none: flown by
 thrust from here, or by its firmware, which is later."""
+OUTSIDE, ON_FLOOR = 0.1, 1.0
+"""s for which a body is seen outside the limit area, where none should be; and for which a drone that should fly is
+seen on the floor."""
 FALLS = 0.4
 """m above the floor, up to which a drone whose pose is not its own falls: higher, its firmware lands it without poses.
 One that flies by its own estimate, which was told them, falls from wherever it is: it would fly away by metres."""
@@ -194,6 +197,7 @@ class Pilot(Actor):
         self._flown: FullState | None = None  # in the last tick, if it was a FullState
         self._lift_off = 0.0  # m, the height above which a drone that takes off flies
         self._rises_at = 0.0  # s, when it last was not on the floor while it should be in the air
+        self._inside_at = self._up_at = math.inf  # s, when its body was not seen outside, and not on the floor
         self._obeyed = Action.NOMINAL  # the last verdict
         self._ticked_ns = 0
         self._cut_for = ""
@@ -225,8 +229,15 @@ class Pilot(Actor):
 
     def _believed(self, pose: Pose, gate: PoseGate) -> Pose | None:
         """The pose, unless it cannot be its."""
-        if gate.believes(pose, self.clock.now(), self.airborne):
+        now = self.clock.now()
+        if gate.believes(pose, now, self.airborne):
+            self._inside_at = now
             return pose
+        beyond = self.guard.beyond(pose.p)
+        if beyond <= 0.0:
+            self._inside_at = now
+        elif now - self._inside_at > OUTSIDE:
+            self.guard.tell("gone", beyond)
         self._say("jump", "the pose has jumped: another body, or a mistake of the cameras: not believed")
         return None
 
@@ -595,6 +606,8 @@ class Pilot(Actor):
         if self._reached and (why := self.astray()):
             falls = state.flat[2] < self._lift_off - LIFTED + FALLS or self.controls.sender.kind not in THRUST
             self.guard.tell("astray", 2.0 if falls else 1.0, why)
+        if self._reached and self._fallen(state, now):
+            self._give_up("seen on the floor, where it should fly: landing")
         if self._held_at_fence(verdict, now):
             self.at_fence += 1
         if self.mode is not LAND and self.clearance.deaf(now):
@@ -615,6 +628,13 @@ class Pilot(Actor):
         if plan is None or plan.p[2] - floor <= RISING or state.flat[2] >= self._lift_off:
             self._rises_at = now
         return now - self._rises_at > (STANDS if self.controls.sender.kind in THRUST else STANDS_ON_BOARD)
+
+    def _fallen(self, state: State, now: float) -> bool:
+        """Whether it has come down by itself, and its motors push the floor."""
+        up = state.age > SEEN or state.flat[2] > self.limits.ground + ON_THE_FLOOR
+        if up or self.mode not in GUIDED or self.mode is TAKEOFF:
+            self._up_at = now
+        return now - self._up_at > ON_FLOOR
 
     def _held_at_fence(self, verdict: Verdict, now: float) -> bool:
         """Whether the safety table keeps it inside, or it is where a flight to a place outside had to end."""

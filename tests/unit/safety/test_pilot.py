@@ -35,12 +35,12 @@ TICK = 0.01
 class Flown:
     """One drone, its pilot, and what both did: positions, references, modes, notes."""
 
-    def __init__(self, clock, fence=((-3.0, -3.0, -0.2), (3.0, 3.0, 2.5)), plant=None, noise=0.0):
+    def __init__(self, clock, fence=((-3.0, -3.0, -0.2), (3.0, 3.0, 2.5)), plant=None, noise=0.0, reached="no"):
         self.clock = clock
         self.bus = Bus(clock)
         self.world = CFIntegrator((0,), np.zeros((1, 3)), np.zeros(1), **(plant or {}))
         self.draw, self.noise = np.random.default_rng(5), noise
-        self.pilot = Pilot(self.bus.port(0), SimulatedLink(self.world, 0), Flight(), Fence.box(*fence))
+        self.pilot = Pilot(self.bus.port(0), SimulatedLink(self.world, 0), Flight(), Fence.box(*fence), reached=reached)
         self.track, self.references = [], []
 
     @property
@@ -48,8 +48,10 @@ class Flown:
         """The truth."""
         return self.world.state(0).p
 
-    async def fly(self, seconds, *, poses=True, each=lambda: None, drift=lambda: 0.0):
-        """Let it fly; `each` is called before every tick; drift: m along x by which the cameras see it elsewhere."""
+    async def fly(self, seconds, *, poses=True, each=lambda: None, drift=lambda: 0.0, sinks=lambda z: z):
+        """Let it fly; `each` is called before every tick; drift: m along x by which the cameras see it elsewhere;
+        sinks: the height that they see.
+        """
         for _ in range(round(seconds / TICK)):
             await self.clock.sleep(TICK)
             for _ in range(round(TICK / self.world.dt)):
@@ -58,8 +60,10 @@ class Flown:
             truth = self.world.state(0)
             seen = truth.flat[[0, 1, 2, 6, 7, 8, 9]]
             seen[0] += drift()
+            seen[2] = sinks(seen[2])
             seen += self.noise * self.draw.standard_normal(7)
-            self.pilot.tick(Pose(seen, 0.0) if poses else None)
+            pose, gate = Pose(seen, 0.0) if poses else None, self.pilot._gate
+            self.pilot.tick(pose if pose is None or gate is None else self.pilot._believed(pose, gate))
             self.bus.stages.run()
             self.track.append(truth.p)
             self.references.append(self.pilot._flown)
@@ -1164,3 +1168,26 @@ async def test_who_landed_as_it_heard_nobody_flies_again_when_it_hears_them(cloc
     await drone.fly(drone.pilot.take_off() + 0.5, each=heard)
     assert drone.pilot.mode is Mode.HOVER
     assert drone.p[2] == pytest.approx(0.3, abs=0.02)
+
+
+@virtual
+async def test_a_body_that_is_seen_outside_is_cut_though_it_may_be_another_and_one_inside_is_not(clock):
+    for far, seconds, cut in ((2.0, 0.3, False), (9.0, 0.05, False), (9.0, 0.2, True)):
+        drone = Flown(clock, reached="seen")
+        await drone.hovering()
+        await drone.fly(seconds, drift=lambda far=far: far)
+        assert (drone.pilot.mode is Mode.CUT) is cut, (far, seconds)
+        assert drone.p == pytest.approx([0.0, 0.0, 1.0], abs=0.2), "a pose that jumps moves nobody"
+    assert "seen 5.50 m outside the limit area: motors cut" in drone.pilot.note
+
+
+@virtual
+async def test_a_drone_that_has_come_down_by_itself_does_not_push_the_floor(clock):
+    drone = Flown(clock, reached="seen")
+    await drone.hovering()
+    began = clock.now()
+    await drone.fly(1.9, sinks=lambda z: max(0.0, 1.0 - (clock.now() - began)))
+    assert drone.pilot.airborne
+    await drone.fly(0.3, sinks=lambda z: 0.0)
+    assert drone.pilot.mode is Mode.GROUND
+    assert drone.pilot.brought_down == "seen on the floor, where it should fly: landing"
