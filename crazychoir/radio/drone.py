@@ -245,9 +245,7 @@ class RadioDrone(Actor):
     def _feed_watchdog(self) -> None:
         """The choice of [radio] watchdog: without us it is to cut its motors."""
         now_ns = self.clock.now_ns()
-        wanted = self.config.radio.watchdog
-        cuts = self.seen_by_cameras if wanted is None else wanted
-        self._fed = self._fed or (cuts and self.kind == "xyz" and self.flying)
+        self._fed = self._fed or (self.config.radio.watchdog and self.kind == "xyz" and self.flying)
         if self._fed and now_ns >= self._watchdog_ns:  # once begun it must go on, on the ground too
             self._watchdog_ns = now_ns + round(WATCHDOG * SECOND)
             self._send_now([FORMS["emergency_stop_watchdog"].packet()])

@@ -120,7 +120,8 @@ bool flying
 string[] problems  # why it may not take off
 string release  # of the firmware
 int64 refused  # plans
-int64 reconnected""",
+int64 reconnected
+string astray  # how its body moves otherwise than it does""",
     "crazychoir_msgs/Status": """\
 std_msgs/Header header
 string phase

@@ -263,7 +263,7 @@ class Radio(Table, frozen=True, kw_only=True):
     capacity: packets a second of a dongle that several drones share;  command_rate: Hz of set-points, 0: as many as
     the dongles carry, at most a command each pose;  pose_rate: Hz of the poses that a drone is told;  log_rate: Hz of
     what it says of itself;  connect_deadline: s a drone;  watchdog: an XYZ drone whose radio fails cuts its motors
-    after 1 s, else flies on; none: one that the cameras see cuts them, for by its own sensors it drifts away;
+    after 1 s, and is locked until it is started anew, also when a run has ended; else it flies on;
     thrust_map: of all drones, for firmware whose release is not known;  parameters: of the
     firmware, of all drones;  origin: m, origin_yaw: rad, world frame: where the frame of poses that come from drones
     themselves (pose = "onboard") begins;  drift: whether a mission that needs a common frame may fly by such poses;
@@ -275,7 +275,7 @@ class Radio(Table, frozen=True, kw_only=True):
     pose_rate: PoseRate = 10.0
     log_rate: Hertz = 10.0
     connect_deadline: Timeout = 10.0
-    watchdog: Flag | None = None
+    watchdog: Flag = False
     thrust_map: ThrustMap | None = None
     parameters: Free = field(default_factory=dict)
     origin: Position = (0.0, 0.0, 0.0)

@@ -208,13 +208,12 @@ async def test_a_plan_that_is_refused_is_counted_and_a_landing_that_never_began_
 
 
 @virtual
-async def test_who_would_drift_away_without_a_radio_is_given_a_watchdog(clock) -> None:
+async def test_who_is_sent_places_is_given_a_watchdog_if_the_mission_wants_it(clock) -> None:
     for kind, pose, radio, fed in (
-        ("xyz", "mocap", {}, 6),
-        ("xyz", "mocap", {"watchdog": False}, 0),
+        ("xyz", "mocap", {"watchdog": True}, 6),
         ("xyz", "onboard", {}, 0),
         ("xyz", "onboard", {"watchdog": True}, 6),
-        ("frpy", "mocap", {}, 0),
+        ("frpy", "mocap", {"watchdog": True}, 0),
     ):
         drone, kept = made(clock, kind, pose=pose, **radio)
         drone._feed_watchdog()

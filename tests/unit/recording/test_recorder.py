@@ -63,7 +63,7 @@ VALUES = {
     COMMAND: FPQR(np.arange(4.0)), TRUTH: State.at((7, 8, 9)), STATUS: Status("hovering", suspect=[1], cost=0.5),
     RESULT: {"success": True, "place": np.ones(3)}, LOG: "drone 1: a line",
     BODY: Body("crashed"),
-    LINK: LinkStatus("up", 0.01, 0.02, 0.9, -40.0, 3.9, 3, True, ["battery"], "2025.12", 1, 2),
+    LINK: LinkStatus("up", 0.01, 0.02, 0.9, -40.0, 3.9, 3, True, ["battery"], "2025.12", 1, 2, "it tilts otherwise"),
     TELEMETRY: {"pm.vbat": [3.9, 0.05]},
     PLAN: Plan(np.ones((1, 25)), 0.5, np.zeros((0, 25)), 0.0, 3, {0: 2}, np.zeros(0)),
 }  # fmt: skip
