@@ -34,6 +34,18 @@ def battery_problems(volts: float) -> list[str]:
     return [f"battery at {volts:.2f} V, {LOW_BATTERY:g} V are needed to begin"] if volts < LOW_BATTERY else []
 
 
+LATE, ANSWERED = 0.3, 0.5
+"""s, there and back, and share of echoes: a link that is worse flies nobody, though it is never silent."""
+
+
+def link_problems(latency: float, answered: float) -> list[str]:
+    """Whether its link is too slow; NaN for what is not known yet."""
+    found = [f"its link takes {latency:.2f} s there and back, at most {LATE:g} s may be"] if latency > LATE else []
+    if answered < ANSWERED:
+        found.append(f"its link answers {100.0 * answered:.0f} of 100 echoes, {100.0 * ANSWERED:g} are needed")
+    return found
+
+
 UNSURE = 0.01
 """m2, variance of its own place on each axis, with which a drone takes off that nobody else sees: 0.1 m."""
 

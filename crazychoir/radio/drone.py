@@ -478,6 +478,7 @@ class RadioDrone(Actor):
         found = [*checks.supervisor_problems(self.supervisor), *checks.battery_problems(self.battery), *self._astray()]
         if self.flying:
             return found
+        found += checks.link_problems(self.connection.latency, self.connection.answered)
         return found + (self._unseen() if self.seen_by_cameras else self._unsure())
 
     def _astray(self) -> list[str]:
