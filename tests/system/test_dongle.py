@@ -127,6 +127,7 @@ def flood(links, height=0.4):
         link.newest("command", HOVER.packet(0.0, 0.0, 0.0, height))
 
 
+@pytest.mark.slow
 async def test_three_on_one_dongle_are_read_told_and_flown(known) -> None:
     async with air(3) as there:
         links = await opened(there, known, 3)
@@ -177,6 +178,7 @@ async def test_a_dongle_without_time_hangs_nobody_and_an_emergency_stop_goes_fir
         await closed(links)
 
 
+@pytest.mark.slow
 async def test_what_is_sent_in_order_arrives_once_and_in_order_whatever_is_lost(known) -> None:
     async with air(2, loss=0.3) as there:
         links = await opened(there, known, 2)
@@ -193,6 +195,7 @@ async def test_what_is_sent_in_order_arrives_once_and_in_order_whatever_is_lost(
         await closed(links)
 
 
+@pytest.mark.slow
 async def test_one_that_is_silent_takes_little_time_and_gets_the_newest_when_it_is_back(known) -> None:
     async with air(2, 250.0) as there:
         links = await opened(there, known, 2)
@@ -236,6 +239,7 @@ async def test_a_dongle_that_is_pulled_out_is_named(known, n) -> None:
         await closed(links)
 
 
+@pytest.mark.slow
 async def test_trajectories_are_uploaded_and_what_does_not_fit_is_not_sent(known) -> None:
     async with air(1) as there:
         links = await opened(there, known, 1)
@@ -267,6 +271,7 @@ async def test_four_cold_ones_are_told_their_tables_once_and_in_time(tmp_path, m
         assert there.dongle.used < limit * 250.0
 
 
+@pytest.mark.slow
 async def test_who_is_not_there_is_named_within_its_deadline(known) -> None:
     async with air(2) as there:
         links = [Connection(there.clock, uri(i), TableOfContents(known)) for i in (0, 7)]
@@ -314,6 +319,7 @@ async def test_the_owner_of_a_dongle_that_is_pulled_out_ends_and_says_why(known,
     await closed([])
 
 
+@pytest.mark.slow
 async def test_the_owner_of_a_dongle_that_is_not_there_says_so_and_ends_by_its_deadline(known, monkeypatch) -> None:
     clock = WallClock(asyncio.get_running_loop())
     with plugged():

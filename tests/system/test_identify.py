@@ -14,6 +14,7 @@ from crazychoir.swarm.config import default_swarm
 pytestmark = [pytest.mark.system, pytest.mark.real_time, pytest.mark.timeout(120)]
 
 
+@pytest.mark.slow
 async def test_its_leds_are_lit_and_nobody_elses_and_not_while_another_has_its_dongle(tmp_path) -> None:
     config = reached(default_swarm(2).replace(control={"sender": "xyz"}))
     async with Hall(config, tmp_path) as hall:
