@@ -285,9 +285,12 @@ class Connection:
         out.data = packet.data
         if (link := self.cf.link) is None:
             raise LinkFailed(self.uri, "its link is closed")
+        echoes = packet[:2] == (LINK, ECHO)
+        if echoes:
+            self._trips.left(packet, self.clock.now())  # before it can come back
         went = link.send_packet(out) is not False
-        if went and packet[:2] == (LINK, ECHO):
-            self._trips.left(packet, self.clock.now())
+        if echoes and not went:
+            self._trips.stayed(packet)
         return went
 
     # From cflib's threads -----------------------------------------------------------------------------------------

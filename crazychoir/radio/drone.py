@@ -64,6 +64,8 @@ WATCHDOG = 0.25
 """s between two words for the emergency-stop watchdog, which wants one a second."""
 NEWEST = 0.1
 """s: an older pose is not told to a drone."""
+LATELY = 1.0
+"""s for which it counts where the cameras have seen it."""
 UNSEEN = 0.5
 """s without a pose after which it counts as not seen, however seldom poses are asked for."""
 MILLI = 1e-3
@@ -522,9 +524,9 @@ class RadioDrone(Actor):
         return not self.flying or self._stopped
 
     def state(self, i: int) -> State:
-        """Where the cameras have seen it last, or it takes itself to be."""
-        pose = self._pose.peek()
-        if pose is not None:
+        """Where the cameras have seen it lately, and were believed, or else it takes itself to be."""
+        if self.place is not None and self.clock.now() - self.place[0] < LATELY:
+            pose = self.place[1]
             return State(np.array([*pose.p, 0.0, 0.0, 0.0, *pose.q, 0.0, 0.0, 0.0]))
         return self._own or State.at(self.row.home)
 

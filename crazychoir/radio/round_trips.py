@@ -31,11 +31,16 @@ class RoundTrips:
         return Packet(LINK, ECHO, FORM.pack(0, self._number))
 
     def left(self, echo: Packet, now: float) -> None:
-        """It has been sent."""
+        """It is being sent."""
         with self._lock:
             self._answered[echo.data] = now
             if len(self._answered) > SHARED + 1:
                 self._answered.popitem(last=False)
+
+    def stayed(self, echo: Packet) -> None:
+        """There was no room for it."""
+        with self._lock:
+            self._answered.pop(echo.data, None)
 
     def came(self, data: bytes, now: float) -> None:
         """One has come back; a second time it counts no more, and neither does one that nobody knows."""

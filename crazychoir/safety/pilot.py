@@ -107,7 +107,7 @@ THRUST, MISJUDGED = ("fpqr", "frpy"), 0.15
 RISING, STANDS, STANDS_ON_BOARD = 0.2, 0.4, 0.8
 """m above the floor where a drone that takes off should be; and s after which one that is still there is none: flown by
 thrust from here, or by its firmware, which is later."""
-OUTSIDE, ON_FLOOR = 0.1, 1.0
+OUTSIDE, ON_FLOOR = 0.2, 1.0
 """s for which a body is seen outside the limit area, where none should be; and for which a drone that should fly is
 seen on the floor."""
 FALLS = 0.4
@@ -197,7 +197,8 @@ class Pilot(Actor):
         self._flown: FullState | None = None  # in the last tick, if it was a FullState
         self._lift_off = 0.0  # m, the height above which a drone that takes off flies
         self._rises_at = 0.0  # s, when it last was not on the floor while it should be in the air
-        self._inside_at = self._up_at = math.inf  # s, when its body was not seen outside, and not on the floor
+        self._outside_at = math.inf  # s, since when its body is seen outside
+        self._up_at = math.inf  # s, when it was not seen on the floor
         self._obeyed = Action.NOMINAL  # the last verdict
         self._ticked_ns = 0
         self._cut_for = ""
@@ -223,6 +224,8 @@ class Pilot(Actor):
             pose = Pose(pose.flat, age)
         if pose is not None and self._gate is not None:
             pose = self._believed(pose, self._gate)
+        elif pose is None:
+            self._outside_at = math.inf
         run = self._run
         if run is not None and not run.done():
             self.tick(pose)
@@ -230,13 +233,11 @@ class Pilot(Actor):
     def _believed(self, pose: Pose, gate: PoseGate) -> Pose | None:
         """The pose, unless it cannot be its."""
         now = self.clock.now()
-        if gate.believes(pose, now, self.airborne):
-            self._inside_at = now
+        believed, beyond = gate.believes(pose, now, self.airborne), self.guard.beyond(pose.p)
+        self._outside_at = min(self._outside_at, now) if beyond > 0.0 and not believed else math.inf
+        if believed:
             return pose
-        beyond = self.guard.beyond(pose.p)
-        if beyond <= 0.0:
-            self._inside_at = now
-        elif now - self._inside_at > OUTSIDE:
+        if now - self._outside_at > OUTSIDE:
             self.guard.tell("gone", beyond)
         self._say("jump", "the pose has jumped: another body, or a mistake of the cameras: not believed")
         return None
@@ -603,7 +604,7 @@ class Pilot(Actor):
                 return self._idle
         if self.mode is TAKEOFF and self._reached:
             self.guard.tell("body", float(self._stays_down(state, now)))
-        if self._reached and (why := self.astray()):
+        if self._reached and self._down_at == math.inf and (why := self.astray()):
             falls = state.flat[2] < self._lift_off - LIFTED + FALLS or self.controls.sender.kind not in THRUST
             self.guard.tell("astray", 2.0 if falls else 1.0, why)
         if self._reached and self._fallen(state, now):

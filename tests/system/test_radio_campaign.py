@@ -120,7 +120,10 @@ def begin(fault: Fault, hall: Hall, run: Program) -> Iterator[tuple[float, dict[
         hall.interrupt(run)
     else:
         pattern = KILLED[kind].format(name=hall.config.name, first=i - i % 2, group=i // 2)
-        for process in processes(pattern):
+        found = processes(pattern)
+        ended = run.process.returncode is not None or kind == "its agent"  # nobody starts one again
+        assert found or ended, (pattern, "nobody to kill")
+        for process in found:
             os.kill(process, signal.SIGKILL)
 
 

@@ -1172,13 +1172,18 @@ async def test_who_landed_as_it_heard_nobody_flies_again_when_it_hears_them(cloc
 
 @virtual
 async def test_a_body_that_is_seen_outside_is_cut_though_it_may_be_another_and_one_inside_is_not(clock):
-    for far, seconds, cut in ((2.0, 0.3, False), (9.0, 0.05, False), (9.0, 0.2, True)):
+    for far, seconds, cut in ((2.0, 0.4, False), (9.0, 0.15, False), (9.0, 0.3, True)):
         drone = Flown(clock, reached="seen")
         await drone.hovering()
         await drone.fly(seconds, drift=lambda far=far: far)
         assert (drone.pilot.mode is Mode.CUT) is cut, (far, seconds)
         assert drone.p == pytest.approx([0.0, 0.0, 1.0], abs=0.2), "a pose that jumps moves nobody"
     assert "seen 5.50 m outside the limit area: motors cut" in drone.pilot.note
+    drone = Flown(clock, reached="seen")
+    await drone.hovering()
+    await drone.fly(0.3, poses=False)
+    await drone.fly(0.02, drift=lambda: 9.0)
+    assert drone.pilot.airborne, "one frame after a gap is none"
 
 
 @virtual
