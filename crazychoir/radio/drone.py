@@ -68,6 +68,8 @@ LATELY = 1.0
 """s for which it counts where the cameras have seen it."""
 UNSEEN = 0.5
 """s without a pose after which it counts as not seen, however seldom poses are asked for."""
+HELD, RUNS = 0.1, 1e-3
+"""s, by more than which what it says of its attitude is too late to be compared; and how wrong its clock may run."""
 MILLI = 1e-3
 OWN = ("stateEstimateZ.x", "stateEstimateZ.y", "stateEstimateZ.z", "stateEstimateZ.vx", "stateEstimateZ.vy",
        "stateEstimateZ.vz", "stateEstimateZ.quat")  # fmt: skip
@@ -109,7 +111,7 @@ class RadioDrone(Actor):
         self._due_ns = self._stop_due_ns = self._watchdog_ns = 0
         self._own: State | None = None
         self._own_ns = self._logs_ns = self._landing_ns = self._up_ns = 0
-        self._at = 0
+        self._at, self._usual = 0, math.inf
         self._well: dict[str, float] = {}
         self._spread: dict[str, float] = {}
         self._said, self._gate = Throttle(), PoseGate()
@@ -419,6 +421,8 @@ class RadioDrone(Actor):
             self.why = "it has been started again"
             self._prepared = self._placed = False
             self.release = ""
+            self._usual = math.inf
+        late = self._late(self.clock.now(), at)
         self._at = at
         self._well = {name: values[name] for name in WELL}
         p = MILLI * np.array([values[name] for name in OWN[0:3]])
@@ -426,11 +430,18 @@ class RadioDrone(Actor):
         p, v, q = self._in_the_world(p, v, quaternion(int(values[OWN[6]])))
         self._own, self._own_ns = State(np.array([*p, *v, *q, 0.0, 0.0, 0.0])), self.clock.now_ns()
         latency = math.nan if self.connection is None else self.connection.latency
-        if self._take_off is not None and self._take_off.note(self.clock.now(), q, self.flying, latency):
+        watch = self._take_off if late < HELD else None
+        if watch is not None and watch.note(self.clock.now(), q, self.flying, latency):
             self.report()
         if not self.seen_by_cameras:
             self.port.publish(POSE, Pose(np.array([*p, *q])))
             self.port.publish(TRUTH, self._own)
+
+    def _late(self, now: float, at: int) -> float:
+        """s by which it is heard later than usual: what waited in a link or a loop comes all at once."""
+        behind, since = now - MILLI * at, MILLI * max(at - self._at, 0)
+        self._usual = min(self._usual + RUNS * since, behind)
+        return behind - self._usual
 
     def _in_the_world(self, p: Vec, v: Vec, q: Vec) -> tuple[Vec, Vec, Vec]:
         """From the frame of the drone's own estimate: that of the cameras if it is told their poses, else [radio]'s."""

@@ -4,6 +4,7 @@ import math
 from pathlib import Path
 
 import numpy as np
+import pytest
 from virtual_time import virtual
 
 from crazychoir.bus.local import BODIES, Bus
@@ -63,8 +64,9 @@ def made(clock, kind: str = "xyz", rate: float = 50.0, pose: str = "mocap", **ra
     return drone, kept
 
 
-def tell(drone: RadioDrone, supervisor: int, at: int = 1000) -> None:
-    """Its log has come."""
+def tell(drone: RadioDrone, supervisor: int, at: int | None = None) -> None:
+    """Its log has come, of `at` ms by its own clock, None: of now."""
+    at = 1000 + round(1000 * drone.clock.now()) if at is None else at
     values = dict.fromkeys(OWN, 0.0) | {"pm.vbat": 4.0, "supervisor.info": float(supervisor)}
     drone._take_own(values | {OWN[6]: 3 << 30}, at)
 
@@ -284,3 +286,21 @@ async def test_whose_body_moves_otherwise_is_told_nothing_more_and_may_not_take_
     kept.sent.clear()
     seen(drone)
     assert kept.sent == []
+
+
+@virtual
+async def test_what_it_says_late_is_not_compared_with_what_the_cameras_see_now(clock) -> None:
+    drone, _ = made(clock)
+    at = [0]
+
+    async def says(hold: float) -> float:
+        """Lateness of the first of those that were held back."""
+        await clock.sleep(hold)
+        first = drone._late(clock.now(), at[0] + 50)
+        at[0] += round(1000 * hold)
+        return first
+
+    for _ in range(20):
+        assert await says(0.05) < 0.01
+        drone._late(clock.now(), at[0])
+    assert await says(0.7) == pytest.approx(0.65, abs=0.01)
