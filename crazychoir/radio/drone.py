@@ -68,7 +68,7 @@ LATELY = 1.0
 """s for which it counts where the cameras have seen it."""
 UNSEEN = 0.5
 """s without a pose after which it counts as not seen, however seldom poses are asked for."""
-HELD, RUNS = 0.1, 1e-3
+HELD, RUNS = 0.04, 1e-3
 """s, by more than which what it says of its attitude is too late to be compared; and how wrong its clock may run."""
 MILLI = 1e-3
 OWN = ("stateEstimateZ.x", "stateEstimateZ.y", "stateEstimateZ.z", "stateEstimateZ.vx", "stateEstimateZ.vy",
