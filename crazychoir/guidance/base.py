@@ -15,6 +15,7 @@ from crazychoir.guidance.sensors import Readings
 from crazychoir.guidance.turns import CLOSE, TURN, aside, blocked, first_at
 from crazychoir.optimization.checks import require_graph
 from crazychoir.planning.feasibility import Limits, check
+from crazychoir.planning.scaling import Resumed
 from crazychoir.planning.trajectory import Trajectory
 from crazychoir.safety.modes import HELD, Mode
 from crazychoir.swarm.communicator import Communicator
@@ -267,6 +268,7 @@ class CFGuidance:
 
         trajectory: anything with `duration` s, `sample(t)` and `done(t)`, as planning/ makes them: `minimum_snap(...)`,
         `circle(...)`.
+        Braked by the safety table, as while the cameras do not see it, it goes on from where it was stopped.
         Raises ConfigError, before it leaves, if the trajectory leaves the fence or is faster than [flight] allows;
         Interrupted when the flight is stopped on the way, as by a hold, or not ended where the trajectory ends.
         """
@@ -275,14 +277,29 @@ class CFGuidance:
             found = type(trajectory).__name__
             raise ConfigError(f"drone {self.id}: fly", found, "a trajectory: duration, sample(t), done(t)", do)
         self._require_feasible(trajectory)
-        start, end = trajectory.sample(0.0), trajectory.sample(trajectory.duration)
-        await self.go_to(start.p, yaw=start.yaw)
-        pilot = self.member.pilot
-        seconds = pilot.fly(trajectory)
-        await self._while(seconds, Mode.FOLLOW)
-        if seconds == 0.0 or pilot.gap(end.p) > ARRIVED:
-            why = HELD if pilot.held else pilot.note
-            raise Interrupted(f"drone {self.id}: its trajectory of {trajectory.duration:.1f} s was not flown: {why}")
+        pilot, clock, left, attempts = self.member.pilot, self.member.clock, trajectory, 0
+        end, ends = trajectory.sample(trajectory.duration), clock.now() + trajectory.duration + PATIENCE
+        while attempts < ATTEMPTS and clock.now() < ends:
+            start, braked = left.sample(0.0), pilot.braked
+            await self.go_to(start.p, yaw=start.yaw)
+            t = await self._flown(left)
+            if pilot.flights.plan is left and pilot.gap(end.p) <= ARRIVED:
+                return
+            if pilot.braked == braked and not pilot.guard.acts:
+                break
+            attempts, left = attempts + (t > 0.0), Resumed(left, t) if t > 0.0 else left
+            await self.sleep(SETTLE)
+        why = HELD if pilot.held else pilot.note
+        raise Interrupted(f"drone {self.id}: its trajectory of {trajectory.duration:.1f} s was not flown: {why}")
+
+    async def _flown(self, trajectory: Trajectory) -> float:
+        """Begin it, and wait until it ends, or is stopped: s of it that were flown then."""
+        pilot, clock, t = self.member.pilot, self.member.clock, 0.0
+        began = pilot.fly(trajectory) > 0.0
+        while began and pilot.flights.plan is trajectory and not pilot.flights.done(clock.now()):
+            t = clock.now() - pilot.flights.start
+            await self._while(min(SETTLE, pilot.remaining()), Mode.FOLLOW)
+        return t
 
     def _require_feasible(self, trajectory: Trajectory) -> None:
         pilot, flight = self.member.pilot, self.member.config.flight

@@ -12,6 +12,7 @@ from crazychoir.planning.trajectory import Trajectory
 from crazychoir.types import FullState
 
 SLOWEST = 1e4  # times as long: what does not keep the limits then never does
+GETS_UP = 2.0  # s in which what was stopped on its way gets its own pace again
 HEADROOM = 1e-3  # of each limit, left for what lies between the instants that were looked at
 
 
@@ -83,3 +84,37 @@ def scaled(trajectory: Trajectory, limits: Limits) -> Trajectory:
 def slowed(trajectory: Trajectory, factor: float) -> Trajectory:
     """The trajectory in `factor` times its time; pieces stay pieces."""
     return trajectory.slowed(factor) if isinstance(trajectory, Piecewise) else Slowed(trajectory, factor)
+
+
+class Resumed:
+    """What is left of a trajectory from t_0 s on, entered from rest.
+
+    q(t) = p(tau),  q' = p' tau',  q'' = p'' tau'^2 + p' tau'',  jerk: j tau'^3 + 3 p'' tau' tau'' + p' d tau''/dt
+
+    tau = t_0 + R (u^3 - u^4 / 2),  u = t / R, for t < R, within which it gets the pace of the trajectory; from then on
+    tau = t_0 + t - R / 2.
+    """
+
+    def __init__(self, trajectory: Trajectory, t_0: float) -> None:
+        left = trajectory.duration - t_0
+        if not 0.0 <= t_0 < trajectory.duration:
+            raise ConfigError("Resumed: t_0", t_0, f"a time before the end at {trajectory.duration:g} s")
+        self.trajectory, self.t_0, self._gets_up = trajectory, float(t_0), min(GETS_UP, 2.0 * left)
+        self.duration = left + 0.5 * self._gets_up
+
+    def sample(self, t: float) -> FullState:
+        """The reference t seconds after the start."""
+        gets_up = self._gets_up
+        u = min(max(t / gets_up, 0.0), 1.0)
+        tau = self.t_0 + gets_up * u**3 * (1.0 - 0.5 * u) + max(t - gets_up, 0.0)
+        x = self.trajectory.sample(tau).flat
+        if u == 1.0:
+            return FullState(x)
+        d_1, d_2, d_3 = u * u * (3.0 - 2.0 * u), 6.0 * u * (1.0 - u) / gets_up, (6.0 - 12.0 * u) / gets_up**2
+        p, v, a, j = x[0:3], x[3:6], x[6:9], x[9:12]
+        jerk = j * d_1**3 + 3.0 * a * d_1 * d_2 + v * d_3
+        return FullState(np.array([*p, *v * d_1, *a * d_1**2 + v * d_2, *jerk, x[12], x[13] * d_1]))
+
+    def done(self, t: float) -> bool:
+        """Is the end reached at t?"""
+        return t >= self.duration

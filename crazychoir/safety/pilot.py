@@ -97,6 +97,8 @@ LIFTED = 0.03
 """m above where it stood at which a drone flies: below, its controllers learn nothing from an error of the height."""
 
 
+BLIND = 0.5
+"""s without a pose after which one that lands, for whatever reason, is landed by its firmware."""
 BLIND_DEPTH, BLIND_SPEED = 0.03, 0.35
 """m, m/s: how a drone lands by its firmware that nobody sees: its height is off by cm after 3 s, its place by 1 m."""
 STILL_TURNING = 10.0
@@ -203,7 +205,8 @@ class Pilot(Actor):
         self._ticked_ns = 0
         self._cut_for = ""
         self._said = Throttle()
-        self._braked = 0  # how often, in this flight
+        self.braked = 0
+        """How often the safety table has braked it in this flight."""
         self.at_fence = 0
         """Ticks in which it was held at the fence, for what guidance wanted is beyond it."""
         self._beyond = False  # whether it flies to the fence only, as the place that was wanted is beyond it
@@ -607,6 +610,8 @@ class Pilot(Actor):
         if self._reached and self._down_at == math.inf and (why := self.astray()):
             falls = state.flat[2] < self._lift_off - LIFTED + FALLS or self.controls.sender.kind not in THRUST
             self.guard.tell("astray", 2.0 if falls else 1.0, why)
+        if self._reached and self.mode is LAND and state.age > BLIND:
+            self._hand_over()
         if self._reached and self._fallen(state, now):
             self._give_up("seen on the floor, where it should fly: landing")
         if self._held_at_fence(verdict, now):
@@ -625,8 +630,9 @@ class Pilot(Actor):
 
     def _stays_down(self, state: State, now: float) -> bool:
         """Whether what the cameras take for it stands on the floor while it should be in the air, for some time."""
-        plan, floor = self.flights.sample(now), self._lift_off - LIFTED
-        if plan is None or plan.p[2] - floor <= RISING or state.flat[2] >= self._lift_off:
+        flown, floor = self._flown, self._lift_off - LIFTED  # of the last tick: others may keep it down
+        low = flown is None or flown.p[2] - floor <= RISING
+        if low or state.flat[2] >= self._lift_off or not self.turning():
             self._rises_at = now
         return now - self._rises_at > (STANDS if self.controls.sender.kind in THRUST else STANDS_ON_BOARD)
 
@@ -786,12 +792,12 @@ class Pilot(Actor):
         if verdict.action is self._obeyed:
             return
         self._obeyed = verdict.action
-        self._braked += verdict.action is Action.BRAKE
+        self.braked += verdict.action is Action.BRAKE
         if verdict.action is Action.CUT:
             self.cut(verdict.reason)
         elif verdict.action is Action.LAND:
             self._give_up(verdict.reason)
-            if verdict.measure in ("pose", "astray") and self._reached:
+            if verdict.measure == "astray" and self._reached:
                 self._hand_over()
         elif verdict.action is Action.BRAKE and self.mode is not LAND:
             self._brake()
@@ -844,11 +850,11 @@ class Pilot(Actor):
         self.controls.trim.frozen = True
         self.controls.trim.restore()
         self._obeyed = Action.NOMINAL
-        if self._braked > 1:
-            text = f"the safety table has braked it {self._braked} times in this flight"
+        if self.braked > 1:
+            text = f"the safety table has braked it {self.braked} times in this flight"
             self._say("braked", text)
             self.port.publish(LOG, f"drone {self.drone}: {text}")
-        self._braked = 0
+        self.braked = 0
 
     def _say(self, topic: str, text: str) -> None:
         text = text.removeprefix(f"drone {self.drone}: ")  # errors name their drone; the line does so too

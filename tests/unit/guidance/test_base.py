@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import inspect
+import math
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from crazychoir.optimization.checks import require_graph
 from crazychoir.optimization.consensus import Consensus
 from crazychoir.optimization.gradient_tracking import GradientTracking
 from crazychoir.runtime.clock import SECOND
+from crazychoir.planning.figure import circle
 from crazychoir.safety.guard import Fence
 from crazychoir.safety.modes import Mode
 from crazychoir.safety.pilot import Pilot
@@ -184,6 +186,32 @@ async def test_a_flight_waits_while_the_safety_table_brakes_it(clock):
         pilot.go_to = braking
         await guidance.go_to([1.0, 0.0, 1.0])
         assert guidance.state.p == pytest.approx([1.0, 0.0, 1.0], abs=base.ARRIVED)
+
+
+@virtual
+async def test_a_trajectory_that_the_safety_table_brakes_is_flown_on_from_there(clock):
+    unseen = [math.inf, math.inf]
+    way = circle((0.5, 0.0, 1.0), 0.5, 5.0)
+    async with in_the_world(clock, lambda: not unseen[0] <= clock.now() < unseen[1]) as (guidance, pilot):
+        await guidance.take_off(1.0)
+        await guidance.go_to(way.sample(0.0).p)
+        begins = clock.now()
+        for at in (1.5, 4.0):
+            clock.call_at(round((begins + at) * SECOND), unseen.__setitem__, slice(0, 2), [begins + at, begins + at + 0.3])
+        await guidance.fly(way)
+        assert pilot.braked == 2
+        assert way.duration + 2.0 < clock.now() - begins < way.duration + 10.0
+        assert pilot.gap(way.sample(way.duration).p) < 0.05
+
+
+@virtual
+async def test_a_trajectory_that_is_held_on_its_way_or_landed_is_not_flown(clock):
+    for stop, why in ((Pilot.hold, "held"), (lambda pilot: pilot.land("so be it"), "landing: so be it")):
+        async with in_the_air(clock) as (guidance, pilot):
+            way = circle((0.5, 0.0, pilot.state.p[2]), 0.5, 5.0)
+            clock.call_at(clock.now_ns() + 4 * SECOND, stop, pilot)
+            with pytest.raises(Interrupted, match=why):
+                await guidance.fly(way)
 
 
 @virtual

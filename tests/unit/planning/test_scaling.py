@@ -6,7 +6,7 @@ from crazychoir.planning.feasibility import Limits, check
 from crazychoir.planning.figure import circle
 from crazychoir.planning.piecewise import Piecewise
 from crazychoir.planning.point_to_point import PointToPoint
-from crazychoir.planning.scaling import Slowed, scaled, slowdown, slowed
+from crazychoir.planning.scaling import GETS_UP, Resumed, Slowed, scaled, slowdown, slowed
 from crazychoir.types import FullState
 
 FIGURE = circle((0, 0, 1), 0.5, 2.0, laps=2, yaw="along")
@@ -44,3 +44,29 @@ def test_no_speed_brings_it_into_the_fence():
 def test_bad_factors_are_refused(factor):
     with pytest.raises(ConfigError, match="factor"):
         slowed(FIGURE, factor)
+
+
+@pytest.mark.parametrize("t_0", [0.0, 1.3, 3.9])
+def test_what_is_resumed_begins_at_rest_and_is_the_same_path(t_0):
+    rest = Resumed(FIGURE, t_0)
+    first = rest.sample(0.0)
+    np.testing.assert_allclose(first.flat[0:3], FIGURE.sample(t_0).p)
+    np.testing.assert_allclose(first.flat[3:9], 0.0, atol=1e-12)
+    np.testing.assert_allclose(rest.sample(rest.duration).p, FIGURE.sample(FIGURE.duration).p, atol=1e-9)
+    assert rest.done(rest.duration)
+    h = 1e-4
+    for t in np.linspace(0.01, rest.duration - 0.01, 37):
+        before, here, after = rest.sample(t - h).flat, rest.sample(t).flat, rest.sample(t + h).flat
+        np.testing.assert_allclose((after[0:9] - before[0:9]) / (2 * h), here[3:12], atol=2e-2 * max(1.0, abs(here[3:12]).max()))
+        np.testing.assert_allclose((after[12] - before[12]) / (2 * h), here[13], atol=1e-3)
+
+
+def test_what_is_resumed_gets_the_pace_of_its_trajectory():
+    rest = Resumed(FIGURE, 0.5)
+    np.testing.assert_allclose(rest.sample(GETS_UP + 0.3).flat, FIGURE.sample(0.5 + GETS_UP / 2 + 0.3).flat, atol=1e-9)
+
+
+@pytest.mark.parametrize("t_0", [-0.1, FIGURE.duration, np.nan])
+def test_what_is_over_is_not_resumed(t_0):
+    with pytest.raises(ConfigError, match="Resumed"):
+        Resumed(FIGURE, t_0)

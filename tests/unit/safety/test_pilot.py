@@ -3,6 +3,7 @@
 import asyncio
 import itertools
 import re
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -27,7 +28,7 @@ from crazychoir.safety.pilot import GIVE_UP_HOVER, TOUCHDOWN_LATE, Pilot
 from crazychoir.simulation.integrator import CFIntegrator
 from crazychoir.simulation.links import SimulatedLink
 from crazychoir.swarm.tables import Collision, Flight
-from crazychoir.types import Acceleration, FullState, Goto, Pose, State
+from crazychoir.types import XYZ, Acceleration, FullState, Goto, Pose, State
 
 TICK = 0.01
 
@@ -1196,3 +1197,35 @@ async def test_a_drone_that_has_come_down_by_itself_does_not_push_the_floor(cloc
     await drone.fly(0.3, sinks=lambda z: 0.0)
     assert drone.pilot.mode is Mode.GROUND
     assert drone.pilot.brought_down == "seen on the floor, where it should fly: landing"
+
+
+@virtual
+async def test_who_lands_for_another_reason_is_landed_by_its_firmware_too_when_nobody_sees_it(clock):
+    for measure in ("pose", "battery"):
+        drone, told = Flown(clock, reached="seen"), []
+        await drone.hovering()
+        link, drone.pilot.link = drone.pilot.link, type("Link", (), {})()
+        drone.pilot.link.send = lambda command, link=link: told.append(command) if isinstance(command, XYZ) else (
+            link.send(command)
+        )
+        drone.pilot.link.cut = link.cut
+        if measure == "battery":
+            drone.pilot.guard.tell("empty", 0.1)
+            await drone.fly(0.1)
+            assert not told
+        await drone.fly(0.7, poses=False)
+        assert [command.verb for command in told] == ["land"], measure
+
+
+@virtual
+async def test_a_body_that_stays_on_the_floor_is_another_ones_unless_motors_stand_or_others_keep_it_down(clock):
+    keeps_down = {"filter": SimpleNamespace(gives_way_to=1), "evasion": lambda *given, **options: np.zeros(3)}
+    for turns, others, mode in ((True, {}, Mode.CUT), (False, {}, Mode.TAKEOFF), (True, keeps_down, Mode.TAKEOFF)):
+        drone = Flown(clock, reached="seen")
+        drone.pilot.turning = lambda turns=turns: turns
+        await drone.fly(0.05)
+        assert drone.pilot.take_off() > 1.5
+        for name, keeps in others.items():
+            setattr(drone.pilot.clearance, name, keeps)
+        await drone.fly(1.5, sinks=lambda z: 0.0)
+        assert drone.pilot.mode is mode
