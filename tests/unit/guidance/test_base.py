@@ -18,8 +18,8 @@ from crazychoir.optimization.asynchronous_consensus import AsynchronousConsensus
 from crazychoir.optimization.checks import require_graph
 from crazychoir.optimization.consensus import Consensus
 from crazychoir.optimization.gradient_tracking import GradientTracking
-from crazychoir.runtime.clock import SECOND
 from crazychoir.planning.figure import circle
+from crazychoir.runtime.clock import SECOND
 from crazychoir.safety.guard import Fence
 from crazychoir.safety.modes import Mode
 from crazychoir.safety.pilot import Pilot
@@ -197,7 +197,8 @@ async def test_a_trajectory_that_the_safety_table_brakes_is_flown_on_from_there(
         await guidance.go_to(way.sample(0.0).p)
         begins = clock.now()
         for at in (1.5, 4.0):
-            clock.call_at(round((begins + at) * SECOND), unseen.__setitem__, slice(0, 2), [begins + at, begins + at + 0.3])
+            gap = [begins + at, begins + at + 0.3]
+            clock.call_at(round(gap[0] * SECOND), unseen.__setitem__, slice(0, 2), gap)
         await guidance.fly(way)
         assert pilot.braked == 2
         assert way.duration + 2.0 < clock.now() - begins < way.duration + 10.0

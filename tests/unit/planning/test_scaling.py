@@ -57,7 +57,8 @@ def test_what_is_resumed_begins_at_rest_and_is_the_same_path(t_0):
     h = 1e-4
     for t in np.linspace(0.01, rest.duration - 0.01, 37):
         before, here, after = rest.sample(t - h).flat, rest.sample(t).flat, rest.sample(t + h).flat
-        np.testing.assert_allclose((after[0:9] - before[0:9]) / (2 * h), here[3:12], atol=2e-2 * max(1.0, abs(here[3:12]).max()))
+        largest = max(1.0, abs(here[3:12]).max())
+        np.testing.assert_allclose((after[0:9] - before[0:9]) / (2 * h), here[3:12], atol=2e-2 * largest)
         np.testing.assert_allclose((after[12] - before[12]) / (2 * h), here[13], atol=1e-3)
 
 

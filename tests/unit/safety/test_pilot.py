@@ -76,6 +76,20 @@ class Flown:
         assert self.pilot.mode is Mode.HOVER
 
 
+class Told:
+    """A link that keeps the plans for its firmware to itself."""
+
+    def __init__(self, link):
+        self.link, self.cut, self.plans = link, link.cut, []
+
+    def send(self, command):
+        """Set-points go on."""
+        if isinstance(command, XYZ):
+            self.plans.append(command)
+        else:
+            self.link.send(command)
+
+
 @virtual
 async def test_it_takes_off_hovers_and_lands_with_its_motors_off(clock):
     drone = Flown(clock)
@@ -1202,19 +1216,15 @@ async def test_a_drone_that_has_come_down_by_itself_does_not_push_the_floor(cloc
 @virtual
 async def test_who_lands_for_another_reason_is_landed_by_its_firmware_too_when_nobody_sees_it(clock):
     for measure in ("pose", "battery"):
-        drone, told = Flown(clock, reached="seen"), []
+        drone = Flown(clock, reached="seen")
         await drone.hovering()
-        link, drone.pilot.link = drone.pilot.link, type("Link", (), {})()
-        drone.pilot.link.send = lambda command, link=link: told.append(command) if isinstance(command, XYZ) else (
-            link.send(command)
-        )
-        drone.pilot.link.cut = link.cut
+        drone.pilot.link = link = Told(drone.pilot.link)
         if measure == "battery":
             drone.pilot.guard.tell("empty", 0.1)
             await drone.fly(0.1)
-            assert not told
+            assert not link.plans
         await drone.fly(0.7, poses=False)
-        assert [command.verb for command in told] == ["land"], measure
+        assert [plan.verb for plan in link.plans] == ["land"], measure
 
 
 @virtual
