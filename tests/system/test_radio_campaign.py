@@ -79,12 +79,13 @@ def drawn(seed: int) -> tuple[SwarmConfig, list[Fault]]:
         "roles": [{"name": sender, "sender": sender} for sender in SENDERS],
         "mission": "figure", "mission_options": {"size": 0.3, "laps": 1.0, "period": 8.0},
         "flight": {"takeoff_height": 0.8, "speed_limit": 0.5, "acceleration_limit": 1.0},
-        "processes": [[0, 1], [2, 3]], "radio": {"watchdog": True},
+        "processes": [[0, 1], [2, 3]],
     }  # fmt: skip
     faults = [
         Fault(draws.uniform(0.0, 6.0), str(draws.choice(KINDS)), int(draws.integers(DRONES)))
         for _ in range(draws.choice((1, 2, 2, 3)))
     ]
+    raw["radio"] = {"watchdog": bool(draws.integers(2))}
     return reached(SwarmConfig.of(raw)), sorted(faults, key=lambda fault: fault.t)
 
 
