@@ -98,6 +98,16 @@ class Flight:
         assert after < self.still[i] < within, (i, self.still, self.text)
         assert self.last[i]["impact"] > 1.5, "it fell"
 
+    def was_silent(self, watchdog: bool, within: float) -> None:
+        """The radios of the three were, for good or for long."""
+        for i in (0, 1):
+            self.fell(i, "its radio is silent", 1.8, 2.6)
+        if watchdog:
+            self.fell(2, "its radio is silent", 0.6, 1.4)
+        else:
+            self.landed(2, "its radio is silent for 4.", within)
+        self.flew_on(WELL)
+
     def softly(self, i: int) -> bool:
         said = self.last[i]
         assert said["resting"]
@@ -181,13 +191,7 @@ async def test_a_radio_silent_for_a_second(tmp_path, watchdog) -> None:
 @pytest.mark.parametrize("watchdog", [True, False])
 async def test_a_radio_silent_for_five_seconds(tmp_path, watchdog) -> None:
     flight = await fly(tmp_path, (0.0, on(silent=1)), (5.0, off("silent")), config=choosing(watchdog))
-    for i in (0, 1):
-        flight.fell(i, "its radio is silent", 1.8, 2.6)
-    if watchdog:
-        flight.fell(2, "its radio is silent", 0.6, 1.4)
-    else:
-        flight.landed(2, "its radio is silent for 4.", 13.0)
-    flight.flew_on(WELL)
+    flight.was_silent(watchdog, 13.0)
 
 
 async def test_three_of_ten_packets_lost(tmp_path) -> None:
@@ -262,13 +266,7 @@ async def test_agents_that_are_killed(tmp_path) -> None:
 @pytest.mark.parametrize("watchdog", [True, False])
 async def test_owners_of_dongles_that_are_killed(tmp_path, watchdog) -> None:
     flight = await fly(tmp_path, (0.0, killed(OWNER)), config=choosing(watchdog))
-    for i in (0, 1):
-        flight.fell(i, "its radio is silent", 1.8, 2.6)
-    if watchdog:
-        flight.fell(2, "its radio is silent", 0.6, 1.4)
-    else:
-        flight.landed(2, "its radio is silent for 4.", 25.0)
-    flight.flew_on(WELL)
+    flight.was_silent(watchdog, 25.0)
     for i in range(WELL):
         assert f"dongle {i}: its owner ended with code -9: started again" in flight.text
 
