@@ -38,7 +38,7 @@ test: $(VENV)/.installed-test  ## all tests but the campaigns, with ruff, mypy a
 	@echo "What runs in real time is shown here; what only computes runs beside it, and is shown afterwards."
 	@$(IDLE) $(BIN)/python -m pytest -n auto --dist loadfile -m "not (slow or real_time)" \
 		-o cache_dir=.pytest_cache/computing >out/computing.txt 2>&1 & beside=$$!; trap 'kill $$beside; exit 130' INT TERM; \
-	$(BIN)/python -m pytest -v -m "real_time and not slow"; real_time=$$?; \
+	$(BIN)/python -m pytest -v --durations=12 -m "real_time and not slow"; real_time=$$?; \
 	wait $$beside; computing=$$?; cat out/computing.txt; exit $$((real_time | computing))
 
 check: $(VENV)/.installed-test  ## ruff, mypy --strict and the import contract alone: seconds
