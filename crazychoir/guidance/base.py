@@ -347,7 +347,7 @@ class CFGuidance:
         Raises Interrupted in other modes than these and hovering, as landing.
         """
         pilot, flying, clock = self.member.pilot, (*modes, Mode.HOVER), self.member.clock
-        ends = clock.now() + seconds
+        ends = clock.now() + seconds - pilot.flights.waited
         while pilot.mode in flying and (left := ends + pilot.flights.waited - clock.now()) > 0.0:
             await self.sleep(min(SETTLE, max(left, 1e-3)))
         if pilot.mode not in flying:

@@ -206,6 +206,16 @@ async def test_a_trajectory_that_the_safety_table_brakes_is_flown_on_from_there(
 
 
 @virtual
+async def test_a_trajectory_that_has_waited_for_others_is_over_when_it_ends(clock):
+    async with in_the_air(clock) as (guidance, pilot):
+        way = circle((0.5, 0.0, pilot.state.p[2]), 0.5, 5.0)
+        begins = clock.now()
+        clock.call_at(round((begins + 4.0) * SECOND), pilot.flights.wait, 10.0)
+        await guidance.fly(way)
+        assert clock.now() - begins < way.duration + 10.0 + 3.0
+
+
+@virtual
 async def test_a_trajectory_that_is_held_on_its_way_or_landed_is_not_flown(clock):
     for stop, why in ((Pilot.hold, "held"), (lambda pilot: pilot.land("so be it"), "landing: so be it")):
         async with in_the_air(clock) as (guidance, pilot):
