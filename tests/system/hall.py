@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+import os
 import signal
 import socket
 import subprocess
@@ -17,8 +18,10 @@ from crazychoir.swarm.config import SwarmConfig
 
 
 def udp_block(count: int) -> int:
-    """The first of so many UDP ports in a row, and of one below, that are free."""
-    for first in range(21_000, 60_000, 97):
+    """The first of so many UDP ports in a row, and of one below, that are free; not those of the last test, whose
+    processes may speak for some seconds after they were left.
+    """
+    for first in range(21_000 + 97 * (os.getpid() % 200), 60_000, 97):
         kept = []
         try:
             for port in range(first - 1, first + count):
