@@ -82,7 +82,7 @@ class Rounds:
         self._alarm: Alarm | None = None
         self._due_ns = 0
         port.handlers[ROUND.number] = self._arrived
-        self.open(FAILED)
+        self.open(FAILED, joinable=True)  # who goes on no more does so in no epoch
 
     @property
     def graph(self) -> AnyGraph:

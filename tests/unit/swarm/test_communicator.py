@@ -12,7 +12,15 @@ from crazychoir.bus.impairment import Impairment
 from crazychoir.bus.local import Bus
 from crazychoir.bus.rules import Partition, Rule
 from crazychoir.bus.topics import ROUND
-from crazychoir.errors import ChannelEnded, CodecError, ConfigError, PeerLost, RosterChanged, RoundTimeout
+from crazychoir.errors import (
+    AgentFailed,
+    ChannelEnded,
+    CodecError,
+    ConfigError,
+    PeerLost,
+    RosterChanged,
+    RoundTimeout,
+)
 from crazychoir.runtime.clock import Clock, run_virtual, run_wall
 from crazychoir.swarm import graph as graphs
 from crazychoir.swarm.channel import HISTORY
@@ -29,7 +37,7 @@ from crazychoir.swarm.rounds import (
     MAX_ROUND,
 )
 from crazychoir.swarm.running import run_algorithm
-from crazychoir.types import PerNeighbor
+from crazychoir.types import Failure, PerNeighbor
 
 BAD = {"delay": 0.003, "jitter": 0.02, "duplicate": 0.3, "reorder": 0.3, "reorder_delay": 0.04}
 Agent = Callable[[Communicator], Awaitable[Any]]
@@ -784,6 +792,21 @@ def test_messages_of_an_earlier_epoch_are_ignored_and_those_of_the_next_are_kept
     network = [Rule({"delay": 0.3})]
     assert swarm(graphs.path(2), agent, network) == {0: {1: "new"}, 1: {0: "mine"}}
     assert swarm(graphs.path(2), agent) == {0: {1: "new"}, 1: {0: "mine"}}
+
+
+@pytest.mark.parametrize("back", [False, True])
+def test_who_goes_on_no_more_does_so_in_the_next_epoch_too_unless_it_has_begun_anew(back):
+    async def agent(c: Communicator) -> str:
+        if c.id == 1:
+            await c.fail(Failure(1, "no idea"))
+            return ""
+        await c.port.bus.clock.sleep(2.0)
+        c.leave((2,), 1, joined=(1,) if back else ())
+        with pytest.raises((AgentFailed, RoundTimeout)) as raised:
+            await c.neighbors_exchange(0, deadline=5.0)
+        return type(raised.value).__name__
+
+    assert swarm(graphs.complete(3), agent)[0] == ("RoundTimeout" if back else "AgentFailed")
 
 
 class Counting:
