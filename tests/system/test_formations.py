@@ -59,6 +59,7 @@ def test_eleven_take_the_places_of_a_letter():
     assert result["settling_s"] <= 6.0
 
 
+@pytest.mark.slow
 def test_thirty_keep_their_places_though_frames_come_late_by_other_times(monkeypatch):
     """As in real time: what a drone takes its velocity for must be what its neighbours hear, or all bob together."""
     draw, frame, posed = np.random.default_rng(1), {}, Pilot._posed

@@ -137,7 +137,7 @@ def killed_at_stop(kind, after, **options):
     return outcome, task
 
 
-@pytest.mark.parametrize("recover", [False, True])
+@pytest.mark.parametrize("recover", [False, pytest.param(True, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("after", MOMENTS)
 def test_goods_are_not_picked_up_before_anybody_has_heard_of_it(after, recover):
     outcome, task = killed_at_stop("pickup", after, recover=recover)
@@ -285,7 +285,7 @@ def test_a_mission_that_raises_alone_leaves_its_tasks_to_the_others(part, name):
     ("who", "recover"),
     [(0, True), (3, False), *(pytest.param(*both, marks=pytest.mark.slow) for both in ((0, False), (3, True)))],
 )
-@pytest.mark.parametrize("until", [10.0, 18.0])
+@pytest.mark.parametrize("until", [10.0, pytest.param(18.0, marks=pytest.mark.slow)])
 def test_a_drone_that_is_cut_off_and_comes_back_serves_nothing_that_others_serve(who, recover, until):
     """It waits where it is, and lands after 5.5 s."""
     config = drawn(8, 0.2, drones=4, tasks=6, later=0, recover=recover, until=40.0)

@@ -181,6 +181,7 @@ def test_the_solution_is_the_same_whatever_is_lost():
     assert found[0] == found[1]
 
 
+@pytest.mark.slow
 def test_on_a_dense_random_graph_of_20_the_solution_is_feasible_and_near_the_bound():
     graph, blocks = erdos_renyi_connected(20, 0.5, seed=1), random_blocks(20, seed=1)
     results = solve(blocks, graph, rounds=6, options=3)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from crazychoir.bus.local import BODIES
@@ -77,6 +77,7 @@ def swarms(draw: st.DrawFn) -> dict[str, object]:
     }
 
 
+@settings(max_examples=40)
 @given(swarms())
 def test_round_trip_through_text_keeps_everything(raw: dict[str, object]) -> None:
     config = SwarmConfig.of(raw)
