@@ -116,7 +116,9 @@ def test_thirty_drones_take_their_places(repository):
     assert result["settling_s"] <= 6.0
 
 
-@pytest.mark.parametrize(("seed", "loss"), [(3, 0.5), *(pytest.param(*both, marks=pytest.mark.slow) for both in ((1, 0.0), (2, 0.3)))])
+@pytest.mark.parametrize(
+    ("seed", "loss"), [(3, 0.5), *(pytest.param(*both, marks=pytest.mark.slow) for both in ((1, 0.0), (2, 0.3)))]
+)
 def test_pickups_and_deliveries_keep_their_distance(seed, loss):
     served(flown(seed, loss))
 
