@@ -626,7 +626,7 @@ class Pilot(Actor):
     def _stays_down(self, state: State, now: float) -> bool:
         """Whether what the cameras take for it stands on the floor while it should be in the air, for some time."""
         plan, floor = self.flights.sample(now), self._lift_off - LIFTED
-        if plan is None or plan.p[2] - floor <= RISING or state.flat[2] >= self._lift_off:
+        if plan is None or not self.turning() or plan.p[2] - floor <= RISING or state.flat[2] >= self._lift_off:
             self._rises_at = now
         return now - self._rises_at > (STANDS if self.controls.sender.kind in THRUST else STANDS_ON_BOARD)
 
@@ -853,5 +853,5 @@ class Pilot(Actor):
     def _say(self, topic: str, text: str) -> None:
         text = text.removeprefix(f"drone {self.drone}: ")  # errors name their drone; the line does so too
         self.note = text
-        if self._said.due(self.clock.now(), topic):
+        if self._said.due(self.clock.now(), topic) and self._said.due(self.clock.now(), text):
             log.warning("drone %d: %s", self.drone, text)
