@@ -68,6 +68,7 @@ LATELY = 1.0
 UNSEEN = 0.5
 """s without a pose after which it counts as not seen, however seldom poses are asked for."""
 REMEDY = ": put its body right, out of the cameras' sight, or switch it off and on"
+WAS_CUT = "its motors were cut: switch it off and on, and start the owner of its dongle (crazychoir-radio) again"
 MILLI = 1e-3
 OWN = ("stateEstimateZ.x", "stateEstimateZ.y", "stateEstimateZ.z", "stateEstimateZ.vx", "stateEstimateZ.vy",
        "stateEstimateZ.vz", "stateEstimateZ.quat")  # fmt: skip
@@ -122,7 +123,8 @@ class RadioDrone(Actor):
         self._take_off: TakeOff | None = None
         if self.seen_by_cameras:
             here = self.port.address
-            self._take_off, self._told = TakeOff(i, sights or Sights(bus, config, here)), RateLimit(config.radio.pose_rate)
+            self._take_off = TakeOff(i, sights or Sights(bus, config, here))
+            self._told = RateLimit(config.radio.pose_rate)
             bus.subscribe(POSE, EYES + i, here, self._pose, RATE)
             bus.subscribe(POSE, EYES + i, here, Call(self.clock, self._seen, "pose"), RATE)
 
@@ -526,7 +528,8 @@ class RadioDrone(Actor):
         if not (self._prepared and self._placed) and not self.flying:
             unseen = self.seen_by_cameras and self._pose.fresh() is None
             return ["the cameras do not see it" if unseen else "is being prepared"]
-        found = [*checks.supervisor_problems(self.supervisor), *checks.battery_problems(self.battery), *(text + REMEDY for text in self._astray())]
+        found = [*checks.supervisor_problems(self.supervisor), *checks.battery_problems(self.battery)]
+        found += [text + REMEDY for text in self._astray()] + [WAS_CUT] * self._cut
         if self.flying:
             return found
         found += checks.link_problems(self.connection.latency, self.connection.answered)

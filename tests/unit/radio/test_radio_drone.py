@@ -14,7 +14,7 @@ from crazychoir.errors import LinkFailed
 from crazychoir.radio import checks
 from crazychoir.radio.contents import TableOfContents
 from crazychoir.radio.crtp import FORMS, HIGH_LEVEL, Packet
-from crazychoir.radio.drone import ORPHANED, OWN, STOPS, UNSEEN, RadioDrone
+from crazychoir.radio.drone import ORPHANED, OWN, STOPS, UNSEEN, WAS_CUT, RadioDrone
 from crazychoir.radio.owner import RadioProcess
 from crazychoir.runtime.mailbox import Call
 from crazychoir.safety.ascent import Track
@@ -206,6 +206,11 @@ async def test_why_it_may_not_take_off(clock) -> None:
     assert drone.problems() == ["the cameras do not see it"]
     drone.connection, drone.problem = None, "no answer within 2 s"
     assert drone.problems() == ["no answer within 2 s"]
+    drone, _ = made(clock)
+    tell(drone, READY | checks.FLYING)
+    assert drone.problems() == []
+    drone.cut()
+    assert drone.problems() == [WAS_CUT]
 
 
 @virtual

@@ -1196,3 +1196,30 @@ async def test_a_drone_that_has_come_down_by_itself_does_not_push_the_floor(cloc
     await drone.fly(0.3, sinks=lambda z: 0.0)
     assert drone.pilot.mode is Mode.GROUND
     assert drone.pilot.brought_down == "seen on the floor, where it should fly: landing"
+
+
+@virtual
+async def test_a_body_that_stays_on_the_floor_counts_from_when_its_motors_turn(clock):
+    drone = Flown(clock, reached="own")
+    turns = [False]
+    drone.pilot.turning = lambda: turns[0]
+    await drone.fly(0.05)
+    drone.pilot.take_off()
+    await drone.fly(1.7, sinks=lambda z: 0.0)
+    assert drone.pilot.guard.latched == "", "it is being armed"
+    turns[0] = True
+    await drone.fly(0.3, sinks=lambda z: 0.0)
+    assert drone.pilot.guard.latched == ""
+    await drone.fly(0.2, sinks=lambda z: 0.0)
+    assert "does not rise" in drone.pilot.guard.latched
+
+
+def test_the_same_is_said_once(caplog):
+    @virtual
+    async def check(clock):
+        drone = Flown(clock)
+        await drone.hovering()
+        await drone.fly(0.6, poses=False)
+
+    check()
+    assert [text for text in caplog.messages if "landing" in text] == ["drone 0: pose 0.51 s old, limit 0.50 s: landing"]
