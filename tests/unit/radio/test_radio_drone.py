@@ -328,7 +328,7 @@ def test_what_it_says_late_is_compared_with_what_the_cameras_saw_then(exchanged)
         tracks[1] = Track()
 
         def tilted(j: int, t: float) -> float:
-            return 0.1 * max(t - 1.0, 0.0) * math.sin((7.0 + 4.0 * j) * t)
+            return 0.3 * max(t - 1.0, 0.0) * math.sin((7.0 + 4.0 * j) * t)
 
         for k in range(110):
             t = clock.now()
