@@ -1222,4 +1222,5 @@ def test_the_same_is_said_once(caplog):
         await drone.fly(0.6, poses=False)
 
     check()
-    assert [text for text in caplog.messages if "landing" in text] == ["drone 0: pose 0.51 s old, limit 0.50 s: landing"]
+    said = [text for text in caplog.messages if "landing" in text]
+    assert said == ["drone 0: pose 0.51 s old, limit 0.50 s: landing"]
