@@ -15,7 +15,7 @@ from crazychoir.mocap.mounting import Mounting
 from crazychoir.mocap.recording import Recorder, ReplaySource
 from crazychoir.mocap.source import Say, Source
 from crazychoir.mocap.system import SystemSource
-from crazychoir.mocap.view import Blur, Pace, View
+from crazychoir.mocap.view import Blur, RateLimit, View
 from crazychoir.mocap.virtual import VirtualSource
 from crazychoir.mocap.watch import Watch
 from crazychoir.runtime.actor import ON_FAILURE, Actor
@@ -101,7 +101,7 @@ class MocapProcess(Actor):
         self.tracks = {i: _track(config, self.bus.port(EYES + i, incarnation), i) for i in config.seen}
         self.watch = Watch({i: track.name for i, track in self.tracks.items()}, config.mocap.rate, source.live)
         self.view, self.failure = view_of(config), ""
-        self._truth = Pace(TRUTH.rate)
+        self._truth = RateLimit(TRUTH.rate)
         self._link: ZenohLink | None = None
         self._ending, self._until = "", 0.0
         self._supervisor = Supervisor(clock, "mocap", self._failed)

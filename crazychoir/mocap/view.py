@@ -20,7 +20,7 @@ LATEST = 1e9
 """s: what is beyond is no time."""
 
 
-class Pace:
+class RateLimit:
     """Lets at most `rate` frames a second through, on average, and those of that very rate although they jitter.
 
     A frame at t passes if t >= due - EARLY / rate; then due becomes max(due, t) + 1 / rate.
@@ -81,7 +81,7 @@ class View:
 
     def __init__(self, rate: float, blur: Blur | None = None) -> None:
         self.blur, self.lost, self.late = blur, 0, 0
-        self._pace, self._last = Pace(rate), Frame(-1, -math.inf, {})
+        self._pace, self._last = RateLimit(rate), Frame(-1, -math.inf, {})
 
     def see(self, frame: Frame) -> tuple[Frame, float] | None:
         """The frame to publish, and by how many s it is older than the one that came; None for none."""

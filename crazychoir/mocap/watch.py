@@ -15,8 +15,9 @@ WINDOW = 2.0
 """s over which rates are averaged."""
 SLOW = 0.8
 """Of [mocap] rate, which the filters of the drones count on: below it is said."""
-GAP = 3.0
-"""Periods without a frame, or without a body in frames, that are a gap."""
+GAP, SHORT = 3.0, 0.05
+"""Periods without a frame, or without a body in frames, that are a gap; and s of no frame that nobody minds: drones
+brake after 0.1 s without a pose."""
 MISSING = 0.5
 """s after which a body is missing."""
 FROZEN = 0.5
@@ -77,13 +78,16 @@ class Watch:
         self.frames, self.mean_rate = 0, math.nan
         self._began, self._last, self._gap = math.nan, math.nan, 0.0
         self._window, self._counted, self._frames_gap = math.nan, 0, 0.0
+        self._longest, self._gaps = 0.0, 0  # since gaps were said last
         self._throttle = Throttle()
 
     def note(self, frame: Frame, now: float) -> None:
         """A frame has come."""
         if math.isnan(self._began):
             self._began = self._window = self._last = now
-        self._gap, self._last = max(self._gap, now - self._last), now
+        gap, self._last = now - self._last, now
+        self._gap, self._longest = max(self._gap, gap), max(self._longest, gap)
+        self._gaps += gap > self._limit
         self.frames += 1
         for name, flat in frame.bodies.items():
             sight = self.sights.get(name)
@@ -106,7 +110,15 @@ class Watch:
         found = [*self._of_frames(), *self._of_strangers(now)]
         for i, name in self.names.items():
             found += self._of_body(i, name, now)
-        return [text for topic, text in found if self._throttle.due(now, topic)]
+        found = [(topic, text) for topic, text in found if self._throttle.due(now, topic)]
+        if any(topic == "gap" for topic, _ in found):
+            self._longest, self._gaps = 0.0, 0
+        return [text for _, text in found]
+
+    @property
+    def _limit(self) -> float:
+        """s without a frame that are said."""
+        return max(GAP / self.rate, SHORT)
 
     def _average(self, now: float) -> None:
         seconds = now - self._window
@@ -121,8 +133,9 @@ class Watch:
         if self.mean_rate < SLOW * self.rate:
             slow = f"frames come at {self.mean_rate:.0f} Hz; the drones count on [mocap] rate = {self.rate:g}"
             found.append(("rate", f"{slow}. Raise it at the cameras, or lower it in the swarm file."))
-        if gap > GAP / self.rate:
-            found.append(("gap", f"no frame for {gap:.3f} s, more than {GAP:g} periods"))
+        if gap > self._limit:
+            often = f"; {self._gaps} such gaps" if self._gaps > 1 else ""
+            found.append(("gap", f"no frame for {self._longest:.3f} s, more than {self._limit:g} s{often}"))
         return found
 
     def _of_strangers(self, now: float) -> list[tuple[str, str]]:

@@ -2,9 +2,13 @@
 
 import math
 
-CAN_ARM, ARMED, AUTO_ARM, CAN_FLY, FLYING, TUMBLED, LOCKED, CRASHED = (1 << k for k in range(8))
+from crazychoir.safety.radio_watch import CRASHED as CRASHED
+from crazychoir.safety.radio_watch import LOCKED as LOCKED
+from crazychoir.safety.radio_watch import TUMBLED as TUMBLED
+
+CAN_ARM, ARMED, AUTO_ARM, CAN_FLY, FLYING = (1 << k for k in range(5))
 DECK_FAULT = 1 << 11
-"""Bits of the firmware's supervisor."""
+"""Bits of the firmware's supervisor, beside those of one that flies no more."""
 LOW_BATTERY = 3.7
 """V, of a drone that has not flown yet: less than a quarter is left (level table of the firmware)."""
 

@@ -35,6 +35,7 @@ ENDS = 0.5
 CLOSES = 3.0
 """s that closing a link takes at most; threads of cflib that hang in a driver are left behind."""
 LOG_DATA = 2
+RESET_LOGS = Packet(LOG, 1, b"\x05")
 
 Data = Callable[[dict[str, float], int], None]
 """Called with log variables and the ms, of the drone's time since it was started, at which they were so."""
@@ -249,7 +250,7 @@ class Connection:
             config.add_variable(variable)
         started = self._loop.create_future()
         config.data_received_cb.add_callback(lambda at, values, block: self._from_thread(data, values, at))
-        config.started_cb.add_callback(lambda block, on: self._from_thread(_resolve, started))
+        config.started_cb.add_callback(partial(self._begun, started))
         config.error_cb.add_callback(lambda block, message: self._from_thread(_fail, started, str(message)))
         try:
             self.cf.log.add_config(config)
@@ -267,8 +268,19 @@ class Connection:
         """What a packet that could not be sent has raised since this was asked; empty if all could."""
         return "" if self._writer is None else self._writer.failed()
 
-    def drop_logs(self) -> None:
-        """Forget the blocks that were begun: the drone has."""
+    def _begun(self, started: "asyncio.Future[None]", block: Any, on: bool) -> None:
+        """From a thread of cflib, which says it too of one that the drone refuses to begin, with its whole log."""
+        if on:
+            self._from_thread(_resolve, started)
+        else:
+            self._from_thread(_fail, started, "the drone does not begin it")
+
+    async def reset_logs(self, seconds: float) -> None:
+        """Let the drone drop all its blocks; LinkFailed if it does not say so in time."""
+        try:
+            await self.ask(RESET_LOGS, lambda p: p[:2] == RESET_LOGS[:2] and p.data[:1] == RESET_LOGS.data, seconds)
+        except TimeoutError:
+            raise LinkFailed(self.uri, f"its logs were not reset within {seconds:g} s") from None
         self.cf.log.log_blocks = []
 
     def _to_thread(self, packet: Packet) -> None:

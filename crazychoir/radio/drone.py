@@ -6,7 +6,7 @@ For the body that obeys its agent (simulation/remote.py) it is both the link to 
 import asyncio
 import logging
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Coroutine, Iterable
 from typing import Any
 
 import numpy as np
@@ -15,7 +15,7 @@ from crazychoir.bus.local import BODIES, EYES, Bus
 from crazychoir.bus.topics import BODY, LINK, POSE, TELEMETRY, TRUTH
 from crazychoir.errors import CodecError, ConfigError, LinkFailed
 from crazychoir.math3d import product, quaternion_of_yaw, yaw_of
-from crazychoir.mocap.view import Pace
+from crazychoir.mocap.view import RateLimit
 from crazychoir.platforms import platform
 from crazychoir.radio import checks
 from crazychoir.radio.compressed import quaternion
@@ -27,6 +27,7 @@ from crazychoir.radio.firmware import Firmware
 from crazychoir.radio.handlers import HANDLERS, RadioHandler, emergency, idles, pose_packet, position_packet
 from crazychoir.radio.sights import MOTION, RATE, Sights, TakeOff
 from crazychoir.radio.thrust import command_a_newton
+from crazychoir.radio.uptime import Uptime
 from crazychoir.runtime.actor import ON_FAILURE, Actor
 from crazychoir.runtime.clock import SECOND
 from crazychoir.runtime.mailbox import Call, Latest
@@ -52,8 +53,6 @@ TABLES = 30.0
 10 s of tables of contents, once a firmware."""
 FORGOTTEN = 1.0
 """s without a log of one that answers otherwise: its firmware has dropped its blocks, as after 1 s of silence."""
-RESTARTED, WRAPS = 500, 1 << 24
-"""ms: a drone's time that falls back by more is that of one that was started again; and where it wraps."""
 UNHEARD, LANDS_AGAIN, ORPHANED = 0.25, 1.0, 3.0
 """s between two words to land: until its planner answers, and from then on; and after which one that flies, and that
 nobody commands, is landed."""
@@ -68,8 +67,8 @@ LATELY = 1.0
 """s for which it counts where the cameras have seen it."""
 UNSEEN = 0.5
 """s without a pose after which it counts as not seen, however seldom poses are asked for."""
-HELD, RUNS = 0.04, 1e-3
-"""s, by more than which what it says of its attitude is too late to be compared; and how wrong its clock may run."""
+REMEDY = ": put its body right, out of the cameras' sight, or switch it off and on"
+WAS_CUT = "its motors were cut: switch it off and on, and start the owner of its dongle (crazychoir-radio) again"
 MILLI = 1e-3
 OWN = ("stateEstimateZ.x", "stateEstimateZ.y", "stateEstimateZ.z", "stateEstimateZ.vx", "stateEstimateZ.vy",
        "stateEstimateZ.vz", "stateEstimateZ.quat")  # fmt: skip
@@ -101,6 +100,8 @@ class RadioDrone(Actor):
         self.row, self._platform = config.drone(i), platform(config.drone(i).platform)
         self.seen_by_cameras = self.row.pose == "mocap"
         self.connection: Connection | None = None
+        self._opening: Connection | None = None  # its link is open, and it is being asked who it is
+        self._work: asyncio.Task[None] | None = None
         self.handler: RadioHandler = HANDLERS[kind](self._platform)
         self.release = ""
         self.state_of_link, self.why = "connecting", ""
@@ -111,7 +112,7 @@ class RadioDrone(Actor):
         self._due_ns = self._stop_due_ns = self._watchdog_ns = 0
         self._own: State | None = None
         self._own_ns = self._logs_ns = self._landing_ns = self._up_ns = 0
-        self._at, self._usual = 0, math.inf
+        self._uptime = Uptime()
         self._well: dict[str, float] = {}
         self._spread: dict[str, float] = {}
         self._said, self._gate = Throttle(), PoseGate()
@@ -122,7 +123,8 @@ class RadioDrone(Actor):
         self._take_off: TakeOff | None = None
         if self.seen_by_cameras:
             here = self.port.address
-            self._take_off, self._told = TakeOff(i, sights or Sights(bus, config, here)), Pace(config.radio.pose_rate)
+            self._take_off = TakeOff(i, sights or Sights(bus, config, here))
+            self._told = RateLimit(config.radio.pose_rate)
             bus.subscribe(POSE, EYES + i, here, self._pose, RATE)
             bus.subscribe(POSE, EYES + i, here, Call(self.clock, self._seen, "pose"), RATE)
 
@@ -140,7 +142,8 @@ class RadioDrone(Actor):
                 self._failed(error, began)
             finally:
                 self._heard_at = max(self._heard_at, self.clock.now() - connection.silence)
-                self.connection = None
+                self.connection = self._opening = None
+                await self._end_work()
                 await connection.close()
             late = self.clock.now() - began > self.config.radio.connect_deadline
             await self.clock.sleep(AGAIN if late and not self.flying else FIRST)
@@ -149,6 +152,7 @@ class RadioDrone(Actor):
         deadline = self.config.radio.connect_deadline
         left = max(began + deadline - self.clock.now(), deadline / 4.0)
         await connection.open(REOPENS if self._prepared else left, 0.0 if self._prepared else TABLES)
+        self._opening = connection
         if self._cut:
             connection.urgent(emergency())
         firmware = Firmware(connection)
@@ -163,11 +167,10 @@ class RadioDrone(Actor):
             await self._prepare(firmware)
         if self.why:
             raise LinkFailed(self.row.uri, self.why)
-        self.connection, self._up_ns = connection, self.clock.now_ns()
+        self.connection, self._opening, self._up_ns = connection, None, self.clock.now_ns()
         self.reconnected += self.state_of_link == "lost"
         self._change("up", "")
-        for names, every in self._asked.items():
-            await self._begin_asked(connection, names, every)
+        await self._begin_all_asked(connection)
 
     async def _until_told(self, connection: Connection) -> None:
         """It has said whether it flies: somebody may have flown it there."""
@@ -216,10 +219,16 @@ class RadioDrone(Actor):
         rate, seconds = self.config.radio.log_rate, REOPENS
         period = 1.0 / (max(rate, MOTION) if self.seen_by_cameras else rate)
         self._logs_ns = self.clock.now_ns()
-        connection.drop_logs()
         await connection.log("own", (*OWN, *WELL), period, self._take_own, seconds)
         if not self.seen_by_cameras:
             await connection.log("spread", SPREAD, 0.1, self._take_spread, seconds)
+
+    async def _begin_logs_again(self, connection: Connection) -> None:
+        """It says nothing of itself any more, whatever blocks it has."""
+        self._logs_ns = self.clock.now_ns()
+        await connection.reset_logs(REOPENS)
+        await self._begin_logs(connection)
+        await self._begin_all_asked(connection)
 
     async def _look_after(self, connection: Connection) -> None:
         """Until it is silent for too long."""
@@ -238,13 +247,44 @@ class RadioDrone(Actor):
                 self._say("sending", f"a packet could not be sent: {failure}")
             self._feed_watchdog()
             self._go_on_landing()
-            if silence < DEGRADED and self.clock.now_ns() - max(self._own_ns, self._logs_ns) > FORGOTTEN * SECOND:
-                await self._begin_logs(connection)
-            if not self._prepared and not self.flying:
-                await self._prepare(Firmware(connection))
-            pose = self._pose.fresh()
-            if self.seen_by_cameras and not self._placed and not self.flying and pose is not None:
-                await self._place(Firmware(connection), pose.p, yaw_of(pose.q))
+            self._forgive()
+            self._work_on(connection, silence)
+
+    def _work_on(self, connection: Connection, silence: float) -> None:
+        """What waits for answers is done beside, one thing at a time; raises what the last one has."""
+        work = self._work
+        if work is not None and not work.done():
+            return
+        self._work = None
+        if work is not None:
+            work.result()
+        if (more := self._due_work(connection, silence)) is not None:
+            self._work = asyncio.get_running_loop().create_task(more)
+
+    def _due_work(self, connection: Connection, silence: float) -> Coroutine[Any, Any, None] | None:
+        if silence < DEGRADED and self.clock.now_ns() - max(self._own_ns, self._logs_ns) > FORGOTTEN * SECOND:
+            return self._begin_logs_again(connection)
+        if self.flying:
+            return None
+        if not self._prepared:
+            return self._prepare(Firmware(connection))
+        pose = self._pose.fresh()
+        if self.seen_by_cameras and not self._placed and pose is not None:
+            return self._place(Firmware(connection), pose.p, yaw_of(pose.q))
+        return None
+
+    async def _end_work(self) -> None:
+        """Its link is gone, and with it the answers."""
+        work, self._work = self._work, None
+        if work is not None:
+            work.cancel()
+            await asyncio.wait([work])
+            _ = work.cancelled() or work.exception()  # whatever it was: the link has failed
+
+    def _forgive(self) -> None:
+        """Whoever has put its body right has had it out of the cameras' sight: it is judged anew when it takes off."""
+        if self._take_off is not None and not self.flying and self._pose.fresh() is None:
+            self._take_off.found = ""
 
     def _feed_watchdog(self) -> None:
         """The choice of [radio] watchdog: without us it is to cut its motors."""
@@ -267,7 +307,7 @@ class RadioDrone(Actor):
     def orphan(self) -> bool:
         """Whether it flies, this owner could tell it what to do, and nobody does."""
         up = self.connection is not None and self.clock.now_ns() - self._up_ns > ORPHANED * SECOND
-        return up and self.flying and not self._flown_here and self._landing is None
+        return up and not self._cut and self.flying and not self._flown_here and self._landing is None
 
     def _failed(self, error: Exception, began: float) -> None:
         if isinstance(error, ConfigError):
@@ -357,8 +397,8 @@ class RadioDrone(Actor):
     def cut(self) -> None:
         """Stop the motors for good."""
         self._cut = True
-        if self.connection is not None:
-            self.connection.urgent(emergency())
+        if (way := self.connection or self._opening) is not None:
+            way.urgent(emergency())
 
     def _send_now(self, packets: Iterable[Packet]) -> None:
         for packet in packets if self.connection is not None else ():
@@ -394,6 +434,10 @@ class RadioDrone(Actor):
         except LinkFailed as error:
             self._say("log", str(error))
 
+    async def _begin_all_asked(self, connection: Connection) -> None:
+        for names, every in list(self._asked.items()):
+            await self._begin_asked(connection, names, every)
+
     def _do(self, work: Any) -> None:
         """In the background, until it is done."""
         task = asyncio.get_running_loop().create_task(work)
@@ -417,31 +461,27 @@ class RadioDrone(Actor):
             self._say("planner", f"its planner refuses command {packet.data[0]} with {packet.data[3]}")
 
     def _take_own(self, values: dict[str, float], at: int) -> None:
-        if at < self._at - RESTARTED and self._at - at < WRAPS // 2:
+        if self._uptime.restarted(self.clock.now(), at):
             self.why = "it has been started again"
-            self._prepared = self._placed = False
+            self._prepared = self._placed = self._fed = False
             self.release = ""
-            self._usual = math.inf
-        late = self._late(self.clock.now(), at)
-        self._at = at
+            if self._take_off is not None:
+                self._take_off.found = ""
+            self._uptime = Uptime()
+        if self._uptime.overtaken(at):
+            return
+        taken = self._uptime.taken(self.clock.now(), at)
         self._well = {name: values[name] for name in WELL}
         p = MILLI * np.array([values[name] for name in OWN[0:3]])
         v = MILLI * np.array([values[name] for name in OWN[3:6]])
         p, v, q = self._in_the_world(p, v, quaternion(int(values[OWN[6]])))
         self._own, self._own_ns = State(np.array([*p, *v, *q, 0.0, 0.0, 0.0])), self.clock.now_ns()
         latency = math.nan if self.connection is None else self.connection.latency
-        watch = self._take_off if late < HELD else None
-        if watch is not None and watch.note(self.clock.now(), q, self.flying, latency):
+        if self._take_off is not None and self._take_off.note(taken, q, self.flying, latency):
             self.report()
         if not self.seen_by_cameras:
             self.port.publish(POSE, Pose(np.array([*p, *q])))
             self.port.publish(TRUTH, self._own)
-
-    def _late(self, now: float, at: int) -> float:
-        """s by which it is heard later than usual: what waited in a link or a loop comes all at once."""
-        behind, since = now - MILLI * at, MILLI * max(at - self._at, 0)
-        self._usual = min(self._usual + RUNS * since, behind)
-        return behind - self._usual
 
     def _in_the_world(self, p: Vec, v: Vec, q: Vec) -> tuple[Vec, Vec, Vec]:
         """From the frame of the drone's own estimate: that of the cameras if it is told their poses, else [radio]'s."""
@@ -488,7 +528,8 @@ class RadioDrone(Actor):
         if not (self._prepared and self._placed) and not self.flying:
             unseen = self.seen_by_cameras and self._pose.fresh() is None
             return ["the cameras do not see it" if unseen else "is being prepared"]
-        found = [*checks.supervisor_problems(self.supervisor), *checks.battery_problems(self.battery), *self._astray()]
+        found = [*checks.supervisor_problems(self.supervisor), *checks.battery_problems(self.battery)]
+        found += [text + REMEDY for text in self._astray()] + [WAS_CUT] * self._cut
         if self.flying:
             return found
         found += checks.link_problems(self.connection.latency, self.connection.answered)

@@ -17,7 +17,7 @@ from crazychoir.radio.contents import TableOfContents, folder
 from crazychoir.radio.dongles import DONGLES
 from crazychoir.radio.drone import LOOKS, RadioDrone
 from crazychoir.radio.sights import Sights
-from crazychoir.radio.writer import Pace
+from crazychoir.radio.writer import Turns
 from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import Clock
 from crazychoir.runtime.places import runtime_folder
@@ -54,7 +54,7 @@ class RadioProcess(Actor):
         rate, contents = rates(config)[dongle], TableOfContents(folder())
         for i in self.ids:
             self.bus.port(BODIES + i, incarnation)
-        turn, sights = self._pace().turn, Sights(self.bus, config, BODIES + self.ids[0])
+        turn, sights = self._turns().turn, Sights(self.bus, config, BODIES + self.ids[0])
         self.drones = {
             i: RadioDrone(self.bus, config, i, sender_of(config, i), rate, contents, turn, sights) for i in self.ids
         }
@@ -66,9 +66,9 @@ class RadioProcess(Actor):
         self._limit = Fence.box(*limit_area(config))
         self._supervisor = Supervisor(clock, f"dongle {dongle}", self._failed)
 
-    def _pace(self) -> Pace:
+    def _turns(self) -> Turns:
         """Of what a dongle carries, and a little less: what waits in it grows old."""
-        return Pace(self.clock, PACED * capacity_of(self.config, self.dongle))
+        return Turns(self.clock, PACED * capacity_of(self.config, self.dongle))
 
     async def serve(self, *services: Actor) -> None:
         """Until its end."""

@@ -15,7 +15,7 @@ RATE = 50.0
 """Hz, at which bodies are looked at, and not their drones told of it."""
 MOTION = 20.0
 """Hz, at least, at which a drone that cameras see says how it is tilted."""
-LATE = 0.2
+OLD = 0.2
 """s, there and back, from which on what a drone says of itself is too old to be compared."""
 
 
@@ -65,19 +65,20 @@ class TakeOff:
         if not self.found:
             self._ascent = None
 
-    def note(self, now: float, q: Vec, flies: bool, latency: float) -> bool:
+    def note(self, taken: float, q: Vec, flies: bool, latency: float) -> bool:
         """It has said how it is turned, q (4,) body to world, and whether it flies; whether something was found now.
 
-        latency: s, there and back, nan if it is not known.
+        taken: s, when it was so: links say late, and all at once, what they could not;  latency: s, there and back, nan
+        if it is not known.
         """
         u = tilt(q)
-        self._own.add(now, u)
-        if (self._flies and not flies) or (not flies and now - self._began > LONGEST):
+        self._own.add(taken, u)
+        if (self._flies and not flies) or (not flies and taken - self._began > LONGEST):
             self._began, self._ascent = math.nan, None
         self._flies = flies
-        if self._ascent is None or self.found or latency > LATE:
+        if self._ascent is None or self.found or latency > OLD or taken < self._began:
             return False
-        self.found = self._ascent.judge(now, u, flies)
+        self.found = self._ascent.judge(taken, u, flies)
         if self._ascent.over and not self.found:
             self._ascent = None
         return bool(self.found)

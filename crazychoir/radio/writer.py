@@ -8,7 +8,7 @@ from crazychoir.radio.crtp import Packet
 from crazychoir.runtime.clock import SECOND, Clock
 
 
-class Pace:
+class Turns:
     """Turns of the drones that share a dongle, as many a second as it carries.
 
     A radio's driver keeps who sends until the air is free; one that sends into a network does not, and what waits there

@@ -84,9 +84,9 @@ class Track:
         share = (t - times[k - 1]) / (times[k] - times[k - 1])
         return (1.0 - share) * self._tilts[k - 1] + share * self._tilts[k]
 
-    def rest(self, since: float) -> tuple[complex, float]:
-        """The mean from a time on, nan if it was not seen; and the variance an axis, rad2, at most SHAKEN^2."""
-        found = np.array([u for t, u in zip(self._times, self._tilts, strict=True) if t >= since])
+    def rest(self, since: float, until: float) -> tuple[complex, float]:
+        """The mean between two times, nan if it was not seen; and the variance an axis, rad2, at most SHAKEN^2."""
+        found = np.array([u for t, u in zip(self._times, self._tilts, strict=True) if since <= t <= until])
         if not found.size:
             return complex(math.nan), 0.0
         return complex(found.mean()), min(0.5 * float(found.var()), SHAKEN**2)
@@ -107,11 +107,8 @@ class Ascent:
     """
 
     def __init__(self, i: int, now: float, own: Track, bodies: Mapping[int, Track]) -> None:
-        self.drone, self._began, self._bodies = i, now, bodies
-        since = now - STOOD
-        self._level, noise = own.rest(since)
-        self._zeros = {j: track.rest(since)[0] for j, track in bodies.items()}
-        self._noise = NOISE**2 + noise + bodies[i].rest(since)[1]
+        self.drone, self._began, self._bodies, self._said = i, now, bodies, own
+        self._level, self._zeros, self._noise = complex(math.nan), dict[int, complex](), math.nan
         self._own: deque[complex] = deque(maxlen=WINDOW)
         self._seen: dict[int, deque[list[complex]]] = {j: deque(maxlen=WINDOW) for j in bodies}
         self._moved = 0.0
@@ -121,7 +118,9 @@ class Ascent:
         """Whether it has been judged: it moves as its body does, or has been watched for long enough."""
 
     def judge(self, now: float, u: complex, flies: bool) -> str:
-        """What is wrong, empty if nothing is, when the drone has just said its tilt u, and whether it flies."""
+        """What is wrong, empty if nothing is, when the drone says its tilt u, and whether it flies, of this time."""
+        if not self._zeros:
+            self._look_back()
         s = u - self._level
         self._own.append(s)
         for j, track in self._bodies.items():
@@ -130,6 +129,14 @@ class Ascent:
         watched = now - self._began
         self.over = watched > LONGEST or (watched > SHORTEST and self._moved > ENOUGH)
         return self._by_tilts() or (self._by_heights(now) if flies else "")
+
+    def _look_back(self) -> None:
+        """At how all stood, once it has said all that it has said of that."""
+        began, since = self._began, self._began - STOOD
+        rest = {j: track.rest(since, began) for j, track in self._bodies.items()}
+        self._level, noise = self._said.rest(since, began)
+        self._zeros = {j: level for j, (level, _) in rest.items()}
+        self._noise = NOISE**2 + noise + rest[self.drone][1]
 
     def _by_heights(self, now: float) -> str:
         """Whether its body stays while it flies, and another's rises, whose drone does not fly."""

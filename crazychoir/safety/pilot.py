@@ -859,5 +859,5 @@ class Pilot(Actor):
     def _say(self, topic: str, text: str) -> None:
         text = text.removeprefix(f"drone {self.drone}: ")  # errors name their drone; the line does so too
         self.note = text
-        if self._said.due(self.clock.now(), topic):
+        if self._said.due(self.clock.now(), topic) and self._said.due(self.clock.now(), text):
             log.warning("drone %d: %s", self.drone, text)

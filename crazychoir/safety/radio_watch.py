@@ -9,8 +9,8 @@ from crazychoir.runtime.mailbox import Latest
 from crazychoir.safety.guard import EMPTY, LOW, Guard
 from crazychoir.types import LinkStatus
 
-ON_ITS_BACK, LOCKED, CRASHED = 1 << 5, 1 << 6, 1 << 7
-"""Bits of the firmware's supervisor."""
+TUMBLED, LOCKED, CRASHED = 1 << 5, 1 << 6, 1 << 7
+"""Bits of the firmware's supervisor: it flies no more."""
 
 
 class RadioWatch(Actor):
@@ -43,7 +43,7 @@ class RadioWatch(Actor):
         self._low_since = min(self._low_since, now) if status.battery < LOW else math.inf
         guard.tell("battery", now - self._low_since)
         guard.tell("empty", EMPTY - status.battery if status.battery < EMPTY else -math.inf)
-        guard.tell("tumbled", float(bool(status.supervisor & (ON_ITS_BACK | LOCKED | CRASHED))))
+        guard.tell("tumbled", float(bool(status.supervisor & (TUMBLED | LOCKED | CRASHED))))
 
     def turning(self) -> bool:
         """Whether its motors turn, as its firmware has said last; True while nobody says anything."""

@@ -54,9 +54,6 @@ class Wire:
     def forget(self, kind: str) -> None:
         """Nothing waits here."""
 
-    def drop_logs(self) -> None:
-        """There are none."""
-
     async def log(self, name: str, variables: Any, period: float, data: Any, seconds: float) -> None:
         self._say(tuple(variables), round(period * SECOND), data)
 

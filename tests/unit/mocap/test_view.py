@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from crazychoir.mocap.frames import Frame
-from crazychoir.mocap.view import Blur, Pace, View
+from crazychoir.mocap.view import Blur, RateLimit, View
 from crazychoir.swarm.config import SwarmConfig
 
 LEVEL = np.array([1.0, 2.0, 0.5, 0.0, 0.0, 0.0, 1.0])
@@ -19,13 +19,13 @@ def swarm(**mocap):
 
 @pytest.mark.parametrize("rate", [100.0, 120.0, 340.0])
 def test_at_most_so_many_frames_a_second_pass(rate):
-    pace, jitter = Pace(100.0), np.random.default_rng(1).uniform(0.0, 0.002, 2000)
+    pace, jitter = RateLimit(100.0), np.random.default_rng(1).uniform(0.0, 0.002, 2000)
     passed = sum(pace.passes(k / rate + jitter[k]) for k in range(round(5.0 * rate)))
     assert 495 <= passed <= 501, "frames of the rate itself all pass, although they jitter"
 
 
 def test_a_source_that_begins_anew_is_let_through():
-    pace = Pace(100.0)
+    pace = RateLimit(100.0)
     assert pace.passes(1000.0)
     assert pace.passes(0.0)
     assert not pace.passes(0.0005)

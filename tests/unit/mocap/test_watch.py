@@ -37,9 +37,23 @@ def test_slow_cameras_are_named_with_both_rates():
 
 def test_a_gap_in_the_frames_and_one_of_a_body_are_said_with_their_length():
     _, said = watched(3.0, lambda k: moving(k, "cf0", "cf1"), gap=(1.0, 1.1))
-    assert [text for _, text in said] == ["no frame for 0.110 s, more than 3 periods"], "no body is to blame"
+    assert [text for _, text in said] == ["no frame for 0.110 s, more than 0.05 s"], "no body is to blame"
     _, said = watched(3.0, lambda k: moving(k, "cf0") if 100 <= k < 105 else moving(k, "cf0", "cf1"))
     assert [text for _, text in said] == ["body 'cf1' of drone 1 was not seen for 0.060 s"]
+
+
+def test_gaps_that_come_again_and_again_are_said_with_their_number_and_short_ones_are_not():
+    def said_of(gap):
+        watch, said, t = Watch(NAMES, 100.0, True), [], 0.0
+        for k in range(160):
+            t += gap if k % 10 == 0 else 0.01
+            watch.note(Frame(k, t, moving(k, "cf0", "cf1")), t)
+            said += [text for text in watch.look(t) if text.startswith("no frame")] if k % 20 == 19 else []
+        return said
+
+    assert said_of(0.045) == []
+    first = "no frame for 0.090 s, more than 0.05 s"
+    assert said_of(0.09) == [first, f"{first}; 6 such gaps"]
 
 
 def test_a_body_that_is_missing_now_and_then_is_said_with_its_share():

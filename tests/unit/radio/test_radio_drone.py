@@ -1,5 +1,6 @@
 """What the owner of a dongle tells one drone, and when; its connection is one that keeps what it is given."""
 
+import asyncio
 import math
 from pathlib import Path
 
@@ -9,12 +10,14 @@ from virtual_time import virtual
 
 from crazychoir.bus.local import BODIES, Bus
 from crazychoir.bus.topics import BODY
+from crazychoir.errors import LinkFailed
 from crazychoir.radio import checks
 from crazychoir.radio.contents import TableOfContents
 from crazychoir.radio.crtp import FORMS, HIGH_LEVEL, Packet
-from crazychoir.radio.drone import ORPHANED, OWN, STOPS, RadioDrone
+from crazychoir.radio.drone import ORPHANED, OWN, STOPS, UNSEEN, WAS_CUT, RadioDrone
 from crazychoir.radio.owner import RadioProcess
 from crazychoir.runtime.mailbox import Call
+from crazychoir.safety.ascent import Track
 from crazychoir.safety.pose_gate import PoseGate
 from crazychoir.swarm.config import SwarmConfig
 from crazychoir.types import FPQR, XYZ, Pose
@@ -143,6 +146,10 @@ async def test_one_that_flies_and_that_nobody_commands_is_an_orphan(clock) -> No
     assert drone.orphan
     drone.send(LINE)
     assert not drone.orphan
+    drone._flown_here = False
+    assert drone.orphan
+    drone.cut()
+    assert not drone.orphan, "nothing is left to be done"
 
 
 @virtual
@@ -199,6 +206,11 @@ async def test_why_it_may_not_take_off(clock) -> None:
     assert drone.problems() == ["the cameras do not see it"]
     drone.connection, drone.problem = None, "no answer within 2 s"
     assert drone.problems() == ["no answer within 2 s"]
+    drone, _ = made(clock)
+    tell(drone, READY | checks.FLYING)
+    assert drone.problems() == []
+    drone.cut()
+    assert drone.problems() == [WAS_CUT]
 
 
 @virtual
@@ -282,25 +294,129 @@ async def test_whose_body_moves_otherwise_is_told_nothing_more_and_may_not_take_
             drone.send(LINE)
         await clock.sleep(0.05)
     assert drone.status().astray == "it does not tilt as its body does"
-    assert drone.status().astray in drone.problems()
+    assert any(text.startswith(drone.status().astray) for text in drone.problems())
     kept.sent.clear()
     seen(drone)
     assert kept.sent == []
+    drone._forgive()
+    assert drone.status().astray, "it may fly"
+    tell(drone, READY)
+    drone._pose.put(Pose(np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])), 0.0)
+    drone._forgive()
+    assert drone.status().astray, "nobody has touched it"
+    await clock.sleep(UNSEEN + 0.1)
+    drone._forgive()
+    assert drone.status().astray == ""
 
 
 @virtual
-async def test_what_it_says_late_is_not_compared_with_what_the_cameras_see_now(clock) -> None:
+async def test_what_was_overtaken_changes_nothing(clock) -> None:
     drone, _ = made(clock)
-    at = [0]
+    tell(drone, READY, 5000)
+    await clock.sleep(0.9)
+    tell(drone, READY | checks.FLYING, 5900)
+    tell(drone, READY, 5020)
+    assert (drone.flying, drone.why) == (True, "")
 
-    async def says(hold: float) -> float:
-        """Lateness of the first of those that were held back."""
-        await clock.sleep(hold)
-        first = drone._late(clock.now(), at[0] + 50)
-        at[0] += round(1000 * hold)
-        return first
 
-    for _ in range(20):
-        assert await says(0.05) < 0.01
-        drone._late(clock.now(), at[0])
-    assert await says(0.7) == pytest.approx(0.65, abs=0.01)
+@pytest.mark.parametrize("exchanged", [False, True])
+def test_what_it_says_late_is_compared_with_what_the_cameras_saw_then(exchanged) -> None:
+    @virtual
+    async def check(clock) -> None:
+        drone, _ = made(clock)
+        tracks, held = drone._take_off.sights.tracks, []
+        tracks[1] = Track()
+
+        def tilted(j: int, t: float) -> float:
+            return 0.3 * max(t - 1.0, 0.0) * math.sin((7.0 + 4.0 * j) * t)
+
+        for k in range(110):
+            t = clock.now()
+            for j, track in tracks.items():
+                track.add(t, complex(0.0, tilted(1 - j if exchanged else j, t)))
+            roll = 0.5 * tilted(0, t)
+            if k == 50:
+                drone.send(LINE)
+            held.append((np.array([math.sin(roll), 0.0, 0.0, math.cos(roll)]), k > 55, round(1000 * t) + 3000))
+            if not 60 <= k < 105:
+                for q, flies, at in held:
+                    drone._take_off.note(drone._uptime.taken(t, at), q, flies, 0.01)
+                held.clear()
+            await clock.sleep(0.02)
+        assert bool(drone._take_off.found) is exchanged
+
+    check()
+
+
+class Slow(Kept):
+    """A connection that asks in vain, until it is told to go on."""
+
+    def __init__(self, uri: str = "") -> None:
+        super().__init__()
+        self.uri, self.dongle_failure, self.failure = uri, "", ""
+        self.goes_on, self.begun = asyncio.Event(), 0
+
+    async def open(self, seconds: float, tables: float) -> None:
+        """At once."""
+
+    async def close(self) -> None:
+        """At once."""
+
+    async def reset_logs(self, seconds: float) -> None:
+        await self.goes_on.wait()
+
+    async def log(self, name, variables, period, data, seconds) -> None:
+        self.begun += 1
+        await self.goes_on.wait()
+
+
+@virtual
+async def test_a_cut_leaves_at_once_while_its_link_is_being_asked(clock) -> None:
+    drone, _ = made(clock)
+    drone.connection, slow = None, Slow()
+    connecting = asyncio.ensure_future(drone._connect(slow, clock.now()))
+    await clock.sleep(0.1)
+    assert (slow.begun, drone.connection, slow.sent) == (1, None, [])
+    drone.cut()
+    assert slow.sent[0] == head("emergency_stop")
+    connecting.cancel()
+
+
+@virtual
+async def test_who_looks_after_a_drone_that_says_nothing_of_itself_goes_on_with_all_else(clock) -> None:
+    drone, _ = made(clock, watchdog=True)
+    drone._prepared = drone._placed = True
+    tell(drone, READY | checks.FLYING)
+    drone.connection = slow = Slow()
+    drone.send(LAND)
+    looking = asyncio.ensure_future(drone._look_after(slow))
+    await clock.sleep(2.5)
+    assert slow.begun == 0, "its logs are being reset"
+    slow.sent.clear()
+    await clock.sleep(2.0)
+    assert slow.sent.count(head("land")) == 8
+    assert slow.sent.count(head("emergency_stop_watchdog")) == 8
+    drone.cut()
+    slow.sent.clear()
+    await clock.sleep(0.5)
+    assert slow.sent.count(head("emergency_stop")) == 10
+    slow.goes_on.set()
+    await clock.sleep(0.1)
+    assert slow.begun == 1, "one at a time"
+    looking.cancel()
+    await asyncio.wait([looking])
+    await drone._end_work()
+
+
+@virtual
+async def test_what_fails_beside_ends_the_link(clock) -> None:
+    drone, _ = made(clock)
+    slow = Slow()
+
+    async def fails(connection) -> None:
+        raise LinkFailed("udp", "no answer")
+
+    drone._begin_logs_again = fails
+    await clock.sleep(2.0)
+    with pytest.raises(LinkFailed, match="no answer"):
+        await drone._look_after(slow)

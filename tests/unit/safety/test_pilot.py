@@ -1239,3 +1239,15 @@ async def test_a_body_that_stays_on_the_floor_is_another_ones_unless_motors_stan
             setattr(drone.pilot.clearance, name, keeps)
         await drone.fly(1.5, sinks=lambda z: 0.0)
         assert drone.pilot.mode is mode
+
+
+def test_the_same_is_said_once(caplog):
+    @virtual
+    async def check(clock):
+        drone = Flown(clock)
+        await drone.hovering()
+        await drone.fly(0.6, poses=False)
+
+    check()
+    said = [text for text in caplog.messages if "landing" in text]
+    assert said == ["drone 0: pose 0.51 s old, limit 0.50 s: landing"]

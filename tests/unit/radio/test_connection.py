@@ -1,0 +1,35 @@
+"""A connection that has no drone: what it makes of what cflib says."""
+
+import asyncio
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from crazychoir.errors import LinkFailed
+from crazychoir.radio.connection import Connection
+from crazychoir.radio.contents import TableOfContents
+from crazychoir.runtime.clock import WallClock
+
+
+@pytest.mark.parametrize("on", [True, False])
+async def test_a_log_that_the_drone_does_not_begin_fails_at_once(on) -> None:
+    clock, blocks = WallClock(asyncio.get_running_loop()), []
+    connection = Connection(clock, "udp://127.0.0.1:9", TableOfContents(Path("nowhere")))
+    connection._writer = SimpleNamespace(put=lambda packet: None, end=lambda: None, join=lambda seconds: None)
+
+    def added(block) -> None:
+        block.cf = SimpleNamespace(link=None)
+        blocks.append(block)
+
+    connection.cf.log.add_config = added
+    logging = asyncio.ensure_future(connection.log("own", ["pm.vbat"], 0.1, lambda values, at: None, 30.0))
+    await asyncio.sleep(0)
+    blocks[0].started_cb.call(blocks[0] if on else connection.cf.log, on)  # as cflib does
+    if on:
+        await logging
+    else:
+        with pytest.raises(LinkFailed, match="does not begin"):
+            await logging
+    await connection.close()
+    clock.close()

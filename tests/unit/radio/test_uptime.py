@@ -1,0 +1,46 @@
+"""When a drone has found what it says, however late that comes."""
+
+import pytest
+
+from crazychoir.radio.uptime import WRAPS, Uptime
+
+
+def told(uptime, ats, now=lambda at: 50.0 + at / 1000 + 0.004):
+    """Logs of these times, of its clock; when they come, by ours."""
+    return [uptime.taken(now(at), at % WRAPS) for at in ats]
+
+
+def test_what_waited_was_so_when_it_was_so():
+    uptime = Uptime()
+    told(uptime, range(3000, 4000, 20))
+    held = told(uptime, range(4000, 4900, 20), now=lambda at: 54.9 + 0.004 * (at - 4000) / 20)
+    assert held == pytest.approx([54.004 + 0.02 * k for k in range(45)], abs=0.002)
+
+
+def test_one_that_was_overtaken_is_known_and_is_no_restart():
+    uptime = Uptime()
+    told(uptime, [*range(3000, 4000, 20), 4900])
+    assert uptime.overtaken(4020)
+    assert not uptime.restarted(54.95, 4020)
+    assert not uptime.overtaken(4920)
+
+
+def test_a_clock_that_runs_fast_or_slow_is_followed():
+    for share in (0.9995, 1.0005):
+        uptime = Uptime()
+        (*_, last) = told(uptime, range(0, 600_000, 50), now=lambda at, share=share: 5.0 + share * at / 1000)
+        assert last == pytest.approx(5.0 + share * 599.95, abs=0.001)
+
+
+def test_a_time_that_begins_anew_goes_on():
+    uptime = Uptime()
+    ats = range(WRAPS - 100, WRAPS + 100, 20)
+    assert told(uptime, ats) == pytest.approx([50.0 + at / 1000 + 0.004 for at in ats], abs=1e-3)
+    assert not uptime.restarted(50.0 + (WRAPS + 120) / 1000, 120)
+
+
+@pytest.mark.parametrize(("up", "silent"), [(60.0, 3.0), (2.0, 1.0)])
+def test_one_that_was_started_again_is_younger_than_what_it_has_said_last(up, silent):
+    uptime = Uptime()
+    told(uptime, [round(1000 * up)])
+    assert uptime.restarted(50.004 + up + silent, round(1000 * (silent - 0.5)))
