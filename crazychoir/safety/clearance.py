@@ -6,7 +6,7 @@ from crazychoir.math3d import Vec, yaw_of
 from crazychoir.planning.point_to_point import PointToPoint
 from crazychoir.safety.collision.filter import CollisionFilter
 from crazychoir.safety.collision.planned import Future, PlannedFlights
-from crazychoir.safety.flights import Flights
+from crazychoir.safety.flights import LONGEST_WAIT, Flights
 from crazychoir.types import Acceleration, FullState, State
 
 BACK, BEHIND, AHEAD = 0.05, 0.15, 0.5
@@ -101,20 +101,23 @@ class Clearance:
         flights = self.flights
         plan = flights.plan
         whole = flights.remaining(now) if isinstance(plan, PointToPoint) else 0.0
-        flown = self.agreed(state, wanted, lambda later: flights.sample(now + later) or wanted, whole, now, lands)
+        waits = flights.waited < LONGEST_WAIT
+        future: Future = lambda later: flights.sample(now + later) or wanted  # noqa: E731
+        flown = self.agreed(state, wanted, future, whole, now, lands, waits)
         if planned.delayed:
             arrives = isinstance(plan, PointToPoint) and planned.comes_to(plan.goal)
             flights.wait(planned.left(now) - whole if arrives else self.period)
         return flown
 
     def agreed(
-        self, state: State, wanted: FullState, future: Future, whole: float, now: float, lands: bool = False
+        self, state: State, wanted: FullState, future: Future, whole: float, now: float, lands: bool = False,
+        waits: bool = False,
     ) -> FullState:  # fmt: skip
         """What a drone that tells its ways may fly instead of `wanted`; others may fly that."""
         planned = self.planned
         if planned is None:
             return wanted
-        flown = planned.fly(state, wanted, future, whole, now, lands)
+        flown = planned.fly(state, wanted, future, whole, now, lands, waits)
         if self.delayed_by is not None:
             if not lands or now > self.gave_way + ALONE:
                 self._kept_up = now

@@ -81,20 +81,23 @@ class PlannedFlights:
         self.obstacles = Obstacles(figures, self.agreement, traffic, a_max, ground)
         self.detours = Detours(v_max, a_max, fence, np.random.default_rng(port.address))
         self._flew, self._next = -math.inf, 0.0
-        self._kept = False
+        self._kept = self._stands = False
         self._brakes = NO_WAY
         self.gives_way_to: int | None = None
         """Whom it would have met, had it flown as it was wanted to; None: nobody."""
 
     def fly(
-        self, state: State, wanted: FullState, future: Future, whole: float, now: float, lands: bool = False
+        self, state: State, wanted: FullState, future: Future, whole: float, now: float, lands: bool = False,
+        waits: bool = False,
     ) -> FullState:  # fmt: skip
         """What to fly now instead of `wanted`; that itself as long as nobody is in the way.
 
         future: what is wanted later;  whole: s until that ends at rest, if it does so after one go_to; else 0;
-        lands: whether it is on its way down, for which it waits UNANSWERED s for agreement at most.
+        lands: whether it is on its way down, for which it waits UNANSWERED s for agreement at most;  waits: whether
+        what is wanted stands still while the drone is delayed.
         """
         mine = self.agreement
+        self._stands = waits and self.delayed
         self._begin(state, wanted, now)
         mine.settle(now)
         self.obstacles.look(now)
@@ -245,7 +248,7 @@ class PlannedFlights:
         self, future: Future, whole: float, begins: float, now: float, others: Meeting, alone: bool = False
     ) -> bool:  # fmt: skip
         """Go on as wanted, if it is there and nobody is in the way."""
-        mine, wait = self.agreement, begins - now
+        mine, wait = self.agreement, 0.0 if self._stands else begins - now
         start = moving(mine.way, begins - mine.began)
         behind = start - future(wait).flat[0:12]
         if np.linalg.norm(behind[0:3]) > OFF:
@@ -274,6 +277,8 @@ class PlannedFlights:
         """(3,) m, where what is wanted ends; or would, if it braked, inside the fence; and whether that moves."""
         if whole > 0.0:
             return future(whole).p, False
+        if self._stands:
+            return future(0.0).p, False
         then = future(wait).flat[0:12]
         if np.linalg.norm(then[3:6]) <= NEAR:
             return then[0:3], False

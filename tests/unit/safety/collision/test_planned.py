@@ -11,6 +11,7 @@ from crazychoir.bus.impairment import Impairment
 from crazychoir.bus.local import Bus
 from crazychoir.bus.rules import Rule
 from crazychoir.bus.topics import PLAN, STATE
+from crazychoir.planning.figure import circle
 from crazychoir.runtime.clock import SECOND
 from crazychoir.safety.collision.agreement import NO_WAY, NOWHERE
 from crazychoir.safety.collision.obstacles import UNANSWERED
@@ -50,6 +51,10 @@ class Flier:
 
     def wanted(self):
         return FullState.at(self.goal)
+
+
+def later_of(way, t, later):
+    return way.sample(t + later)
 
 
 def crowd(clock, *places, rules=(), planners=None):
@@ -435,6 +440,23 @@ async def test_who_is_behind_what_moves_does_not_begin_anew_all_the_time(clock):
         drone.at, drone.v = flown.p.copy(), flown.v.copy()
     assert drone.filter.agreement.number - first <= 20
     assert drone.at[0] > 0.5
+
+
+@virtual
+async def test_what_waits_for_a_drone_that_rests_a_little_ahead_of_it_is_flown_on(clock):
+    way = circle((0.0, 0.0, 1.0), 0.3, 8.0)
+    for lead, others in ((0.2, ()), (0.3, ()), (0.4, ()), (0.3, ((1.2, 0.0, 1.0),))):
+        _, (drone, *rest) = crowd(clock, (way.sample(6.0 + lead).p,), *([place] for place in others))
+        await fly(clock, [drone, *rest], 1.0)
+        t = 6.0
+        for _ in range(900):
+            await fly(clock, rest, TICK) if rest else await clock.sleep(TICK)
+            state, wanted = State.at(drone.at, drone.v), partial(later_of, way, t)
+            drone.port.publish(STATE, state)
+            flown = drone.filter.fly(state, wanted(0.0), wanted, 0.0, clock.now(), waits=True)
+            drone.at, drone.v = flown.p.copy(), flown.v.copy()
+            t += 0.0 if drone.filter.delayed else TICK
+        assert t > 12.0, (lead, others)
 
 
 @virtual
