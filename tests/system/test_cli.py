@@ -343,6 +343,7 @@ async def listening(port):
     await until(answers, 40.0, lambda: f"nobody listens on {port}")
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(180)
 async def test_two_runs_of_one_swarm_file_meet_when_each_starts_its_drones(four, compiled):
     path, config = written(four[0], four[1].replace(mission_options={"duration": 1.0}))

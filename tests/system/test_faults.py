@@ -141,6 +141,7 @@ def names(j: int, reason: str) -> bool:
     return f"lost drone(s) {j}" in reason or f"left [{j}]" in reason
 
 
+@pytest.mark.slow
 async def test_a_killed_process_in_planning_ends_the_mission_of_the_others_and_is_named(tmp_path):
     async with asyncio.TaskGroup() as group:
         group.create_task(kill_in_planning(tmp_path / "coordinator", 0))
@@ -150,6 +151,7 @@ async def test_a_killed_process_in_planning_ends_the_mission_of_the_others_and_i
 # A stopped process --------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 async def test_a_stopped_process_delays_nobody(tmp_path):
     alone = {"method": "off"}  # else who stands beside it evades it
     config, first = apart(standing(tmp_path, duration=4.0).replace(collision=alone), None), ahead_of_others()

@@ -120,6 +120,7 @@ def gone(pids: list[int]) -> bool:
     return not any(Path(f"/proc/{pid}").exists() for pid in pids)
 
 
+@pytest.mark.slow
 async def test_four_processes_fly_in_worlds_of_one_owner_that_others_can_look_into(tmp_path):
     async with running(standing(tmp_path, 60.0, motors=2), tmp_path) as run:
         await run.stands()
