@@ -59,6 +59,7 @@ def quick(monkeypatch):
     assert threading.active_count() == before
 
 
+@pytest.mark.real_time
 def test_all_echoes_come_back_and_are_timed(quick):
     with Peer() as peer:
         began = time.perf_counter()
@@ -70,12 +71,14 @@ def test_all_echoes_come_back_and_are_timed(quick):
     assert all(len(data) == 10 and data[0] == ECHO for data in peer.seen), "cflib unpacks echoes of nine bytes alone"
 
 
+@pytest.mark.real_time
 def test_lost_echoes_are_counted(quick):
     with Peer(every=5) as peer:
         (found,) = ping([peer.uri], time.perf_counter, count=20)
     assert (found.sent, found.lost, len(found.round_trip)) == (20, 4, 16)
 
 
+@pytest.mark.real_time
 def test_who_falls_silent_ends_at_the_deadline(quick):
     with Peer(last=3) as peer:
         (found,) = ping([peer.uri], time.perf_counter, count=100, deadline=0.3)
@@ -84,6 +87,7 @@ def test_who_falls_silent_ends_at_the_deadline(quick):
     assert found.error == f"{100 - found.sent} more echoes were to be sent at the deadline"
 
 
+@pytest.mark.real_time
 def test_of_several_the_silent_and_the_absent_are_named_and_the_others_are_measured(quick):
     with Peer() as peer, Peer(last=0) as silent, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
         free.bind(("127.0.0.1", 0))
