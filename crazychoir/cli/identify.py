@@ -1,5 +1,6 @@
 """crazychoir identify: which of the drones on the bench is it?"""
 
+from functools import partial
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -30,13 +31,18 @@ def identify(
         config, _ = find_swarm(swarm)
         uri, dongle = _reached(config, drone)
 
+        def say(text: str) -> None:
+            STDERR.print(f"drone {drone} ({uri}): {text}", highlight=False)
+
         async def light(clock: Clock) -> dict[str, float]:
             contents, deadline = TableOfContents(folder()), config.radio.connect_deadline
-            return await leds.identify(clock, uri, contents, seconds, deadline)
+            lit_now = partial(say, f"its LEDs are lit for {seconds:g} s")
+            return await leds.identify(clock, uri, contents, seconds, deadline, lit_now)
 
         with owned(config, dongle), prints_aside():
-            STDERR.print(f"drone {drone} ({uri}): its LEDs are lit for {seconds:g} s", highlight=False)
+            say(f"is being connected, within {config.radio.connect_deadline:g} s")
             lit = run_wall(light)
+            say("its LEDs are as they were")
     except CrazyChoirError as error:
         fail(error, as_json)
     except KeyboardInterrupt:

@@ -85,6 +85,9 @@ def survey(
         require_drawable(picture)
         if write and swarm is None:
             raise ConfigError("--write", "no --swarm", "a swarm file to write into")
+        if write and simulated is not None:
+            do = "Leave --write out to look at an invented room; measure with a dongle what drones are to fly on."
+            raise ConfigError("--write", "--simulated beside it", "what a dongle has measured", do)
         wanted = _wanted(dongles, spacing, channels, drone, swarm, write, simulated)
         with prints_aside():
             found, expected = _surveyed(wanted, passes, packets, as_json)

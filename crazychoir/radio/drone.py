@@ -310,6 +310,7 @@ class RadioDrone(Actor):
         return up and not self._cut and self.flying and not self._flown_here and self._landing is None
 
     def _failed(self, error: Exception, began: float) -> None:
+        self.problem = str(error)
         if isinstance(error, ConfigError):
             self._change("refused", str(error))
         elif self._prepared:

@@ -1,6 +1,7 @@
 """Lights the LEDs of a drone that nobody flies, so that one finds it among others."""
 
 import contextlib
+from collections.abc import Callable
 
 from crazychoir.errors import Refused
 from crazychoir.radio import checks
@@ -21,11 +22,12 @@ SAYS = 0.5
 
 
 async def identify(
-    clock: Clock, uri: str, contents: TableOfContents, seconds: float, deadline: float
-) -> dict[str, float]:
+    clock: Clock, uri: str, contents: TableOfContents, seconds: float, deadline: float,
+    lit_now: Callable[[], None] = lambda: None,
+) -> dict[str, float]:  # fmt: skip
     """Light them for so long; returns the parameters that it was done by. They are put back, whatever happens.
 
-    deadline: s until it is connected.  Raises LinkFailed, and Refused while it flies.
+    deadline: s until it is connected;  lit_now: called once they are lit.  Raises LinkFailed, and Refused while it flies.
     """
     connection = Connection(clock, uri, contents)
     try:
@@ -36,6 +38,7 @@ async def identify(
         before = {name: await firmware.get(name) for name in lit}
         try:
             await firmware.set_all(lit)
+            lit_now()
             await clock.sleep(seconds)
         finally:
             await firmware.set_all(dict(reversed(before.items())))

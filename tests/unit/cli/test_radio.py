@@ -1,5 +1,6 @@
 """crazychoir radio: what it measures on a simulated radio, writes and says."""
 
+import contextlib
 import json
 
 import pytest
@@ -8,6 +9,7 @@ from typer.testing import CliRunner
 from crazychoir.cli import radio
 from crazychoir.cli.radio_tables import progress_table
 from crazychoir.radio.ping import Echoes
+from crazychoir.radio.simulated_radio import SimulatedRadio, random_room
 from crazychoir.radio.survey import Survey, Visit, survey
 
 SWARM = """\
@@ -25,7 +27,8 @@ id = 2
 home = [2, 0, 0]
 uri = "radio://1/80/2M/E7E7E7E703"
 """
-FEW = ["--simulated", "3", "--passes", "3", "--packets", "20", "--channels", "0-80:8"]
+BRIEF = ["--passes", "3", "--packets", "20", "--channels", "0-80:8"]
+FEW = ["--simulated", "3", *BRIEF]
 
 
 def said(*words):
@@ -37,6 +40,14 @@ def swarm(tmp_path):
     file = tmp_path / "lab.toml"
     file.write_text(SWARM)
     return file
+
+
+@pytest.fixture
+def dongle(monkeypatch):
+    """One that measures what the simulated radio does."""
+    room = random_room(3, range(0, 81, 8))
+    open_probe = contextlib.nullcontext(SimulatedRadio(room, 3))
+    monkeypatch.setattr("crazychoir.radio.survey_radio.open_probe", lambda uri, now: open_probe)
 
 
 def test_the_survey_says_what_it_has_measured():
@@ -63,8 +74,8 @@ def test_the_table_marks_what_is_picked(tmp_path):
     assert (tmp_path / "out.png").read_bytes()[:4] == b"\x89PNG"
 
 
-def test_the_channels_of_a_swarm_file_are_written(swarm):
-    result = json.loads(said("survey", *FEW, "--swarm", swarm, "--write", "--json").stdout)
+def test_the_channels_of_a_swarm_file_are_written(swarm, dongle):
+    result = json.loads(said("survey", *BRIEF, "--swarm", swarm, "--write", "--json").stdout)
     low, high = result["chosen"]
     assert result["dongles"] == {"1": low, "0": high}
     assert result["written"] == str(swarm)
@@ -78,9 +89,9 @@ def test_without_write_the_file_stays(swarm):
     assert swarm.read_text() == SWARM
 
 
-def test_channels_where_nothing_comes_through_are_not_written(swarm, monkeypatch):
+def test_channels_where_nothing_comes_through_are_not_written(swarm, dongle, monkeypatch):
     monkeypatch.setattr("crazychoir.radio.simulated_radio.success", lambda sinr: 0.0 * sinr)
-    done = said("survey", *FEW, "--swarm", swarm, "--write", "--json")
+    done = said("survey", *BRIEF, "--swarm", swarm, "--write", "--json")
     assert done.exit_code == 1
     assert json.loads(done.stdout)["written"] is None
     assert swarm.read_text() == SWARM
@@ -90,13 +101,14 @@ def test_channels_where_nothing_comes_through_are_not_written(swarm, monkeypatch
     ("words", "says"),
     [
         (["--write"], "--swarm"),
-        (["--swarm", "SWARM", "--write", "--dongles", "3"], "that is how many the file has"),
+        (["--swarm", "SWARM", "--write"], "--write: found --simulated beside it"),
+        (["--swarm", "SWARM", "--write", "--dongles", "3", "REAL"], "that is how many the file has"),
         (["--dongles", "12"], "room for 11"),
         (["--drone", "radio://0/80"], "no real drone hears a simulated radio"),
         (["--channels", "9-3"], "channels 0 to 125"),
         (["--swarm", "absent.toml"], "No such file"),
         (["--swarm", "BROKEN"], "drones[0].home"),
-        (["--swarm", "ODD", "--write"], "Write the channels yourself"),
+        (["--swarm", "ODD", "--write", "REAL"], "Write the channels yourself"),
         (["--picture", "a.gif"], ".png"),
     ],
 )
@@ -107,7 +119,8 @@ def test_what_cannot_be_is_refused_before_anything_is_measured(swarm, words, say
     odd = swarm.with_name("odd.toml")
     odd.write_text(SWARM.replace('"radio://0/80', '"radio:\\u002f/0/80'))
     files = {"SWARM": swarm, "BROKEN": broken, "ODD": odd}
-    done = said("survey", *FEW, *(files.get(word, word) for word in words), "--json")
+    few = BRIEF if "REAL" in words else FEW
+    done = said("survey", *few, *(files.get(word, word) for word in words if word != "REAL"), "--json")
     assert done.exit_code == 2
     assert says in json.loads(done.stdout)["error"]
 

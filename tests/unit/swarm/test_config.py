@@ -272,12 +272,12 @@ def test_a_mission_path_is_relative_to_the_swarm_file(tmp_path: Path, monkeypatc
     assert default_swarm(1).replace(mission="here.py").mission == str(tmp_path / "here.py")
 
 
-@pytest.mark.parametrize("file", ["lab6.toml", "two_hosts.toml", "mujoco30.toml"])
+@pytest.mark.parametrize("file", ["lab6.toml", "two_hosts.toml", "mujoco30.toml", "virtual4.toml"])
 def test_the_examples_of_deploy_load(file: str) -> None:
     config = SwarmConfig.load(ROOT / "deploy" / file)
     assert config.name == Path(file).stem
     assert config.graph().is_connected
-    assert len(config.drones) == {"lab6": 6, "two_hosts": 4, "mujoco30": 30}[config.name]
+    assert len(config.drones) == {"lab6": 6, "two_hosts": 4, "mujoco30": 30, "virtual4": 4}[config.name]
     assert SwarmConfig.loads(config.dumps()) == config
 
 
