@@ -134,6 +134,7 @@ class RadioDrone(Actor):
         """Connect, look after the link, connect again."""
         began = self.clock.now()
         while True:
+            self.why = ""
             connection = Connection(self.clock, self.row.uri, self._contents, self._lost, self._heard, self._turn)
             try:
                 await self._connect(connection, began)

@@ -27,7 +27,9 @@ async def identify(
 ) -> dict[str, float]:  # fmt: skip
     """Light them for so long; returns the parameters that it was done by. They are put back, whatever happens.
 
-    deadline: s until it is connected;  lit_now: called once they are lit.  Raises LinkFailed, and Refused while it flies.
+    deadline: s until it is connected;  lit_now: called once they are lit.
+
+    Raises LinkFailed, and Refused while it flies.
     """
     connection = Connection(clock, uri, contents)
     try:

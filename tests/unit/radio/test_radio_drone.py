@@ -420,3 +420,23 @@ async def test_what_fails_beside_ends_the_link(clock) -> None:
     await clock.sleep(2.0)
     with pytest.raises(LinkFailed, match="no answer"):
         await drone._look_after(slow)
+
+
+@virtual
+async def test_what_an_attempt_to_connect_failed_by_is_said_and_does_not_fail_the_next(clock) -> None:
+    drone, _ = made(clock)
+    drone.connection, before = None, []
+
+    async def fails(connection, began) -> None:
+        before.append(drone.why)
+        drone._lost("the driver has given up")
+        raise LinkFailed("udp://127.0.0.1:19850", "no answer within 1.5 s")
+
+    drone._connect = fails
+    running = asyncio.ensure_future(drone.run())
+    await clock.sleep(1.0)
+    running.cancel()
+    assert len(before) > 2
+    assert set(before) == {""}
+    (problem,) = drone.problems()
+    assert "no answer within 1.5 s" in problem
