@@ -246,6 +246,8 @@ class RadioDrone(Actor):
                 connection.urgent(emergency())
             if failure := connection.failure:
                 self._say("sending", f"a packet could not be sent: {failure}")
+            if self.flying and (late := checks.link_problems(connection.latency, connection.answered)):
+                self._say("late", f"{'; '.join(late)}: what it is told comes late")
             self._feed_watchdog()
             self._go_on_landing()
             self._forgive()

@@ -409,6 +409,21 @@ async def test_who_looks_after_a_drone_that_says_nothing_of_itself_goes_on_with_
 
 
 @virtual
+async def test_a_link_that_is_late_in_flight_is_said_now_and_then(clock) -> None:
+    drone, kept = made(clock)
+    drone._prepared = drone._placed = True
+    kept.failure = kept.dongle_failure = ""
+    kept.latency, said = 0.4, []
+    drone._say = lambda topic, text: said.append(text)
+    looking = asyncio.ensure_future(drone._look_after(kept))
+    for supervisor, texts in ((READY, set()), (READY | checks.FLYING, {"its link takes 0.40 s there and back"})):
+        tell(drone, supervisor)
+        await clock.sleep(0.5)
+        assert {text.split(",")[0] for text in said} == texts
+    looking.cancel()
+
+
+@virtual
 async def test_what_fails_beside_ends_the_link(clock) -> None:
     drone, _ = made(clock)
     slow = Slow()
