@@ -198,7 +198,8 @@ def exclusive(tmp_path, monkeypatch):
     folder = tmp_path / "links"
     folder.mkdir()
     monkeypatch.setenv("EXCLUSIVE_LINKS", str(folder))
-    path = f"{Path(__file__).with_name('exclusive_driver')}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"
+    here = Path(__file__).parent
+    path = os.pathsep.join([str(here / "exclusive_driver"), str(here.parent), os.environ.get("PYTHONPATH", "")])
     monkeypatch.setenv("PYTHONPATH", path.rstrip(os.pathsep))
     return folder
 

@@ -1,38 +1,20 @@
-"""On PYTHONPATH of a test's processes: a link to a drone can be opened once at a time, as a dongle.
+"""On PYTHONPATH of a test's processes, beside tests/: a link to a drone can be opened once at a time, as a dongle.
 
 Each opening of a uri takes a lock in the folder EXCLUSIVE_LINKS, and adds a line to `opened` there; another one raises.
 """
 
 import fcntl
-import importlib.machinery
 import os
-import sys
 from pathlib import Path
 
-MODULE, FOLDER = "crazychoir.radio.drivers", os.environ.get("EXCLUSIVE_LINKS", "")
+from when_loaded import when_loaded
+
+FOLDER = os.environ.get("EXCLUSIVE_LINKS", "")
 
 
-class Finder:
-    """Finds the module of the drivers as Python does, and changes what it has loaded."""
-
-    @staticmethod
-    def find_spec(name, path=None, target=None):
-        """Of MODULE only."""
-        if name != MODULE:
-            return None
-        spec = importlib.machinery.PathFinder.find_spec(name, path, target)
-        load = spec.loader.exec_module
-
-        def loaded(module):
-            load(module)
-            make_exclusive(module.LossyUdpDriver)
-
-        spec.loader.exec_module = loaded
-        return spec
-
-
-def make_exclusive(driver):
-    """Let its `connect` take the lock of its uri, and its `close` give it back."""
+def make_exclusive(drivers):
+    """Let `connect` of the driver take the lock of its uri, and `close` give it back."""
+    driver = drivers.LossyUdpDriver
     connect, close = driver.connect, driver.close
 
     def exclusive_connect(self, uri, *callbacks):
@@ -53,4 +35,4 @@ def make_exclusive(driver):
 
 
 if FOLDER:
-    sys.meta_path.insert(0, Finder)
+    when_loaded("crazychoir.radio.drivers", make_exclusive)

@@ -4,32 +4,18 @@ The folder FAKE_USB says which drones it reaches, in `drones`: {address: UDP por
 file `pulled`, the dongle is not plugged in.
 """
 
-import importlib.machinery
 import json
 import os
-import sys
 from pathlib import Path
 
-MODULE, FOLDER = "cflib.drivers.crazyradio", os.environ.get("FAKE_USB", "")
+from when_loaded import when_loaded
+
+FOLDER = os.environ.get("FAKE_USB", "")
 
 
-class Finder:
-    """Finds cflib's module of the dongle as Python does, and lets it see the fake."""
-
-    @staticmethod
-    def find_spec(name, path=None, target=None):
-        """Of MODULE only."""
-        if name != MODULE:
-            return None
-        spec = importlib.machinery.PathFinder.find_spec(name, path, target)
-        load = spec.loader.exec_module
-
-        def loaded(module):
-            load(module)
-            module._find_devices = found
-
-        spec.loader.exec_module = loaded
-        return spec
+def plug_in(crazyradio):
+    """Let cflib's module of the dongle see the fake."""
+    crazyradio._find_devices = found
 
 
 def is_plugged():
@@ -53,4 +39,4 @@ def found(serial=None):
 
 
 if FOLDER:
-    sys.meta_path.insert(0, Finder)
+    when_loaded("cflib.drivers.crazyradio", plug_in)
