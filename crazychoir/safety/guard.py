@@ -235,6 +235,10 @@ class Guard:
         self._said[measure] = said
         self._told_well = all(value <= self._least[m] for m, value in self._told.items())
 
+    def told(self, measure: str) -> float:
+        """What a measure of TOLD is."""
+        return self._told[measure]
+
     def beyond(self, p: Vec) -> float:
         """m by which p (3,) m is outside the limit area."""
         return self._limit.outside(*p.tolist())

@@ -112,6 +112,8 @@ thrust from here, or by its firmware, which is later."""
 OUTSIDE, ON_FLOOR = 0.2, 1.0
 """s for which a body is seen outside the limit area, where none should be; and for which a drone that should fly is
 seen on the floor."""
+SILENT = 0.5
+"""s without its radio, which is then why it has come down."""
 FALLS = 0.4
 """m above the floor, up to which a drone whose pose is not its own falls: higher, its firmware lands it without poses.
 One that flies by its own estimate, which was told them, falls from wherever it is: it would fly away by metres."""
@@ -613,7 +615,9 @@ class Pilot(Actor):
         if self._reached and self.mode is LAND and state.age > BLIND:
             self._hand_over()
         if self._reached and self._fallen(state, now):
-            self._give_up("seen on the floor, where it should fly: landing")
+            silent = self.guard.told("link")
+            why = f"its radio is silent for {silent:.2f} s, and it is " if silent > SILENT else ""
+            self._give_up(f"{why}seen on the floor, where it should fly: landing")
         if self._held_at_fence(verdict, now):
             self.at_fence += 1
         if self.mode is not LAND and self.clearance.deaf(now):

@@ -1203,14 +1203,16 @@ async def test_a_body_that_is_seen_outside_is_cut_though_it_may_be_another_and_o
 
 @virtual
 async def test_a_drone_that_has_come_down_by_itself_does_not_push_the_floor(clock):
-    drone = Flown(clock, reached="seen")
-    await drone.hovering()
-    began = clock.now()
-    await drone.fly(1.9, sinks=lambda z: max(0.0, 1.0 - (clock.now() - began)))
-    assert drone.pilot.airborne
-    await drone.fly(0.3, sinks=lambda z: 0.0)
-    assert drone.pilot.mode is Mode.GROUND
-    assert drone.pilot.brought_down == "seen on the floor, where it should fly: landing"
+    for silent, why in ((0.1, ""), (1.5, "its radio is silent for 1.50 s, and it is ")):
+        drone = Flown(clock, reached="seen")
+        await drone.hovering()
+        drone.pilot.guard.tell("link", silent)
+        began = clock.now()
+        await drone.fly(1.9, sinks=lambda z, began=began: max(0.0, 1.0 - (clock.now() - began)))
+        assert drone.pilot.airborne
+        await drone.fly(0.3, sinks=lambda z: 0.0)
+        assert drone.pilot.mode is Mode.GROUND
+        assert drone.pilot.brought_down == f"{why}seen on the floor, where it should fly: landing"
 
 
 @virtual
