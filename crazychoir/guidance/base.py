@@ -15,7 +15,7 @@ from crazychoir.guidance.sensors import Readings
 from crazychoir.guidance.turns import CLOSE, TURN, aside, blocked, first_at
 from crazychoir.optimization.checks import require_graph
 from crazychoir.planning.feasibility import Limits, check
-from crazychoir.planning.scaling import Resumed
+from crazychoir.planning.scaling import GETS_UP, Resumed
 from crazychoir.planning.trajectory import Trajectory
 from crazychoir.safety.modes import HELD, Mode
 from crazychoir.swarm.communicator import Communicator
@@ -37,7 +37,7 @@ THERE, STILL, STOOD = 0.003, 0.02, 0.3
 """m, m/s, s: so near, slow and long a drone that has risen stands, and knows its thrust to some thousandths."""
 PATIENT = 5.0
 """s that it gets for that."""
-ATTEMPTS = 5
+ATTEMPTS, TICK = 5, 1e-3
 BLOWN = 2.0
 """s after the planned time of a flight in which a drone may still arrive: in a wind that it has yet to learn."""
 TOUCHDOWN = 5.0
@@ -287,7 +287,10 @@ class CFGuidance:
                 return
             if pilot.braked == braked and not pilot.guard.acts:
                 break
-            attempts, left = attempts + (t > 0.0), Resumed(left, t) if t > 0.0 else left
+            if 0.0 < t < left.duration:
+                flight = self.member.config.flight
+                attempts += 1
+                left = Resumed(left, t, max(GETS_UP, 4.0 * flight.speed_limit / flight.acceleration_limit))
             await self.sleep(SETTLE)
         why = HELD if pilot.held else pilot.note
         raise Interrupted(f"drone {self.id}: its trajectory of {trajectory.duration:.1f} s was not flown: {why}")
@@ -295,10 +298,11 @@ class CFGuidance:
     async def _flown(self, trajectory: Trajectory) -> float:
         """Begin it, and wait until it ends, or is stopped: s of it that were flown then."""
         pilot, clock, t = self.member.pilot, self.member.clock, 0.0
-        began = pilot.fly(trajectory) > 0.0
-        while began and pilot.flights.plan is trajectory and not pilot.flights.done(clock.now()):
+        left = pilot.fly(trajectory)
+        while pilot.flights.plan is trajectory and left > 0.0:
             t = clock.now() - pilot.flights.start
-            await self._while(min(SETTLE, pilot.remaining()), Mode.FOLLOW)
+            await self._while(min(SETTLE, max(left, TICK)), Mode.FOLLOW)
+            left = pilot.remaining()
         return t
 
     def _require_feasible(self, trajectory: Trajectory) -> None:

@@ -87,20 +87,21 @@ def slowed(trajectory: Trajectory, factor: float) -> Trajectory:
 
 
 class Resumed:
-    """What is left of a trajectory from t_0 s on, entered from rest.
+    """What is left of a trajectory from t_0 s on, or a little earlier if that is near its end, entered from rest.
 
     q(t) = p(tau),  q' = p' tau',  q'' = p'' tau'^2 + p' tau'',  jerk: j tau'^3 + 3 p'' tau' tau'' + p' d tau''/dt
 
     tau = t_0 + R (u^3 - u^4 / 2),  u = t / R, for t < R, within which it gets the pace of the trajectory; from then on
-    tau = t_0 + t - R / 2.
+    tau = t_0 + t - R / 2.  R = gets_up, s;  with R >= 4 v / a it asks for 1.1 a at most;  v, a: the trajectory's.
     """
 
-    def __init__(self, trajectory: Trajectory, t_0: float) -> None:
-        left = trajectory.duration - t_0
-        if not 0.0 <= t_0 < trajectory.duration:
-            raise ConfigError("Resumed: t_0", t_0, f"a time before the end at {trajectory.duration:g} s")
-        self.trajectory, self.t_0, self._gets_up = trajectory, float(t_0), min(GETS_UP, 2.0 * left)
-        self.duration = left + 0.5 * self._gets_up
+    def __init__(self, trajectory: Trajectory, t_0: float, gets_up: float = GETS_UP) -> None:
+        whole = trajectory.duration
+        if not 0.0 <= t_0 < whole:
+            raise ConfigError("Resumed: t_0", t_0, f"a time before the end at {whole:g} s")
+        self.trajectory, self._gets_up = trajectory, min(gets_up, 2.0 * whole)
+        self.t_0 = min(float(t_0), whole - 0.5 * self._gets_up)
+        self.duration = whole - self.t_0 + 0.5 * self._gets_up
 
     def sample(self, t: float) -> FullState:
         """The reference t seconds after the start."""

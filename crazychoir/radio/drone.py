@@ -160,7 +160,7 @@ class RadioDrone(Actor):
         await self._begin_logs(connection)
         await self._until_told(connection)
         if self.bus.stopped and self.flying:
-            self._cut = True
+            self.cut()
         if not self.release:
             self.release = await firmware.release()
             self._learn_thrust()
@@ -171,13 +171,15 @@ class RadioDrone(Actor):
         self.connection, self._opening, self._up_ns = connection, None, self.clock.now_ns()
         self.reconnected += self.state_of_link == "lost"
         self._change("up", "")
-        await self._begin_all_asked(connection)
+        self._work = asyncio.get_running_loop().create_task(self._begin_all_asked(connection))
 
     async def _until_told(self, connection: Connection) -> None:
         """It has said whether it flies: somebody may have flown it there."""
         for _ in range(round(REOPENS * LOOKS)):
             if self._own_ns > self._logs_ns:
                 return
+            if self._cut:
+                connection.urgent(emergency())
             await self.clock.sleep(1.0 / LOOKS)
         raise LinkFailed(connection.uri, f"says nothing of itself within {REOPENS:g} s")
 
@@ -227,8 +229,13 @@ class RadioDrone(Actor):
     async def _begin_logs_again(self, connection: Connection) -> None:
         """It says nothing of itself any more, whatever blocks it has."""
         self._logs_ns = self.clock.now_ns()
-        await connection.reset_logs(REOPENS)
-        await self._begin_logs(connection)
+        try:
+            await connection.reset_logs(REOPENS)
+            await self._begin_logs(connection)
+        except LinkFailed as error:
+            if not self.flying:
+                raise
+            self._say("log", str(error))  # its set-points may get through nevertheless
         await self._begin_all_asked(connection)
 
     async def _look_after(self, connection: Connection) -> None:

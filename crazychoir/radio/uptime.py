@@ -6,8 +6,8 @@ RUNS = 1e-3
 """How wrong its clock may run."""
 WRAPS, MILLI = 1 << 24, 1e-3
 """Where its time begins anew; s, a unit of it."""
-SLACK = 0.5
-"""s by which what is known of its age may be wrong."""
+SLACK, WAITS = 0.5, 10.0
+"""s by which what is known of its age may be wrong; and which no log waits in a link."""
 
 
 class Uptime:
@@ -17,11 +17,19 @@ class Uptime:
     """
 
     def __init__(self) -> None:
-        self._at, self._own, self._least, self._taken = 0, 0.0, math.inf, math.inf
+        self._at: int | None = None  # none has come
+        self._own, self._least, self._taken = 0.0, math.inf, math.inf
 
     def restarted(self, now: float, at: int) -> bool:
-        """Whether it has been started again since its last log: its time is less, and no longer than that is ago."""
-        return self._since(at) < -SLACK and MILLI * at < now - self._taken + SLACK
+        """Whether it has been started again since its last log: its time is less, and no longer than that is ago; or
+        it has gained on ours, which no clock does, or lost what no link holds back.
+        """
+        if self._at is None:
+            return False
+        since, ago = self._since(at), now - self._taken
+        if since < 0.0:
+            return since < -SLACK and MILLI * at < ago + SLACK
+        return since > ago + SLACK + RUNS * ago or since < ago - WAITS - RUNS * ago
 
     def overtaken(self, at: int) -> bool:
         """Whether something newer has been heard."""
@@ -36,5 +44,7 @@ class Uptime:
         return self._taken
 
     def _since(self, at: int) -> float:
-        """s since the newest before, by its clock; negative of one that was overtaken."""
+        """s since the newest, by its clock; negative of one that was overtaken; of the first, since its start."""
+        if self._at is None:
+            return MILLI * at
         return MILLI * ((at - self._at + WRAPS // 2) % WRAPS - WRAPS // 2)

@@ -634,9 +634,10 @@ class Pilot(Actor):
 
     def _stays_down(self, state: State, now: float) -> bool:
         """Whether what the cameras take for it stands on the floor while it should be in the air, for some time."""
-        flown, floor = self._flown, self._lift_off - LIFTED  # of the last tick: others may keep it down
-        low = flown is None or flown.p[2] - floor <= RISING
-        if low or state.flat[2] >= self._lift_off or not self.turning():
+        plan, flown, floor = self.flights.sample(now), self._flown, self._lift_off - LIFTED
+        kept_down = self.clearance.aside and flown is not None and flown.a[2] <= 0.0  # by others, in the last tick
+        low = plan is None or plan.p[2] - floor <= RISING
+        if low or kept_down or state.flat[2] >= self._lift_off or not self.turning():
             self._rises_at = now
         return now - self._rises_at > (STANDS if self.controls.sender.kind in THRUST else STANDS_ON_BOARD)
 

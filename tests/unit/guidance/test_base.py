@@ -216,6 +216,16 @@ async def test_a_trajectory_that_has_waited_for_others_is_over_when_it_ends(cloc
 
 
 @virtual
+async def test_a_trajectory_ends_whenever_it_has_begun(clock):
+    async with in_the_air(clock) as (guidance, pilot):
+        way = circle((0.5, 0.0, pilot.state.p[2]), 0.5, 5.0)
+        for late in range(24):
+            await clock.sleep(0.01 * late)
+            await guidance.go_to(way.sample(0.0).p)
+            assert 0.0 < await guidance._flown(way) < way.duration
+
+
+@virtual
 async def test_a_trajectory_that_is_held_on_its_way_or_landed_is_not_flown(clock):
     for stop, why in ((Pilot.hold, "held"), (lambda pilot: pilot.land("so be it"), "landing: so be it")):
         async with in_the_air(clock) as (guidance, pilot):

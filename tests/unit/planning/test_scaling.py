@@ -50,7 +50,7 @@ def test_bad_factors_are_refused(factor):
 def test_what_is_resumed_begins_at_rest_and_is_the_same_path(t_0):
     rest = Resumed(FIGURE, t_0)
     first = rest.sample(0.0)
-    np.testing.assert_allclose(first.flat[0:3], FIGURE.sample(t_0).p)
+    np.testing.assert_allclose(first.flat[0:3], FIGURE.sample(min(t_0, FIGURE.duration - GETS_UP / 2)).p)
     np.testing.assert_allclose(first.flat[3:9], 0.0, atol=1e-12)
     np.testing.assert_allclose(rest.sample(rest.duration).p, FIGURE.sample(FIGURE.duration).p, atol=1e-9)
     assert rest.done(rest.duration)
@@ -65,6 +65,14 @@ def test_what_is_resumed_begins_at_rest_and_is_the_same_path(t_0):
 def test_what_is_resumed_gets_the_pace_of_its_trajectory():
     rest = Resumed(FIGURE, 0.5)
     np.testing.assert_allclose(rest.sample(GETS_UP + 0.3).flat, FIGURE.sample(0.5 + GETS_UP / 2 + 0.3).flat, atol=1e-9)
+
+
+def test_what_is_resumed_slowly_enough_asks_for_little_more_than_the_whole():
+    v, a = (max(np.linalg.norm(FIGURE.sample(t).flat[k : k + 3]) for t in np.linspace(0, 6, 200)) for k in (3, 6))
+    for t_0 in np.linspace(0.0, FIGURE.duration - 0.01, 23):
+        rest = Resumed(FIGURE, t_0, 4.0 * v / a)
+        hardest = max(np.linalg.norm(rest.sample(t).flat[6:9]) for t in np.linspace(0, rest.duration, 300))
+        assert hardest <= 1.1 * a
 
 
 @pytest.mark.parametrize("t_0", [-0.1, FIGURE.duration, np.nan])

@@ -39,6 +39,24 @@ def test_a_time_that_begins_anew_goes_on():
     assert not uptime.restarted(50.0 + (WRAPS + 120) / 1000, 120)
 
 
+@pytest.mark.parametrize("hours", [0.0, 1.0, 2.4, 3.0, 4.5, 4.66])
+def test_however_long_it_has_been_on_it_is_heard_from_its_first_log_on(hours):
+    uptime, began = Uptime(), round(3_600_000 * hours)
+    for at in range(began, began + 2000, 20):
+        now = 7.0 + (at - began) / 1000
+        assert not uptime.restarted(now, at % WRAPS)
+        assert not uptime.overtaken(at % WRAPS)
+        assert uptime.taken(now, at % WRAPS) == pytest.approx(now, abs=1e-3)
+
+
+@pytest.mark.parametrize(("up", "silent"), [(3600.0 * 3.0, 3.0), (3600.0 * 4.6, 30.0), (4.0, 60.0)])
+def test_one_that_was_started_again_is_so_however_old_it_was(up, silent):
+    uptime = Uptime()
+    told(uptime, [round(1000 * up)], now=lambda at: 50.0)
+    assert not uptime.restarted(50.0 + silent, round(1000 * (up + silent)) % WRAPS)
+    assert uptime.restarted(50.0 + silent, 5000)
+
+
 @pytest.mark.parametrize(("up", "silent"), [(60.0, 3.0), (2.0, 1.0)])
 def test_one_that_was_started_again_is_younger_than_what_it_has_said_last(up, silent):
     uptime = Uptime()

@@ -1231,8 +1231,12 @@ async def test_who_lands_for_another_reason_is_landed_by_its_firmware_too_when_n
 
 @virtual
 async def test_a_body_that_stays_on_the_floor_is_another_ones_unless_motors_stand_or_others_keep_it_down(clock):
-    keeps_down = {"filter": SimpleNamespace(gives_way_to=1), "evasion": lambda *given, **options: np.zeros(3)}
-    for turns, others, mode in ((True, {}, Mode.CUT), (False, {}, Mode.TAKEOFF), (True, keeps_down, Mode.TAKEOFF)):
+    down, up = (
+        {"filter": SimpleNamespace(gives_way_to=1), "evasion": lambda *given, a=a, **options: np.array([0.5, 0.0, a])}
+        for a in (0.0, 3.0)
+    )
+    flights = ((True, {}, Mode.CUT), (False, {}, Mode.TAKEOFF), (True, down, Mode.TAKEOFF), (True, up, Mode.CUT))
+    for turns, others, mode in flights:
         drone = Flown(clock, reached="seen")
         drone.pilot.turning = lambda turns=turns: turns
         await drone.fly(0.05)
