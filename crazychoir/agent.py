@@ -173,11 +173,10 @@ class Agent:
         if i not in config.reached or sender not in TILTED:
             return Fence.box(fence.min, fence.max)
         margin = inset(config, sender)
-        if margin.given < margin.needed:
-            log.warning(
-                "drone %d: stays %.2f m inside the fence; %.2f m are needed, lest it ends beyond [keep_out] if its "
-                "radio fails. Lower speed_limit, or widen [keep_out].", i, margin.given, margin.needed,
-            )  # fmt: skip
+        here = [j for j in config.reached if config.drone(j).host == config.drone(i).host]
+        alike = [j for j in here if sender_of(config, j) == sender]
+        if margin.problem and i == alike[0]:  # one of them says it
+            log.warning("drones %s (%s): %s", ", ".join(map(str, alike)), sender, margin.problem)
         (a, b, c), (d, e, f) = fence.min, fence.max
         x = margin.given
         return Fence.box((a + x, b + x, c), (d - x, e - x, f))

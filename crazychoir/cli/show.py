@@ -226,8 +226,9 @@ def summary_table(run: dict[str, Any]) -> Table:
     ]  # fmt: skip
     if len(run["here"]) < run["drones"]:
         table.add_row("started here", ", ".join(map(str, run["here"])))
+    same = () if run.get("digest") else ("simulated_s", "real_time_factor")  # on the wall clock they say nothing
     for key, form in shown:
-        if run.get(key) is not None:
+        if run.get(key) is not None and key not in same:
             table.add_row(key, form.format(run[key] if not isinstance(run[key], dict) else _pairs(run[key])))
     for key in run.get("report", ()):
         if key not in dict(shown) and (text := _figures(run[key])):

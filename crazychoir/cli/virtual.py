@@ -85,8 +85,9 @@ def _table(states: dict[int, Any]) -> Table:
     columns = ("drone", "port", "client", "supervisor", "height", "battery", "up", "down", "lost", "LEDs")
     table = Table(*columns, box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), show_edge=False)
     for i, state in states.items():
+        client = (state["client"] or "").removeprefix("127.0.0.1:")
         table.add_row(
-            str(i), str(state["at"][1]), state["client"] or "", state["crashed"] or state["supervisor"],
+            str(i), str(state["at"][1]), client, state["crashed"] or state["supervisor"],
             f"{state['p'][2]:.2f} m", f"{state['vbat']:.2f} V", *(str(state[name]) for name in ("up", "down", "lost")),
             "lit" if state["led"] else "",
         )  # fmt: skip

@@ -15,7 +15,7 @@ LOW_BATTERY = 3.7
 
 def harm(supervisor: int) -> str:
     """What has broken a drone, by its supervisor's bits; empty if nothing has."""
-    words = {CRASHED: "crashed", TUMBLED: "tumbled", LOCKED: "locked by its firmware until it is started again"}
+    words = {CRASHED: "crashed", TUMBLED: "tumbled", LOCKED: "locked by its firmware until it is switched off and on"}
     return next((text for bit, text in words.items() if supervisor & bit), "")
 
 

@@ -23,10 +23,25 @@ SPACE, MOST = 0.3, 0.25
 
 @dataclass(frozen=True)
 class Inset:
-    """needed: m, from the fence; given: m, as far as homes and the room allow."""
+    """needed: m, from the fence; given: m, as far as homes and the room allow; slow_enough: m/s, the speed_limit with
+    which what is given is enough, 0 if none is.
+    """
 
     needed: float
     given: float
+    slow_enough: float
+
+    @property
+    def problem(self) -> str:
+        """What to change; empty if there is room."""
+        if self.given >= self.needed:
+            return ""
+        v = int(100.0 * self.slow_enough) / 100.0  # a little less
+        slower = f"lower speed_limit to {v:.2f} m/s, or " if v else ""
+        return (
+            f"stay {self.given:.2f} m inside the fence; {self.needed:.2f} m are needed, lest they end beyond "
+            f"[keep_out] if a radio fails: {slower}widen [keep_out]"
+        )
 
 
 def flies_on(speed: float, acceleration: float, sender: str) -> float:
@@ -41,6 +56,14 @@ def flies_on(speed: float, acceleration: float, sender: str) -> float:
     return STRAYS[sender] + seconds * v - v * v / k
 
 
+def slow_enough(far: float, acceleration: float, sender: str) -> float:
+    """m/s: the speed_limit with which `flies_on` is `far` m at most; 0 where none is."""
+    seconds, k, rest = CUT + TILTED[sender], acceleration / BRAKES, far - STRAYS[sender]
+    if rest <= 0.0:
+        return 0.0
+    return 0.5 * k * (seconds - math.sqrt(max(0.0, seconds * seconds - 4.0 * rest / k)))
+
+
 def inset(swarm: Swarm, sender: str) -> Inset:
     """How far inside [fence] drones stay that are streamed set-points by a radio, lest they end beyond [keep_out]."""
     low, high = limit_area(swarm)
@@ -49,7 +72,8 @@ def inset(swarm: Swarm, sender: str) -> Inset:
     needed = max(0.0, flies_on(swarm.flight.speed_limit, swarm.flight.acceleration_limit, sender) - room)
     half = min(b - a for a, b in zip(fence.min[:2], fence.max[:2], strict=True)) / 2.0
     homes = [drone.home for drone in swarm.drones if is_reached(drone)]
-    return Inset(needed, max(0.0, min(needed, MOST * half, *(_inside(home, swarm) - SPACE for home in homes))))
+    given = max(0.0, min(needed, MOST * half, *(_inside(home, swarm) - SPACE for home in homes)))
+    return Inset(needed, given, slow_enough(given + room, swarm.flight.acceleration_limit, sender))
 
 
 def _inside(p: Position, swarm: Swarm) -> float:

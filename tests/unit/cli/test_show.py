@@ -116,6 +116,15 @@ def test_a_run_says_which_drones_it_started_when_not_all():
     assert "2, 3" in row
 
 
+def test_a_run_on_the_wall_clock_has_one_time():
+    flown = RUN | {"simulated_s": 20.0, "real_time_factor": 1.0, "wall_s": 20.0}
+    assert "simulated_s" in printed(show.summary_table(flown | {"digest": "ab"}))
+    text = printed(show.summary_table(flown | {"digest": None}))
+    assert "wall_s" in text
+    assert "simulated_s" not in text
+    assert "real_time_factor" not in text
+
+
 def test_what_a_mission_reports_is_shown_if_it_is_figures_in_a_row_too():
     report = {"radii": [0.5, 0.51], "gaps": SimpleNamespace(tolist=lambda: [89.98]), "plan": [{"task": 3}], "left": []}
     text = printed(show.summary_table(RUN | report | {"report": list(report)}))

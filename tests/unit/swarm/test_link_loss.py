@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from crazychoir.swarm.config import SwarmConfig
-from crazychoir.swarm.link_loss import BRAKES, CUT, STRAYS, TILTED, flies_on, inset
+from crazychoir.swarm.link_loss import BRAKES, CUT, STRAYS, TILTED, flies_on, inset, slow_enough
 
 
 @pytest.mark.parametrize("sender", ["fpqr", "frpy", "vel"])
@@ -33,3 +33,14 @@ def test_it_leaves_room_for_homes_and_for_a_mission() -> None:
     assert inset(swarm(1.0, home=3.5), "fpqr").given == pytest.approx(0.2)
     fast = inset(swarm(3.0), "fpqr")
     assert (fast.given, fast.needed > 1.0) == (1.0, True)
+
+
+@pytest.mark.parametrize("sender", ["fpqr", "frpy", "vel"])
+def test_it_says_with_which_speed_limit_there_is_room(sender) -> None:
+    found = inset(swarm(1.5), sender)
+    assert found.given < found.needed
+    slower = inset(swarm(found.slow_enough), sender)
+    assert f"lower speed_limit to {int(100 * found.slow_enough) / 100:.2f} m/s" in found.problem
+    assert slower.problem == ""
+    assert slower.needed == slower.given == pytest.approx(found.given)
+    assert slow_enough(0.9 * STRAYS[sender], 2.0, sender) == 0.0
