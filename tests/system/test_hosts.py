@@ -16,7 +16,7 @@ from crazychoir.swarm.config import SwarmConfig
 
 pytestmark = pytest.mark.system
 SKEW = 1000.0
-OUTAGE = 1.2
+OUTAGE = 1.3
 MISSION = load("pickup_delivery")
 
 
