@@ -1,6 +1,5 @@
 """Virtual Crazyflies on UDP, on the wall clock: one port a drone, one world for all of them, cameras beside."""
 
-import math
 import random
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -27,6 +26,8 @@ DECK_EVERY = 2
 DECK_NOISE, FLOW_NOISE = 0.001, 0.02
 """m and m/s, standard deviations an axis of such a pose, and of a velocity by a flow deck."""
 LEAST_CHARGE = 1e-3
+ROLLS, ON_ITS_BACK = 15.0, -0.9
+"""rad/s of a body that tumbles, and the cosine of its tilt when it lies on its back: cameras follow it there."""
 
 
 class VirtualServer(Actor):
@@ -236,8 +237,6 @@ def charge_of(volts: float, battery: Any) -> float:
 
 
 def overturn(x: Vec) -> None:
-    """Put a body that is not on its back there, its heading kept, without turning; x: (13,) changed in place."""
-    if 1.0 - 2.0 * (x[6] ** 2 + x[7] ** 2) > -0.9:
-        half = 0.5 * yaw_of(x[6:10])
-        x[6:10] = (math.cos(half), math.sin(half), 0.0, 0.0)
-        x[10:13] = 0.0
+    """Let a body roll until it lies on its back, and stay so; x: (13,) changed in place."""
+    upright = 1.0 - 2.0 * (x[6] ** 2 + x[7] ** 2) > ON_ITS_BACK
+    x[10:13] = (ROLLS if upright else 0.0, 0.0, 0.0)
