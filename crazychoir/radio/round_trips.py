@@ -3,6 +3,7 @@
 import math
 import struct
 import threading
+from bisect import bisect_left, insort
 from collections import OrderedDict, deque
 
 from crazychoir.radio.crtp import LINK, Packet
@@ -23,7 +24,8 @@ class RoundTrips:
     def __init__(self) -> None:
         self._lock, self._number = threading.Lock(), 0
         self._answered: OrderedDict[bytes, float | None] = OrderedDict()
-        self._took: deque[float] = deque(maxlen=TIMED)
+        self._took: deque[float] = deque()
+        self._sorted: list[float] = []
 
     def echo(self) -> Packet:
         """The next one to send."""
@@ -48,13 +50,16 @@ class RoundTrips:
             if (sent := self._answered.get(data)) is not None:
                 self._answered[data] = None
                 self._took.append(now - sent)
+                insort(self._sorted, now - sent)
+                if len(self._took) > TIMED:
+                    del self._sorted[bisect_left(self._sorted, self._took.popleft())]
 
     @property
     def latency(self) -> float:
         """s, there and back, 95 of 100 echoes; NaN before the first."""
         with self._lock:
-            took = sorted(self._took)
-        return took[math.ceil(WORST * len(took)) - 1] if took else math.nan
+            took = self._sorted
+            return took[math.ceil(WORST * len(took)) - 1] if took else math.nan
 
     @property
     def answered(self) -> float:

@@ -1,10 +1,8 @@
 """Whether a pose can be that of the body that was seen last: one that jumps is another body's, or a mistake."""
 
 import math
+from collections import deque
 
-import numpy as np
-
-from crazychoir.math3d import Vec
 from crazychoir.types import Pose
 
 JUMP, HARDEST, FARTHEST = 0.12, 6.0, 0.5
@@ -20,7 +18,9 @@ UNKNOWN = 3.0
 SURE = 0.06
 """s for which poses go on from each other until they are believed again, if the first of them was in reach."""
 
-Seen = tuple[float, Vec, Vec]
+Triple = tuple[float, float, float]
+Quaternion = tuple[float, float, float, float]
+Seen = tuple[float, Triple, Quaternion]
 
 
 class PoseGate:
@@ -37,56 +37,69 @@ class PoseGate:
     """
 
     def __init__(self) -> None:
-        self._last: list[Seen] = []
-        self._doubted: list[Seen] = []
+        self._last: deque[Seen] = deque()
+        self._doubted: deque[Seen] = deque()
         self._sure_at = math.inf  # s, when what is doubted is believed
 
     def believes(self, pose: Pose, now: float, flying: bool) -> bool:
         """Take in a pose of `now`, s; on the ground a drone may be carried about."""
-        seen = (now - pose.age, pose.p.copy(), pose.q.copy())
+        x, y, z, *turn = pose.flat.tolist()
+        seen = (now - pose.age, (x, y, z), (turn[0], turn[1], turn[2], turn[3]))
         if flying and self._last:
             if self._doubted and _near(self._doubted, seen):
-                self._doubted = [*_lately(self._doubted, seen[0]), seen]
                 if seen[0] < self._sure_at:
+                    _keep(self._doubted, seen)
                     return False
-                self._last = self._doubted[:-1]
+                self._last = self._doubted
             elif not _near(self._last, seen):
                 self._doubt(seen)
                 return False
-        self._last = [*_lately(self._last if flying else [], seen[0]), seen]
-        self._doubted = []
+        elif not flying:
+            self._last.clear()
+        _keep(self._last, seen)
+        self._doubted = deque()
         return True
 
     def _doubt(self, seen: Seen) -> None:
         """The first pose that does not go on from those before."""
         (t_0, p_0, q_0), (t, p, q) = self._last[-1], seen
         h, v = max(t - t_0, 0.0), _velocity(self._last)
-        speed = UNKNOWN if v is None else float(np.linalg.norm(v))
+        speed = UNKNOWN if v is None else math.hypot(*v)
         reach = min(JUMP + speed * h + 0.5 * HARDEST * h * h, FARTHEST)
-        in_reach = float(np.linalg.norm(p - p_0)) <= reach and _turns(q_0, q, h)
-        self._doubted, self._sure_at = [seen], t + SURE if in_reach else math.inf
+        in_reach = math.dist(p, p_0) <= reach and _turns(q_0, q, h)
+        self._doubted, self._sure_at = deque([seen]), t + SURE if in_reach else math.inf
 
 
-def _lately(seen: list[Seen], now: float) -> list[Seen]:
-    return [one for one in seen if one[0] > now - KEPT]
+def _keep(before: deque[Seen], seen: Seen) -> None:
+    """Add a pose to those of the last KEPT s."""
+    while before and before[0][0] <= seen[0] - KEPT:
+        before.popleft()
+    before.append(seen)
 
 
-def _near(before: list[Seen], seen: Seen) -> bool:
+def _near(before: deque[Seen], seen: Seen) -> bool:
     """Whether a pose goes on from these."""
     (t_0, p_0, q_0), (t, p, q) = before[-1], seen
     h, v = max(t - t_0, 0.0), _velocity(before)
-    gap = float(np.linalg.norm(p - (p_0 if v is None else p_0 + h * v)))
-    far = JUMP + (UNKNOWN * h if v is None else 0.5 * HARDEST * h * h)
-    return gap <= min(far, FARTHEST) and _turns(q_0, q, h)
+    if v is None:
+        far, ahead = JUMP + UNKNOWN * h, p_0
+    else:
+        far = JUMP + 0.5 * HARDEST * h * h
+        ahead = (p_0[0] + h * v[0], p_0[1] + h * v[1], p_0[2] + h * v[2])
+    return math.dist(p, ahead) <= min(far, FARTHEST) and _turns(q_0, q, h)
 
 
-def _turns(a: Vec, b: Vec, h: float) -> bool:
+def _turns(a: Quaternion, b: Quaternion, h: float) -> bool:
     """Whether a body turns so far in h s."""
-    return 2.0 * math.acos(min(1.0, abs(float(a @ b)))) <= TURN + FASTEST * h
+    cosine = abs(a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3])
+    return 2.0 * math.acos(min(1.0, cosine)) <= TURN + FASTEST * h
 
 
-def _velocity(seen: list[Seen]) -> Vec | None:
+def _velocity(seen: deque[Seen]) -> Triple | None:
     """m/s; None if they are too few."""
     t, p, _ = seen[-1]
-    first = next(((s, r) for s, r, _ in reversed(seen) if t - s >= LATELY), None)
-    return None if first is None else (p - first[1]) / (t - first[0])
+    for s, r, _ in reversed(seen):
+        if t - s >= LATELY:
+            h = t - s
+            return (p[0] - r[0]) / h, (p[1] - r[1]) / h, (p[2] - r[2]) / h
+    return None

@@ -88,8 +88,7 @@ class Agreement:
         j, plan = message
         other = self.others.get(j)
         heard = self.clock.now_ns() / SECOND - age
-        sound = _is_way(plan.way) and _is_way(plan.offer) and _is_place(plan.awaits)
-        if other is None or heard < other.heard or not sound:
+        if other is None or heard < other.heard or not JUDGE.is_sound(plan):
             return
         other.heard, other.agreed, other.awaits = heard, plan.agreed, plan.awaits
         other.way, other.began = plan.way, heard - plan.since
@@ -167,6 +166,24 @@ class Agreement:
         agreed = {other.id: other.allowed for other in self.flying()}
         plan = Plan(self.way, now - self.began, self.offer, self.begins - now, self.number, agreed, self.awaits)
         self.port.publish(PLAN, plan)
+
+
+class _Judge:
+    """Says whether a plan is sound; what many drones of a process are given is looked at once."""
+
+    def __init__(self) -> None:
+        self._last: tuple[Plan | None, bool] = None, False
+
+    def is_sound(self, plan: Plan) -> bool:
+        """Whether all of it can be flown."""
+        last, sound = self._last
+        if plan is not last:
+            sound = _is_way(plan.way) and _is_way(plan.offer) and _is_place(plan.awaits)
+            self._last = plan, sound
+        return sound
+
+
+JUDGE = _Judge()
 
 
 def _is_way(way: Mat) -> bool:
