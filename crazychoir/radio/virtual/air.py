@@ -13,6 +13,8 @@ ALONE = 1000.0
 """Those of a dongle with one drone, likewise."""
 UP, DOWN = 25, 120
 """Packets of one drone that wait at most: at the client's end (chosen) and on board (the firmware's queue)."""
+BEHIND_NS = SECOND // 10
+"""ns by which exchanges may be late on a busy machine, and are made up for: a radio does not wait for our computing."""
 Deliver = Callable[[], None]
 
 
@@ -46,12 +48,13 @@ class Dongle:
             return False
         queue.append(deliver)
         if not self._busy:
-            self._begin()
+            self._begin(self.clock.now_ns())
         return True
 
-    def _begin(self) -> None:
+    def _begin(self, least_ns: int) -> None:
+        """The next exchange, which begins when the last one has ended, and not before this time."""
         self._busy = True
-        self._free_ns = max(self.clock.now_ns(), self._free_ns) + round(SECOND / self.capacity)
+        self._free_ns = max(least_ns, self._free_ns) + round(SECOND / self.capacity)
         self.clock.call_at(self._free_ns, self._exchange, priority=MESSAGE, drone=self.drones[0])
 
     def _exchange(self) -> None:
@@ -67,7 +70,7 @@ class Dongle:
         for deliver in carried:
             deliver()
         if not self._busy and any(self._up.values()) | any(self._down.values()):
-            self._begin()
+            self._begin(self.clock.now_ns() - BEHIND_NS)
 
 
 class Air:

@@ -1,10 +1,14 @@
 """A dongle's time: one exchange carries a packet up, and one down on its acknowledgement."""
 
+from types import SimpleNamespace
+
 import pytest
 from virtual_time import virtual
 
 from crazychoir.radio.virtual.air import ALONE, CAPACITY, DOWN, UP, Air, Dongle
 from crazychoir.radio.virtual.faults import Faults
+
+MS = 1_000_000
 
 
 @virtual
@@ -47,6 +51,22 @@ async def test_drones_take_turns_whatever_one_of_them_asks_for(clock):
     await clock.sleep(1.0)
     assert came[:4] in ([0, 1, 2, 0], [0, 0, 1, 2])
     assert len(came) == 22
+
+
+def test_a_late_computer_takes_no_time_of_the_radio():
+    """Each time that it waits for an exchange it comes 30 ms late: what was due by then follows at once."""
+    now, due, late = [0], [], 30 * MS
+    clock = SimpleNamespace(now_ns=lambda: now[0], call_at=lambda ns, call, **_: due.append((ns, call)))
+    dongle = Dongle(clock, (0, 1), 1000.0)
+    for _ in range(DOWN):
+        dongle.down(0, lambda: None)
+    while due:
+        at, call = due.pop()
+        if now[0] < at:
+            now[0] = at + late
+        call()
+    assert dongle.exchanges == DOWN
+    assert now[0] <= DOWN * MS + late
 
 
 @virtual
