@@ -86,8 +86,9 @@ def _table(states: dict[int, Any]) -> Table:
     table = Table(*columns, box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), show_edge=False)
     for i, state in states.items():
         client = (state["client"] or "").removeprefix("127.0.0.1:")
+        supervisor = state["crashed"] or state["supervisor"].removeprefix("pre-flight ")
         table.add_row(
-            str(i), str(state["at"][1]), client, state["crashed"] or state["supervisor"],
+            str(i), str(state["at"][1]), client, supervisor,
             f"{state['p'][2]:.2f} m", f"{state['vbat']:.2f} V", *(str(state[name]) for name in ("up", "down", "lost")),
             "lit" if state["led"] else "",
         )  # fmt: skip
