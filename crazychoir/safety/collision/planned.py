@@ -27,6 +27,8 @@ from crazychoir.types import FullState, State
 
 PERIOD = 0.1
 """s between two looks at what could be flown."""
+GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
+"""Its multiples are spread over each PERIOD: drones of one process that take off together do not look together."""
 ASKING = 0.3
 """s before an offer begins, within which the others agree, or do not."""
 AHEAD = 0.8
@@ -80,7 +82,7 @@ class PlannedFlights:
         self.hearsay = Hearsay(traffic)  # it answers; who is not heard by it is asked for its way
         self.obstacles = Obstacles(figures, self.agreement, traffic, a_max, ground)
         self.detours = Detours(v_max, a_max, fence, np.random.default_rng(port.address))
-        self._flew, self._next = -math.inf, 0.0
+        self._flew, self._next, self._phase = -math.inf, 0.0, PERIOD * (GOLDEN * port.address % 1.0)
         self._kept = self._stands = False
         self._brakes = NO_WAY
         self.gives_way_to: int | None = None
@@ -103,7 +105,7 @@ class PlannedFlights:
         self.obstacles.look(now)
         if now >= self._next and len(mine.offer) == 0:
             self.obstacles.measure(state)
-            self._next, mine.awaits = now + PERIOD, NOWHERE
+            self._next, mine.awaits = self._look_after(now), NOWHERE
             if lands and (j := self.obstacles.who_stands_at(future(LONG).p)) is not None:
                 self.gives_way_to = j
             else:
@@ -133,7 +135,7 @@ class PlannedFlights:
         """What is wanted, whoever is in the way: for a drone that must come down, and cannot agree."""
         if now >= self._next:
             self.agreement.begin(braking(wanted.flat[0:12], self.a_max), now)
-            self._next, self.agreement.awaits = now + PERIOD, NOWHERE
+            self._next, self.agreement.awaits = self._look_after(now), NOWHERE
         self.obstacles.look(now)
         self.agreement.tell(now)
         self._flew, self._kept = now, True
@@ -157,6 +159,10 @@ class PlannedFlights:
     def delayed(self) -> bool:
         """Whether it is elsewhere than it was wanted to be when it flew last."""
         return not self._kept
+
+    def _look_after(self, now: float) -> float:
+        """The next look after this one, PERIOD later at most."""
+        return now + PERIOD - (now - self._phase) % PERIOD
 
     def _begin(self, state: State, wanted: FullState, now: float) -> None:
         """A first way, to rest; again, from where it is, when it has been blown away from the one it had."""
