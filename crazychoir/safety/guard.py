@@ -259,8 +259,9 @@ class Guard:
 
     def bear_unseen(self, seconds: float) -> None:
         """Until it has landed: do not cut the motors of a drone because nobody has seen it for less than this."""
+        cuts = ("pose", Action.CUT)
         self.table = tuple(
-            replace(rule, limit=max(rule.limit, seconds)) if (rule.measure, rule.action) == ("pose", Action.CUT) else rule
+            replace(rule, limit=max(rule.limit, seconds)) if (rule.measure, rule.action) == cuts else rule
             for rule in self._own
         )
 
