@@ -175,7 +175,9 @@ class GuidanceActor(Actor):
         while pilot.airborne and blocked(pilot):
             log.warning("drone %d: others keep it up: %s", self.drone.id, pilot.note)
             await touch_down(pilot, LANDING_DEADLINE)
-        if pilot.airborne:
+        if pilot.airborne and pilot.unreached:  # motors cut when it hears that were a fall
+            log.error("drone %d: its radio is silent: its firmware lands it when it is reached", self.drone.id)
+        elif pilot.airborne:
             pilot.cut("does not come down")
 
     def _outcome(self, life: asyncio.Task[Result]) -> Result:

@@ -1,7 +1,7 @@
 """The watchdog of one drone: what is too old, too far or not a number, and what is done about it. A table decides."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 
 import numpy as np
@@ -193,7 +193,7 @@ class Guard:
         for rule in table:
             if rule.measure not in TEXT or (rule.clear > rule.limit and not rule.latched):
                 raise ConfigError("Guard: table", rule, f"a measure of {', '.join(TEXT)}; clear at or below limit")
-        self.table = table
+        self.table = self._own = table
         self._acting: dict[Rule, float] = {}  # a rule that acts, and since when its measure has been clear
         self._found: dict[Rule, float] = {}  # the last value for which it did
         self._latched: dict[Rule, str] = {}  # a latched one, and why it began to act
@@ -251,6 +251,19 @@ class Guard:
     def excuse(self, measure: str) -> None:
         """Stop the rules of a measure that counts no more; a latched one stays."""
         self._acting = {rule: since for rule, since in self._acting.items() if rule.measure != measure or rule.latched}
+
+    def forget(self) -> None:
+        """A flight is over, or begins: no rule of the one before acts any more, but for latched ones."""
+        self._acting = {rule: since for rule, since in self._acting.items() if rule.latched}
+        self.table = self._own
+
+    def bear_unseen(self, seconds: float) -> None:
+        """Until it has landed: do not cut the motors of a drone because nobody has seen it for less than this."""
+        cuts = ("pose", Action.CUT)
+        self.table = tuple(
+            replace(rule, limit=max(rule.limit, seconds)) if (rule.measure, rule.action) == cuts else rule
+            for rule in self._own
+        )
 
     def _measured(self, state: State | None, pose_age: float, reference_age: float, stop: float) -> dict[str, float]:
         """The measures of the table."""

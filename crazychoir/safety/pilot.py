@@ -103,6 +103,13 @@ BLIND_DEPTH, BLIND_SPEED = 0.03, 0.35
 """m, m/s: how a drone lands by its firmware that nobody sees: its height is off by cm after 3 s, its place by 1 m."""
 STILL_TURNING = 10.0
 """s beyond its time that a drone gets which its firmware lands, before its motors are stopped."""
+UNREACHED, LEFT_BEHIND = 1.0, 0.05
+"""s without its radio, from which on nobody can be sure that it obeys; and m from its place to its landing plan at
+which that begins anew: whatever gets through asks for no more than this."""
+IN_THE_AIR = 0.2
+"""m above the ground where a drone is seen that has not landed, whatever its plan says."""
+TELL_OWNER = 0.2
+"""s, after which the owner of a dongle is told again to land a drone by its firmware."""
 Reached = Literal["no", "seen", "own"]
 THRUST, MISJUDGED = ("fpqr", "frpy"), 0.15
 """Senders of a thrust, and the share by which it may be off: a wrong thrust map is off by 0.27."""
@@ -117,6 +124,8 @@ SILENT = 0.5
 FALLS = 0.4
 """m above the floor, up to which a drone whose pose is not its own falls: higher, its firmware lands it without poses.
 One that flies by its own estimate, which was told them, falls from wherever it is: it would fly away by metres."""
+LANDS_ASTRAY = 1.0
+"""What the guard is told of one whose pose is not its own, and that may land by its firmware."""
 
 NOMINAL = Action.NOMINAL  # members of an enumeration are slow to look up
 LOW = (TAKEOFF, LAND)
@@ -167,6 +176,8 @@ class Pilot(Actor):
         self._reached = reached != "no"
         self._gate = PoseGate() if reached == "seen" else None
         self._down_at = math.inf  # s, when its firmware has landed it, to which it was handed over
+        self._to_firmware: XYZ | None = None  # the command for that
+        self._tell_owner_at = 0.0
         self.reference_limits = ReferenceLimits(limits, self.controls.gains)
         self.clock, self._stages = port.bus.clock, port.bus.stages
         self.drone = port.address
@@ -202,6 +213,7 @@ class Pilot(Actor):
         self._lift_off = 0.0  # m, the height above which a drone that takes off flies
         self._rises_at = 0.0  # s, when it last was not on the floor while it should be in the air
         self._outside_at = math.inf  # s, since when its body is seen outside
+        self._outside_seen = -math.inf  # s, when a pose was judged last
         self._up_at = math.inf  # s, when it was not seen on the floor
         self._obeyed = Action.NOMINAL  # the last verdict
         self._ticked_ns = 0
@@ -229,8 +241,6 @@ class Pilot(Actor):
             pose = Pose(pose.flat, age)
         if pose is not None and self._gate is not None:
             pose = self._believed(pose, self._gate)
-        elif pose is None:
-            self._outside_at = math.inf
         run = self._run
         if run is not None and not run.done():
             self.tick(pose)
@@ -239,7 +249,11 @@ class Pilot(Actor):
         """The pose, unless it cannot be its."""
         now = self.clock.now()
         believed, beyond = gate.believes(pose, now, self.airborne), self.guard.beyond(pose.p)
-        self._outside_at = min(self._outside_at, now) if beyond > 0.0 and not believed else math.inf
+        if believed or not beyond > 0.0:
+            self._outside_at = math.inf
+        elif self._outside_at == math.inf or now - self._outside_seen > SEEN:
+            self._outside_at = now
+        self._outside_seen = now
         if believed:
             return pose
         if now - self._outside_at > OUTSIDE:
@@ -372,6 +386,7 @@ class Pilot(Actor):
         self._lift_off, self._rises_at = self.state.p[2] + LIFTED, self.clock.now()
         if self.started_at is None:
             self.started_at = start.p
+        self.guard.forget()
         self._change(Event.TAKE_OFF)
         return duration
 
@@ -531,7 +546,9 @@ class Pilot(Actor):
         self.clock.call_at(due_ns, self.land, f"guidance failed ({reason}): landing", drone=self.drone)
 
     def remaining(self) -> float:
-        """s until the flight that is planned is over."""
+        """s until the flight that is planned is over; 0 for a landing that may begin anew for ever."""
+        if self.mode is LAND and self.unreached:
+            return 0.0
         return self.flights.remaining(self.clock.now())
 
     @property
@@ -611,8 +628,8 @@ class Pilot(Actor):
             self.guard.tell("body", float(self._stays_down(state, now)))
         if self._reached and self._down_at == math.inf and (why := self.astray()):
             falls = state.flat[2] < self._lift_off - LIFTED + FALLS or self.controls.sender.kind not in THRUST
-            self.guard.tell("astray", 2.0 if falls else 1.0, why)
-        if self._reached and self.mode is LAND and state.age > BLIND:
+            self.guard.tell("astray", 2.0 if falls else LANDS_ASTRAY, why)
+        if self._reached and self.mode is LAND and (state.age > BLIND or self.guard.told("astray") == LANDS_ASTRAY):
             self._hand_over()
         if self._reached and self._fallen(state, now):
             silent = self.guard.told("link")
@@ -629,8 +646,12 @@ class Pilot(Actor):
         if self.mode is LAND and self._is_down(state, now):
             self._landed()
             return self._idle
-        command = self._follow(state, now)
-        return command if self._down_at == math.inf else None
+        if self._down_at < math.inf:
+            self._tell_owner(now)
+            return None
+        if self.unreached and self.mode is LAND:
+            return self._land_unheard(state, now)
+        return self._follow(state, now)
 
     def _stays_down(self, state: State, now: float) -> bool:
         """Whether what the cameras take for it stands on the floor while it should be in the air, for some time."""
@@ -659,12 +680,29 @@ class Pilot(Actor):
         if self.land(reason) > 0.0:
             self.brought_down = self.brought_down or reason
 
+    @property
+    def unreached(self) -> bool:
+        """Whether it may not obey, and flies nevertheless: its planner is on board, and its radio is silent."""
+        return self._reached and self.controls.sender.kind == "xyz" and self.guard.told("link") > UNREACHED
+
+    def _land_unheard(self, state: State, now: float) -> Command | None:
+        """Of one that may not hear: its landing begins anew where it is seen, as soon as that leaves it behind."""
+        planned = self.flights.sample(now)
+        if planned is None or np.linalg.norm(planned.p - state.p) > LEFT_BEHIND:
+            start = FullState.at(state.p, state.v, yaw=yaw_of(state.q))
+            self.flights.descend(start, now, self.limits.ground + ON_THE_FLOOR)
+            planned = self.flights.sample(now)
+        self._flown = planned
+        return self._commanded(self.controls.tracker, state, planned, now)
+
     def _is_down(self, state: State, now: float) -> bool:
         """Low enough; or the descent is over and it moves no more, whatever height cameras and floor say.
 
         A height that is only predicted does not count: it may be wrong by a fall that breaks the drone.
         """
         seen = state.age <= SEEN
+        if self.unreached and seen and state.flat[2] > self.limits.ground + IN_THE_AIR:
+            return False
         if now > self._down_at:
             return not self.turning() or now > self._down_at + STILL_TURNING
         if not self._takes_off:
@@ -802,8 +840,6 @@ class Pilot(Actor):
             self.cut(verdict.reason)
         elif verdict.action is Action.LAND:
             self._give_up(verdict.reason)
-            if verdict.measure == "astray" and self._reached:
-                self._hand_over()
         elif verdict.action is Action.BRAKE and self.mode is not LAND:
             self._brake()
 
@@ -814,8 +850,16 @@ class Pilot(Actor):
         depth = float(self.state.p[2]) - self.limits.ground + BLIND_DEPTH
         seconds = max(depth / BLIND_SPEED, 1.0)
         self._down_at = self.clock.now() + seconds
+        self.guard.bear_unseen(self.state.age + seconds + TOUCHDOWN_LATE)
         floor = self.limits.ground - BLIND_DEPTH
-        self.link.send(XYZ("land", np.array([0.0, 0.0, floor, yaw_of(self.state.q), seconds])))
+        self._to_firmware = XYZ("land", np.array([0.0, 0.0, floor, yaw_of(self.state.q), seconds]))
+        self._tell_owner(self.clock.now())
+
+    def _tell_owner(self, now: float) -> None:
+        """It is landed by its firmware: said again and again, as an owner takes who is silent for gone."""
+        if self._to_firmware is not None and now >= self._tell_owner_at:
+            self._tell_owner_at = now + TELL_OWNER
+            self.link.send(self._to_firmware)
 
     def _brake(self) -> None:
         self._flown = start = self._departure()
@@ -849,12 +893,13 @@ class Pilot(Actor):
 
     def _landed(self) -> None:
         self._change(Event.DOWN)
-        self._down_at = math.inf
+        self._down_at, self._to_firmware, self._tell_owner_at = math.inf, None, 0.0
         self._flown = None
         self.flights.clear()
         self.controls.trim.frozen = True
         self.controls.trim.restore()
         self._obeyed = Action.NOMINAL
+        self.guard.forget()
         if self.braked > 1:
             text = f"the safety table has braked it {self.braked} times in this flight"
             self._say("braked", text)

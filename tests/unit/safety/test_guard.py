@@ -202,3 +202,26 @@ def test_what_is_told_with_a_reason_says_it():
     assert (verdict.action, verdict.reason) == (Action.CUT, "it tilts otherwise: motors cut, for good")
     guard.tell("astray", 0.0)
     assert guard.check(9.0, state, 0.0) == verdict
+
+
+def test_what_acted_in_one_flight_is_forgotten_in_the_next_unless_it_is_latched():
+    guard = Guard()
+    assert guard.check(0.0, HERE, 0.6, 0.0).action is Action.LAND
+    guard.forget()
+    assert guard.check(60.0, HERE, 0.01, 0.0) is ALL_WELL
+    guard.tell("empty", 0.1)
+    assert guard.check(60.0, HERE, 0.01, 0.0).action is Action.LAND
+    guard.tell("empty", -1.0)
+    guard.forget()
+    assert guard.check(120.0, HERE, 0.01, 0.0).action is Action.LAND
+
+
+def test_one_that_its_firmware_lands_is_cut_later_and_only_in_this_flight():
+    guard = Guard()
+    guard.bear_unseen(3.0)
+    assert guard.check(0.0, HERE, 2.9, 0.0).action is Action.LAND
+    guard.forget()
+    guard.bear_unseen(1.0)
+    assert guard.check(1.0, HERE, 1.9, 0.0).action is Action.LAND, "never sooner"
+    guard.forget()
+    assert guard.check(2.0, HERE, 2.9, 0.0).action is Action.CUT

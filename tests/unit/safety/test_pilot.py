@@ -11,6 +11,7 @@ from virtual_time import virtual
 
 from crazychoir.bus.local import Bus
 from crazychoir.bus.topics import LOG, POSE, STATE
+from crazychoir.control.choice import controls
 from crazychoir.control.gains import STANDARD
 from crazychoir.errors import ConfigError
 from crazychoir.planning.point_to_point import STOP, stopping
@@ -27,7 +28,7 @@ from crazychoir.safety.modes import Mode
 from crazychoir.safety.pilot import GIVE_UP_HOVER, TOUCHDOWN_LATE, Pilot
 from crazychoir.simulation.integrator import CFIntegrator
 from crazychoir.simulation.links import SimulatedLink
-from crazychoir.swarm.tables import Collision, Flight
+from crazychoir.swarm.tables import Collision, Control, Flight
 from crazychoir.types import XYZ, Acceleration, FullState, Goto, Pose, State
 
 TICK = 0.01
@@ -1226,7 +1227,7 @@ async def test_who_lands_for_another_reason_is_landed_by_its_firmware_too_when_n
             await drone.fly(0.1)
             assert not link.plans
         await drone.fly(0.7, poses=False)
-        assert [plan.verb for plan in link.plans] == ["land"], measure
+        assert {plan.verb for plan in link.plans} == {"land"}, measure
 
 
 @virtual
@@ -1245,6 +1246,121 @@ async def test_a_body_that_stays_on_the_floor_is_another_ones_unless_motors_stan
             setattr(drone.pilot.clearance, name, keeps)
         await drone.fly(1.5, sinks=lambda z: 0.0)
         assert drone.pilot.mode is mode
+
+
+class Deaf:
+    """A planner on board that hears nothing, or everything: it is where it has been told to go."""
+
+    def __init__(self, p):
+        self.p, self.hears, self.sent = np.array(p), True, []
+
+    def send(self, command):
+        self.sent.append(command)
+        if self.hears and command.verb == "line":
+            self.p = command.flat[0:3].copy()
+
+    def cut(self):
+        raise AssertionError("cut in the air")
+
+
+@virtual
+async def test_a_landing_that_is_not_heard_begins_anew_where_the_drone_is_seen(clock):
+    bus, link = Bus(clock), Deaf([0.0, 0.0, 0.02])
+    fence = Fence.box((-3.0, -3.0, 0.0), (3.0, 3.0, 2.5))
+    pilot = Pilot(bus.port(0), link, Flight(), fence, chosen=controls(Control(sender="xyz")), reached="seen")
+
+    async def fly(seconds, silent=None, far=0.0):
+        began = clock.now()
+        while clock.now() - began < seconds and pilot.mode is not Mode.CUT:
+            await clock.sleep(TICK)
+            pilot.guard.tell("link", 0.05 if silent is None else silent + clock.now() - began)
+            pilot.tick(Pose(np.array([*link.p, 0.0, 0.0, 0.0, 1.0]), 0.0))
+            bus.stages.run()
+            far = max(far, link.p[2] - link.sent[-1].flat[2])
+        return far
+
+    await fly(0.1)
+    await fly(pilot.take_off(1.0) + 0.5)
+    link.hears, height = False, link.p[2]
+    far = await fly(40.0, silent=0.0)
+    assert far < 0.15, "the first line that it hears leads no further down"
+    assert (pilot.mode, pilot.unreached, pilot.remaining()) == (Mode.LAND, True, 0.0), "its mission need not wait"
+    assert link.p[2] == height > 0.9
+    link.hears = True
+    await fly(0.2)
+    assert link.p[2] > height - 0.15
+    await fly(12.0)
+    assert pilot.mode is Mode.GROUND
+    assert link.p[2] < 0.06
+    assert "its radio is silent for 4.0" in pilot.guard.latched
+
+
+@virtual
+async def test_a_landing_that_is_heard_though_nothing_is_answered_comes_down(clock):
+    drone = Flown(clock, reached="seen")
+    await drone.hovering()
+    drone.pilot.controls.sender.kind = "xyz"
+    drone.pilot.guard.tell("link", 5.0)
+    await drone.fly(20.0)
+    assert drone.pilot.mode is Mode.GROUND
+    assert drone.p[2] < 0.05
+
+
+@virtual
+async def test_the_next_flight_is_not_landed_for_a_pose_that_the_last_landing_lost(clock):
+    drone = Flown(clock)
+    await drone.hovering()
+    await drone.fly(drone.pilot.land() - 0.7)
+    await drone.fly(0.6, poses=False)
+    assert drone.pilot.guard.acts
+    await drone.fly(3.0)
+    assert drone.pilot.mode is Mode.GROUND
+    assert not drone.pilot.guard.acts
+    await drone.fly(drone.pilot.take_off() + 0.5)
+    assert drone.pilot.mode is Mode.HOVER
+
+
+@virtual
+async def test_who_lands_already_is_handed_to_its_firmware_when_its_body_is_not_its_own(clock):
+    drone = Flown(clock, reached="seen")
+    await drone.hovering()
+    drone.pilot.link = link = Told(drone.pilot.link)
+    drone.pilot.guard.tell("empty", 0.1)
+    await drone.fly(0.1)
+    assert drone.pilot.mode is Mode.LAND
+    assert not link.plans
+    drone.pilot.astray = lambda: "is another's"
+    await drone.fly(0.05)
+    assert [plan.verb for plan in link.plans] == ["land"]
+    await drone.fly(1.0)
+    assert 4 <= len(link.plans) <= 7, "said again, that its owner does not take its agent for gone"
+
+
+@virtual
+async def test_late_frames_do_not_hide_a_body_outside_and_a_gap_does(clock):
+    for pause, cut in ((0.02, True), (0.12, False)):
+        drone = Flown(clock, reached="seen")
+        pilot = drone.pilot
+        await drone.hovering()
+        pilot.link = Told(pilot.link)
+        for _ in range(5):
+            await drone.fly(0.05, drift=lambda: 9.0)
+            for _ in range(round(pause / TICK)):
+                await clock.sleep(TICK)
+                pilot._posed(None, 0.0)
+        assert (pilot.guard.told("gone") > 0.0) is cut, pause
+
+
+@virtual
+async def test_a_high_drone_that_nobody_sees_has_the_time_that_its_landing_takes(clock):
+    for height, seconds in ((1.0, 20.0), (8.0, 25.5)):
+        drone = Flown(clock, fence=((-3.0, -3.0, -0.2), (3.0, 3.0, 10.0)), reached="seen")
+        await drone.fly(0.05)
+        await drone.fly(drone.pilot.take_off(height) + 0.5)
+        drone.pilot.link = Told(drone.pilot.link)
+        await drone.fly(0.6, poses=False)
+        (limit,) = (rule.limit for rule in drone.pilot.guard.table if rule.measure == "pose" and rule.latched)
+        assert limit == pytest.approx(seconds, abs=0.5)
 
 
 def test_the_same_is_said_once(caplog):
