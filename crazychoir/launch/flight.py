@@ -159,7 +159,8 @@ def owners(config: SwarmConfig, started: tuple[int, ...] | None) -> list[Owner]:
         found.append(Owner("mocap", "crazychoir.cli.mocap", again=True))
     for k in config.dongles:
         if _starts(config, config.dongle_host(k), started):
-            found.append(Owner(f"dongle {k}", "crazychoir.cli.radios", ("--dongle", str(k)), again=True))
+            options = ("--dongle", str(k))
+            found.append(Owner(f"dongle {k}", "crazychoir.cli.radios", options, again=True, ids=config.dongles[k]))
     return found
 
 

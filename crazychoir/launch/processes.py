@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import math
 import signal
 import sys
 from asyncio.subprocess import DEVNULL, PIPE, STDOUT, Process
@@ -24,8 +25,8 @@ GRACE = 20.0
 ORPHANED = 8.0
 """s that agents get after the end of their world's owner: they notice within 3 s and end, but for those that have never
 heard of it and wait."""
-STARTS_AGAIN = 5
-"""How often in a run an owner is started again that ends before it is told to."""
+STARTS_AGAIN, WITHIN = 5, 600.0
+"""How often in so many s an owner is started again that ends before it is told to."""
 REFUSED = 2
 """Exit code of a program that has refused what the user wrote."""
 CHUNK = 1 << 16
@@ -43,13 +44,15 @@ Children = dict[tuple[int, ...], Process]
 class Owner:
     """A process that owns what agents need: who it is, its module, and its options.
 
-    again: whether it is started again if it ends before them: what it owns is still there.
+    again: whether it is started again if it ends before them: what it owns is still there;  ids: drones that need it,
+    None: all. Agents of no others end with it for good.
     """
 
     name: str
     module: str
     options: tuple[str, ...] = ()
     again: bool = False
+    ids: tuple[int, ...] | None = None
 
 
 WORLD_OWNER = Owner("world", "crazychoir.cli.world")
@@ -117,15 +120,15 @@ async def _run_agents(
 async def _owner(owner: Owner, path: Path, agents: Children, say: Say) -> AsyncIterator[None]:
     """An owner that the agents need: it is there before them and ends after them."""
     command = (owner.module, "--swarm", str(path), *owner.options, "--child")
-    child, over = await _start(*command), asyncio.Event()
+    child, over, now = await _start(*command), asyncio.Event(), asyncio.get_running_loop().time
 
     async def watch() -> None:
         nonlocal child
-        left = STARTS_AGAIN if owner.again else 0
+        starts = [-math.inf] * STARTS_AGAIN  # s, of the last ones
         await _listen(child, say)
-        while left > 0 and not over.is_set() and child.returncode != REFUSED:
+        while owner.again and starts[0] < now() - WITHIN and not over.is_set() and child.returncode != REFUSED:
             say(f"{owner.name}: its owner ended with code {child.returncode}: started again")
-            left -= 1
+            starts = [*starts[1:], now()]
             child = await _start(*command)
             if over.is_set():
                 await _end([child], GRACE)
@@ -136,7 +139,8 @@ async def _owner(owner: Owner, path: Path, agents: Children, say: Say) -> AsyncI
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(0.0 if child.returncode == REFUSED else ORPHANED):
                 await over.wait()
-        _signal([agent for agent in agents.values() if agent.returncode is None], signal.SIGTERM)
+        needed = [agent for ids, agent in agents.items() if owner.ids is None or {*ids} <= {*owner.ids}]
+        _signal([agent for agent in needed if agent.returncode is None], signal.SIGTERM)
 
     watching = asyncio.create_task(watch())
     try:

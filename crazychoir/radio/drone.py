@@ -42,6 +42,10 @@ log = logging.getLogger(__name__)
 DEGRADED, LOST = 0.3, 2.5
 """s of silence after which a link is called so; after the second it is opened anew. Before, set-points go on leaving:
 the firmware takes the first one that gets through, if it comes within 2 s."""
+UNREACHED = 1.0
+"""s of silence after which a drone that flies on by itself may not have obeyed what it was told last."""
+ON_THE_FLOOR = 0.2
+"""m above the ground, below which a drone that is seen stands, or may fall."""
 LOOKS = 20.0
 """Hz, at which links are looked after."""
 FIRST, AGAIN = 0.2, 1.0
@@ -65,10 +69,15 @@ NEWEST = 0.1
 """s: an older pose is not told to a drone."""
 LATELY = 1.0
 """s for which it counts where the cameras have seen it."""
+JUMPS = 0.1
+"""s for which poses jump until nothing can be told from how the body tilts."""
 UNSEEN = 0.5
 """s without a pose after which it counts as not seen, however seldom poses are asked for."""
 REMEDY = ": put its body right, out of the cameras' sight, or switch it off and on"
 WAS_CUT = "its motors were cut: switch it off and on, and start the owner of its dongle (crazychoir-radio) again"
+TRAILS, CATCHES_UP = 0.5, 1.8
+"""m by which a drone may be behind the line that it flies; and of speed_limit, at which it comes to one that it is
+further from: it has not heard those before."""
 MILLI = 1e-3
 OWN = ("stateEstimateZ.x", "stateEstimateZ.y", "stateEstimateZ.z", "stateEstimateZ.vx", "stateEstimateZ.vy",
        "stateEstimateZ.vz", "stateEstimateZ.quat")  # fmt: skip
@@ -116,7 +125,7 @@ class RadioDrone(Actor):
         self._well: dict[str, float] = {}
         self._spread: dict[str, float] = {}
         self._said, self._gate = Throttle(), PoseGate()
-        self._has_flown, self._heard_at = False, -math.inf
+        self._has_flown, self._heard_at, self._jumped_at = False, -math.inf, math.inf
         self._asked: dict[tuple[str, ...], float] = {}
         self._tasks: list[asyncio.Task[None]] = []
         self._pose: Latest[Pose] = Latest(self.clock, f"drone {i} pose", UNSEEN)
@@ -249,6 +258,8 @@ class RadioDrone(Actor):
             if silence > LOST:
                 raise LinkFailed(self.row.uri, f"silent for {silence:.1f} s")
             self.state_of_link = "degraded" if silence > DEGRADED else "up"
+            if silence > UNREACHED:
+                self._flown_here, self._up_ns = False, self.clock.now_ns()
             if self._cut and not self.supervisor & checks.LOCKED:
                 connection.urgent(emergency())
             if failure := connection.failure:
@@ -355,7 +366,7 @@ class RadioDrone(Actor):
             if self._landing is None or self.connection is None:
                 self._landing, self._landing_ns = self._landing or command, 0
             return
-        if self.connection is None or (idles(command) and self.flying and not self._flown_here):
+        if self.connection is None or (idles(command) and self._flies_unheard()):
             return  # it flies, and who sends has not flown it: it may not know
         now_ns, stops = self.clock.now_ns(), idles(command)
         if isinstance(command, XYZ):
@@ -372,8 +383,25 @@ class RadioDrone(Actor):
         if self._take_off is not None and not stops and not self.flying:
             self._take_off.begin(self.clock.now())
         self._stopped, self._landing = stops, None
-        self._flown_here = self._flown_here or not stops
-        self._transmit(command)
+        self._flown_here = self._flown_here or not (stops or self.connection.silence > DEGRADED)
+        self._transmit(self._within_reach(command))
+
+    def _flies_unheard(self) -> bool:
+        """Whether it flies on, as it says, though nobody here has reached it with a command; on the floor it stands."""
+        low = self.config.flight.ground + ON_THE_FLOOR
+        stands = self.place is not None and self.clock.now() - self.place[0] < LATELY and self.place[1].p[2] < low
+        return self.flying and not self._flown_here and not stands
+
+    def _within_reach(self, command: Command) -> Command:
+        """A line that ends far from where the drone is gets the time for it."""
+        here = self.place[1].p if self.place is not None and self.clock.now() - self.place[0] < LATELY else None
+        here = self._own.p if here is None and self._own is not None else here
+        if here is None or not isinstance(command, XYZ) or command.verb != "line":
+            return command
+        far, fastest = math.dist(command.flat[0:3], here), CATCHES_UP * self.config.flight.speed_limit
+        if far <= TRAILS + fastest * command.flat[4]:
+            return command
+        return XYZ("line", np.array([*command.flat[0:4], far / fastest]))
 
     def _transmit(self, command: Command) -> None:
         connection = self.connection
@@ -384,7 +412,7 @@ class RadioDrone(Actor):
             self.malformed += 1
             self._say("malformed", f"not sent: {error}")
             return
-        if len(packets) == 1 and not isinstance(command, XYZ):
+        if len(packets) == 1 and (not isinstance(command, XYZ) or command.verb == "line"):
             connection.newest("command", packets[0])
         else:
             connection.forget("command")  # a set-point after it would take the drone from its planner
@@ -419,10 +447,11 @@ class RadioDrone(Actor):
         """The cameras have seen it: its own estimator, by which it lands if we fail, is told."""
         if not self._gate.believes(pose, self.clock.now(), self.flying):
             self._say("jump", "its pose jumps: another body's, or a mistake of the cameras: its estimator is not told")
-            if self._take_off is not None:
+            self._jumped_at = min(self._jumped_at, self.clock.now())
+            if self._take_off is not None and self.clock.now() - self._jumped_at > JUMPS:
                 self._take_off.give_up()
             return
-        self.place = self.clock.now() - age, pose
+        self.place, self._jumped_at = (self.clock.now() - age, pose), math.inf
         if self._astray():
             return  # it lands by its own sensors
         if age <= NEWEST and self.connection is not None and self._told.passes(self.clock.now()):
@@ -474,7 +503,7 @@ class RadioDrone(Actor):
     def _take_own(self, values: dict[str, float], at: int) -> None:
         if self._uptime.restarted(self.clock.now(), at):
             self.why = "it has been started again"
-            self._prepared = self._placed = self._fed = False
+            self._prepared = self._placed = self._fed = self._has_flown = False
             self.release = ""
             if self._take_off is not None:
                 self._take_off.found = ""

@@ -15,7 +15,7 @@ from crazychoir.errors import Refused
 from crazychoir.radio.budget import rates
 from crazychoir.radio.contents import TableOfContents, folder
 from crazychoir.radio.dongles import DONGLES
-from crazychoir.radio.drone import LOOKS, RadioDrone
+from crazychoir.radio.drone import LOOKS, LOST, RadioDrone
 from crazychoir.radio.sights import Sights
 from crazychoir.radio.writer import Turns
 from crazychoir.runtime.actor import Actor
@@ -107,9 +107,13 @@ class RadioProcess(Actor):
             log.error("dongle %d: %s", self.dongle, self._missing)
 
     def _keep_inside(self, i: int, body: RemoteBody) -> None:
-        """Whose agent says nothing is looked after here: beyond the limit area its motors are cut."""
+        """Whose agent says nothing is looked after here: beyond the limit area its motors are cut, if it can hear that.
+
+        One that was heard long ago may be carried about.
+        """
         drone, now = self.drones[i], self.clock.now()
-        seen = drone.place if drone.flying and body.silence > LEFT_ALONE else None
+        flies = drone.flying and drone.silence < LOST
+        seen = drone.place if flies and body.silence > LEFT_ALONE else None
         if seen is not None and now - seen[0] < LEFT_ALONE and (beyond := self._limit.outside(*seen[1].p)) > 0.0:
             body.stop(f"{beyond:.2f} m outside the limit area, and nobody commands it")
 

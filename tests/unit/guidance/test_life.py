@@ -16,7 +16,7 @@ from crazychoir.types import State
 class Lands:
     """A pilot that is in the air until `down`, s; others keep it up until then, or nobody does."""
 
-    drone, held, mode, note = 4, False, Mode.LAND, "keeps clear of drone 2"
+    drone, held, mode, note, unreached = 4, False, Mode.LAND, "keeps clear of drone 2", False
 
     def __init__(self, clock, down, kept_up):
         self.clock, self._down, self._kept_up, self.cut_at = clock, down, kept_up, None
@@ -49,6 +49,14 @@ async def test_one_that_does_not_come_down_though_nobody_keeps_it_up_is_cut(cloc
     pilot = Lands(clock, 3.0 * PATIENCE, kept_up=False)
     await GuidanceActor(SimpleNamespace(id=4, pilot=pilot), None, None)._down()
     assert pilot.cut_at == pytest.approx(LANDING_DEADLINE, abs=0.1)
+
+
+@virtual
+async def test_one_whose_radio_is_silent_is_not_cut_when_it_is_reached_again(clock):
+    pilot = Lands(clock, 3.0 * PATIENCE, kept_up=False)
+    pilot.unreached = True
+    await GuidanceActor(SimpleNamespace(id=4, pilot=pilot), None, None)._down()
+    assert pilot.cut_at is None
 
 
 def test_a_result_arrives_as_it_would_over_the_network():

@@ -15,7 +15,9 @@ from crazychoir.guidance.life import LANDING_DEADLINE
 from crazychoir.launch import processes
 from crazychoir.launch.processes import (
     LONGEST,
+    STARTS_AGAIN,
     WORLD_OWNER,
+    Owner,
     patience,
     read_results,
     run_children,
@@ -141,6 +143,28 @@ async def test_without_their_world_agents_end_that_do_not_by_themselves(tmp_path
     await run_children([(0,)], tmp_path / "s.json", default_swarm(1), [], said.append, owners=[WORLD_OWNER])
     assert children[0].returncode == 3
     assert f"world: its owner ended with code {code}: its drones stop" in said
+
+
+async def test_without_a_dongle_for_good_only_agents_of_its_drones_end(tmp_path, monkeypatch):
+    children, said = {}, []
+
+    async def spawn(group, path, result, options):
+        seconds = 1.0 if group == (0, 1) else 60.0
+        ends = "signal.signal(15, lambda *_: exit(3))"
+        children[group] = await child(f"import signal, time; {ends}; time.sleep({seconds})")
+        await asyncio.sleep(0.2)
+        return children[group]
+
+    async def start(module, *words):
+        return await child("exit(1)")
+
+    monkeypatch.setattr(processes, "_start", start)
+    monkeypatch.setattr(processes, "_spawn", spawn)
+    monkeypatch.setattr(processes, "ORPHANED", 0.3)
+    dongle = Owner("dongle 1", "", again=True, ids=(1, 2))
+    await run_children([(0, 1), (2,)], tmp_path / "s.json", default_swarm(3), [], said.append, owners=[dongle])
+    assert (children[0, 1].returncode, children[2,].returncode) == (0, 3)
+    assert said.count("dongle 1: its owner ended with code 1: started again") == STARTS_AGAIN
 
 
 async def test_a_signal_is_passed_on_as_what_it_is(tmp_path, monkeypatch):

@@ -14,7 +14,7 @@ from crazychoir.errors import LinkFailed
 from crazychoir.radio import checks
 from crazychoir.radio.contents import TableOfContents
 from crazychoir.radio.crtp import FORMS, HIGH_LEVEL, Packet
-from crazychoir.radio.drone import ORPHANED, OWN, STOPS, UNSEEN, WAS_CUT, RadioDrone
+from crazychoir.radio.drone import JUMPS, LOST, ORPHANED, OWN, STOPS, UNREACHED, UNSEEN, WAS_CUT, RadioDrone
 from crazychoir.radio.owner import RadioProcess
 from crazychoir.runtime.mailbox import Call
 from crazychoir.safety.ascent import Track
@@ -455,3 +455,98 @@ async def test_what_an_attempt_to_connect_failed_by_is_said_and_does_not_fail_th
     assert set(before) == {""}
     (problem,) = drone.problems()
     assert "no answer within 1.5 s" in problem
+
+
+@virtual
+async def test_a_line_that_begins_far_away_gets_the_time_for_it(clock) -> None:
+    drone, _ = made(clock, "xyz")
+    tell(drone, READY)
+    durations, planned = [], drone.handler.planned
+    drone.handler.planned = lambda command: durations.append(float(command.flat[4])) or planned(command)
+    for x in (0.3, 3.0):
+        drone.send(XYZ("line", np.array([x, 0.0, 0.0, 0.0, 0.2])))
+    assert durations[0] == 0.2, "it follows late"
+    assert durations[1] == pytest.approx(3.0 / (1.8 * drone.config.flight.speed_limit))
+
+
+@virtual
+async def test_only_the_newest_line_waits(clock) -> None:
+    drone, kept = made(clock, "xyz")
+    tell(drone, READY)
+    waits = []
+    kept.newest = lambda kind, packet: waits.append(kind)
+    drone.send(LINE)
+    drone.send(LAND)
+    drone.send(STOP)
+    assert waits == ["command"]
+
+
+def up(z: float) -> Pose:
+    return Pose(np.array([0.0, 0.0, z, 0.0, 0.0, 0.0, 1.0]))
+
+
+@virtual
+async def test_one_that_was_not_reached_and_flies_is_not_stopped_by_who_takes_it_to_be_down(clock) -> None:
+    drone, kept = made(clock)
+    drone._prepared = drone._placed = True
+    kept.failure = kept.dongle_failure = ""
+    tell(drone, READY | checks.FLYING)
+    drone.send(LINE)
+    drone.send(STOP)
+    assert kept.sent[-1] == head("planner_stop"), "who has flown it may stop it"
+    await clock.sleep(STOPS)
+    drone.send(LINE)
+    looking = asyncio.ensure_future(drone._look_after(kept))
+    kept.silence = UNREACHED + 0.1
+    await clock.sleep(0.1)
+    drone.send(LINE)
+    kept.silence = 0.0
+    tell(drone, READY | checks.FLYING)
+    drone._seen(up(1.0), 0.0)
+    kept.sent.clear()
+    drone.send(STOP)
+    assert kept.sent == []
+    assert not drone.orphan, "its pilot may fly it on"
+    await clock.sleep(ORPHANED + 0.1)
+    assert drone.orphan
+    drone._gate = PoseGate()
+    drone._seen(up(0.05), 0.0)
+    drone.send(STOP)
+    assert head("planner_stop") in kept.sent, "it stands"
+    looking.cancel()
+    await asyncio.wait([looking])
+    await drone._end_work()
+
+
+@virtual
+async def test_one_wrong_pose_does_not_end_the_watch_of_a_take_off(clock) -> None:
+    drone, _ = made(clock)
+    tell(drone, READY)
+    drone.send(LINE)
+    tell(drone, READY | checks.FLYING)
+    for k in range(60):
+        drone._seen(up(5.0 if k == 10 or k >= 40 else 0.0), 0.0)
+        assert drone._take_off.watched is (k <= 40 + round(JUMPS / 0.01)), k
+        await clock.sleep(0.01)
+
+
+@virtual
+async def test_homes_count_again_once_it_was_switched_off(clock) -> None:
+    drone, _ = made(clock)
+    for at, flying, flown in ((1000, checks.FLYING, True), (1100, 0, True), (40, 0, False)):
+        tell(drone, READY | flying, at)
+        drone.report()
+        assert drone._has_flown is flown
+
+
+@virtual
+async def test_one_that_is_silent_may_be_carried_about(clock) -> None:
+    raw = {"name": "a", "drones": [{"id": 0, "home": [0, 0, 0], "uri": "udp://127.0.0.1:19850"}]}
+    owner = RadioProcess(clock, SwarmConfig.of(raw), 0, "radio", "here", 1)
+    drone, body, kept = owner.drones[0], owner.bodies[0], Kept()
+    drone.connection, drone._well["supervisor.info"] = kept, READY | checks.FLYING
+    kept.silence = LOST + 0.1
+    await clock.sleep(5.0)
+    drone._seen(Pose(np.array([20.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0])), 0.0)
+    owner._keep_inside(0, body)
+    assert head("emergency_stop") not in kept.sent
