@@ -139,7 +139,8 @@ class Connection:
             return "no answer"
         if self._version < VERSION_KNOWN:
             return "it does not say its protocol's version"
-        missing = "log variables" if not self.cf.log.toc.toc else "parameters"
+        table = self.cf.log.toc  # cflib has none before its answer to the reset of logs
+        missing = "parameters" if table is not None and table.toc else "log variables"
         return f"its table of {missing} is not complete"
 
     async def close(self) -> None:

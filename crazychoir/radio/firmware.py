@@ -61,11 +61,8 @@ class Firmware:
             said = struct.pack(element.pytype, int(value) if whole else value)
         except (struct.error, OverflowError, ValueError) as error:
             raise LinkFailed(uri, f"parameter {name} = {value!r}: no {element.ctype} ({error})") from error
-        ident = struct.pack("<H", element.ident)
-        asked = Packet(PARAM, WRITE, ident + said)
-        answer = await self._ask(
-            asked, lambda p: p[:2] == (PARAM, WRITE) and p.data[:2] == ident, f"parameter {name} = {value}"
-        )
+        asked = Packet(PARAM, WRITE, struct.pack("<H", element.ident) + said)
+        answer = await self._ask(asked, partial(_taken_or_not, asked), f"parameter {name} = {value}")
         if answer.data != asked.data:
             raise LinkFailed(uri, f"parameter {name} = {value!r}: its firmware does not take it")
         return value
@@ -140,6 +137,17 @@ class Firmware:
             near = ", ".join(difflib.get_close_matches(name, known, 3, 0.4)) or "none like it"
             raise LinkFailed(self.connection.uri, f"its firmware has no parameter {name}; it has {near}")
         return element  # type: ignore[no-any-return]
+
+
+def _taken_or_not(asked: Packet, packet: Packet) -> bool:
+    """Whether it answers this write of a parameter: with what was asked, or, three bytes long, with an error.
+
+    A request that was repeated is answered twice, and late the answer to an earlier value is none to this one; of one
+    byte a value is as long as an error, and only the value counts.
+    """
+    if packet[:2] != (PARAM, WRITE) or packet.data[:2] != asked.data[:2]:
+        return False
+    return packet.data == asked.data or len(packet.data) == 3 != len(asked.data)
 
 
 def _written(head: bytes, packet: Packet) -> bool:

@@ -33,3 +33,13 @@ async def test_a_log_that_the_drone_does_not_begin_fails_at_once(on) -> None:
             await logging
     await connection.close()
     clock.close()
+
+
+async def test_what_is_missing_is_said_before_logs_were_reset() -> None:
+    clock = WallClock(asyncio.get_running_loop())
+    connection = Connection(clock, "udp://127.0.0.1:9", TableOfContents(Path("nowhere")))
+    connection._heard_ns, connection.cf.platform._protocolVersion = 1, 12
+    assert connection.cf.log.toc is None, "as cflib has it at first"
+    assert connection._stage() == "its table of log variables is not complete"
+    connection._opened.cancel()
+    clock.close()
