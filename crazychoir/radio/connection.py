@@ -189,9 +189,12 @@ class Connection:
             self._writer.put(packet)
 
     def urgent(self, packets: Iterable[Packet]) -> None:
-        """Send these before all that waits; those that waited as urgent need not be sent any more."""
+        """Send these before all that waits, also while it is being opened; earlier ones need not be sent any more."""
         if self._writer is not None:
             self._writer.urgent(packets)
+        elif self.cf.link is not None:
+            for packet in packets:
+                self._to_thread(packet)
 
     def newest(self, kind: str, packet: Packet) -> None:
         """Send this instead of the one of its kind that has not gone yet."""

@@ -24,6 +24,8 @@ SOON, LATER = 0.005, 0.01
 each time, up to the second, times the links of its dongle. cflib's asks at once, and takes the others' time for it."""
 PATIENT = 5
 """Packets in a row without acknowledgement, from which on it is sent again as seldom."""
+SAFELINK = (0xFF, 0x05, 0x01)
+"""The first packets of a link: count packets both ways, so that none is lost or taken twice."""
 NULL = 0xF3
 """Header of what says nothing, but for the two bits of safelink."""
 
@@ -110,6 +112,8 @@ class Turns:
         self.version, self._dongle, self._closed = dongle.version, dongle, closed
         self._channel, self._address, self._rate = 2, bytes(5), radiodriver.Crazyradio.DR_2MPS
         self._open, self._heard, self._vain, self._missed = True, False, 0, 0
+        self.ends = False
+        """Whether the link is about to be closed."""
         self._never = threading.Event()
 
     def set_channel(self, channel: int) -> None:
@@ -129,7 +133,17 @@ class Turns:
         self._dongle.set_arc(retries)
 
     def send_packet(self, data: Sequence[int]) -> Any:
-        """One exchange, in turn; None if there is none."""
+        """One exchange, in turn; None if there is none.
+
+        cflib asks for safelink ten times. A drone that still counts for an earlier link, and comes within reach only
+        after that, would take each packet for one sent again: it is asked until it acknowledges.
+        """
+        answer = self._exchanged(data)
+        while tuple(data) == SAFELINK and not (answer and answer.ack) and self._open and not self.ends:
+            answer = self._exchanged(data)
+        return answer
+
+    def _exchanged(self, data: Sequence[int]) -> Any:
         if not self._open:
             return None
         answer = self._dongle.exchange(self._channel, self._address, self._rate, data)

@@ -104,6 +104,8 @@ class PatientRadioDriver(RadioDriver):  # type: ignore[misc]
     def close(self) -> None:
         """Once its thread has ended, or has had the time to; nobody waits for packets any more."""
         thread, turns = self._thread, self._radio
+        if turns is not None:
+            turns.ends = True
         if thread is not None:
             thread._sp = True
             if thread is not threading.current_thread():

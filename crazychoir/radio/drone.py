@@ -109,7 +109,7 @@ class RadioDrone(Actor):
         self.row, self._platform = config.drone(i), platform(config.drone(i).platform)
         self.seen_by_cameras = self.row.pose == "mocap"
         self.connection: Connection | None = None
-        self._opening: Connection | None = None  # its link is open, and it is being asked who it is
+        self._opening: Connection | None = None  # its link is being opened, or it is being asked who it is
         self._work: asyncio.Task[None] | None = None
         self.handler: RadioHandler = HANDLERS[kind](self._platform)
         self.release = ""
@@ -145,12 +145,14 @@ class RadioDrone(Actor):
         while True:
             self.why = ""
             connection = Connection(self.clock, self.row.uri, self._contents, self._lost, self._heard, self._turn)
+            insists = asyncio.get_running_loop().create_task(self._insist(connection))
             try:
                 await self._connect(connection, began)
                 await self._look_after(connection)
             except (LinkFailed, ConfigError) as error:
                 self._failed(error, began)
             finally:
+                insists.cancel()
                 self._heard_at = max(self._heard_at, self.clock.now() - connection.silence)
                 self.connection = self._opening = None
                 await self._end_work()
@@ -159,12 +161,9 @@ class RadioDrone(Actor):
             await self.clock.sleep(AGAIN if late and not self.flying else FIRST)
 
     async def _connect(self, connection: Connection, began: float) -> None:
-        deadline = self.config.radio.connect_deadline
+        self._opening, deadline = connection, self.config.radio.connect_deadline
         left = max(began + deadline - self.clock.now(), deadline / 4.0)
         await connection.open(REOPENS if self._prepared else left, 0.0 if self._prepared else TABLES)
-        self._opening = connection
-        if self._cut:
-            connection.urgent(emergency())
         firmware = Firmware(connection)
         await self._begin_logs(connection)
         await self._until_told(connection)
@@ -182,13 +181,17 @@ class RadioDrone(Actor):
         self._change("up", "")
         self._work = asyncio.get_running_loop().create_task(self._begin_all_asked(connection))
 
+    async def _insist(self, connection: Connection) -> None:
+        """One whose motors were cut is told so until it says that it has heard it, from when its link is being opened."""
+        async for _ in self.clock.ticks(LOOKS):
+            if self._cut and not self.supervisor & checks.LOCKED:
+                connection.urgent(emergency())
+
     async def _until_told(self, connection: Connection) -> None:
         """It has said whether it flies: somebody may have flown it there."""
         for _ in range(round(REOPENS * LOOKS)):
             if self._own_ns > self._logs_ns:
                 return
-            if self._cut:
-                connection.urgent(emergency())
             await self.clock.sleep(1.0 / LOOKS)
         raise LinkFailed(connection.uri, f"says nothing of itself within {REOPENS:g} s")
 
@@ -260,8 +263,6 @@ class RadioDrone(Actor):
             self.state_of_link = "degraded" if silence > DEGRADED else "up"
             if silence > UNREACHED:
                 self._flown_here, self._up_ns = False, self.clock.now_ns()
-            if self._cut and not self.supervisor & checks.LOCKED:
-                connection.urgent(emergency())
             if failure := connection.failure:
                 self._say("sending", f"a packet could not be sent: {failure}")
             if self.flying and (late := checks.link_problems(connection.latency, connection.answered)):

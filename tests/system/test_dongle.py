@@ -271,6 +271,33 @@ async def test_four_cold_ones_are_told_their_tables_once_and_in_time(tmp_path, m
         assert there.dongle.used < limit * 250.0
 
 
+async def test_one_that_comes_within_reach_while_its_link_is_being_opened_is_reached(known) -> None:
+    """It counts packets for an earlier link, and would take each new one for one sent again."""
+    async with air(1) as there:
+        (first,) = await opened(there, known, 1)
+        await first.close()
+        (drone,) = there.dongle.drones.values()
+        drone.silent = True
+        opening = asyncio.create_task(opened(there, known, 1))
+        await asyncio.sleep(0.5)
+        drone.silent = False
+        (link,) = await asyncio.wait_for(opening, 5.0)
+        assert await Firmware(link).release() == "2025.12"
+        await closed([link])
+
+
+async def test_an_emergency_stop_leaves_while_a_link_is_being_opened(tmp_path) -> None:
+    async with air(1, 100.0) as there:
+        opening = asyncio.create_task(opened(there, tmp_path, 1, 60.0))
+        (drone,) = there.server.drones.values()
+        await until(lambda: there.dongle.used > 50)
+        there.links[0].urgent(emergency())
+        await until(lambda: drone.onboard.state == "locked", 1.0)
+        assert not opening.done(), "its tables are being read"
+        opening.cancel()
+        await asyncio.wait([opening])
+
+
 @pytest.mark.slow
 async def test_who_is_not_there_is_named_within_its_deadline(known) -> None:
     async with air(2) as there:

@@ -383,6 +383,25 @@ async def test_a_cut_leaves_at_once_while_its_link_is_being_asked(clock) -> None
 
 
 @virtual
+async def test_a_cut_is_said_again_until_it_was_heard_also_while_its_link_is_being_opened(clock) -> None:
+    drone, _ = made(clock)
+    drone.connection, opening = None, Slow()
+    drone._opening = opening
+    insisting = asyncio.ensure_future(drone._insist(opening))
+    await clock.sleep(0.5)
+    assert opening.sent == []
+    drone.cut()
+    opening.sent.clear()
+    await clock.sleep(0.5)
+    assert opening.sent.count(head("emergency_stop")) == 10
+    tell(drone, checks.LOCKED)
+    opening.sent.clear()
+    await clock.sleep(0.5)
+    assert opening.sent == []
+    insisting.cancel()
+
+
+@virtual
 async def test_who_looks_after_a_drone_that_says_nothing_of_itself_goes_on_with_all_else(clock) -> None:
     drone, _ = made(clock, watchdog=True)
     drone._prepared = drone._placed = True
@@ -396,10 +415,6 @@ async def test_who_looks_after_a_drone_that_says_nothing_of_itself_goes_on_with_
     await clock.sleep(2.0)
     assert slow.sent.count(head("land")) == 8
     assert slow.sent.count(head("emergency_stop_watchdog")) == 8
-    drone.cut()
-    slow.sent.clear()
-    await clock.sleep(0.5)
-    assert slow.sent.count(head("emergency_stop")) == 10
     slow.goes_on.set()
     await clock.sleep(0.1)
     assert slow.begun == 1, "one at a time"
