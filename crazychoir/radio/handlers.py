@@ -32,10 +32,12 @@ class RadioHandler:
     kind: str
     needs_thrust = False
     """Whether it must know what a newton is on board."""
+    streams = True
+    """Whether it has set-points, which keep the planner on board from flying until it is told that they have ended."""
 
     def __init__(self, platform: Platform, thrust: float = 0.0) -> None:
         self.platform, self.thrust = platform, thrust
-        self._streams = False
+        self._streamed_last = self.streams  # an owner before this one may have
 
     @property
     def parameters(self) -> dict[str, float]:
@@ -54,12 +56,14 @@ class RadioHandler:
 
     def planned(self, command: XYZ) -> list[Packet]:
         """What says this to the planner on board; after set-points it is told before that they have ended."""
-        relax = [FORMS["notify_setpoint_stop"].packet(0)] if self._streams else []
-        self._streams = self._streams and command.verb == "land"  # said again with each: the first may be lost
+        relax = [FORMS["notify_setpoint_stop"].packet(0)] if self._streamed_last else []
+        ends = command.verb in ("land", "stop")  # said again with each: the first may be lost
+        self._streamed_last = self._streamed_last and ends
         x, y, z, yaw, duration = command.flat.tolist()
         match command.verb:
             case "stop":
-                return [FORMS["planner_stop"].packet(ALL)] if not relax else [FORMS["stop"].packet(), *relax]
+                before = [FORMS["stop"].packet()] if relax else []
+                return [*before, FORMS["planner_stop"].packet(ALL), *relax]
             case "go_to" | "line":
                 line = int(command.verb == "line")
                 return [*relax, FORMS["go_to"].packet(ALL, 0, line, x, y, z, yaw, duration)]
@@ -71,7 +75,7 @@ class RadioHandler:
         raise CodecError(f"no plan {command.verb!r}; there are stop, go_to, line, take_off and land.")
 
     def _streamed(self, packet: Packet) -> list[Packet]:
-        self._streams = True
+        self._streamed_last = True
         return [packet]
 
 
@@ -130,7 +134,7 @@ class RadioHandlerVel(_OnBoard):
 class RadioHandlerXYZ(_OnBoard):
     """Places, for the planner on board."""
 
-    kind = "xyz"
+    kind, streams = "xyz", False
 
 
 class RadioHandlerFullState(_OnBoard):

@@ -69,8 +69,19 @@ def test_a_plan_after_set_points_tells_first_that_they_have_ended() -> None:
     assert (relax.port, relax.channel) == (7, 1)
     assert (land.port, land.data[0]) == (8, 8)
     assert len(handler.planned(XYZ("land", np.array([0.0, 0.0, 0.0, 0.0, 2.0])))) == 2, "the first may be lost"
-    assert len(handler.planned(STOP)) == 2
-    assert len(handler.planned(STOP)) == 1
+    for _ in range(2):
+        stop, planner, relax = handler.planned(STOP)
+        assert ((stop.port, stop.data), (planner.port, planner.data[0]), (relax.port, relax.channel)) == (
+            (7, b"\x00"), (8, 3), (7, 1)
+        )  # fmt: skip
+    assert len(handler.planned(XYZ("take_off", np.array([0.0, 0.0, 1.0, 0.0, 2.0])))) == 2
+    assert len(handler.planned(STOP)) == 1, "nothing was streamed since"
+
+
+@pytest.mark.parametrize(("kind", "n"), [("fpqr", 2), ("vel", 2), ("fullstate", 2), ("xyz", 1)])
+def test_an_owner_does_not_know_whether_one_before_it_has_sent_set_points(kind: str, n: int) -> None:
+    handler = HANDLERS[kind](CRAZYFLIE_21, NEWTON)
+    assert len(handler.planned(XYZ("land", np.array([0.0, 0.0, 0.0, 0.0, 2.0])))) == n
 
 
 def test_full_states_are_thousandths_with_rates_in_radians() -> None:
