@@ -70,6 +70,7 @@ class Connection:
         """cflib's object, listened to; it gets its tables from the cache, and reads parameters when they are asked."""
         cf = Crazyflie()
         cf._toc_cache = contents
+        cf.mem.refresh = _unread  # it would read those of decks, too, and never end where one fails
         cf.param.request_update_of_all_params = _nothing
         cf.param.refresh_toc = MethodType(_only_contents, cf.param)
         cf.connected.add_callback(lambda uri: self._from_thread(self._is_open))
@@ -359,6 +360,11 @@ def _resolve(waiting: "asyncio.Future[None]") -> None:
 def _fail(waiting: "asyncio.Future[None]", message: str) -> None:
     if not waiting.done():
         waiting.set_exception(LinkFailed("log", message))
+
+
+def _unread(done: Callable[[], None]) -> None:
+    """In place of reading memories at each connection."""
+    done()
 
 
 def _nothing() -> None:

@@ -182,7 +182,7 @@ class RadioDrone(Actor):
         self._work = asyncio.get_running_loop().create_task(self._begin_all_asked(connection))
 
     async def _insist(self, connection: Connection) -> None:
-        """One whose motors were cut is told so until it says that it has heard it, from when its link is being opened."""
+        """One whose motors were cut is told so until it says that it has heard it, from its link's opening on."""
         async for _ in self.clock.ticks(LOOKS):
             if self._cut and not self.supervisor & checks.LOCKED:
                 connection.urgent(emergency())

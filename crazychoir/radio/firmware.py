@@ -13,7 +13,9 @@ from crazychoir.radio.connection import AGAIN, Connection
 from crazychoir.radio.crtp import FORMS, MEMORY, PARAM, PLATFORM, Packet
 from crazychoir.radio.handlers import ALL
 
-READ, WRITE = 1, 2
+LISTED, READ, WRITE = 0, 1, 2
+COUNT = Packet(MEMORY, LISTED, b"\x01")
+"""Asks for the number of memories."""
 DEADLINE = 2.0
 """s of one request: eight times asked."""
 CHUNK = 24
@@ -85,12 +87,13 @@ class Firmware:
 
         offset: byte of the memory at which it begins. What does not fit is refused before anything is sent.
         """
-        uri, where = self.connection.uri, self._memory()
+        uri = self.connection.uri
         if not 0 <= slot < SLOTS:
             raise LinkFailed(uri, f"trajectory {slot}: slots 0 to {SLOTS - 1} are there")
         if not 0 <= offset <= offset + len(memory) <= SIZE:
             allowed = f"{SIZE} are there: 31 pieces"
             raise LinkFailed(uri, f"trajectory {slot} ends at byte {offset + len(memory)}; {allowed}")
+        where = await self._memory()
         for start in range(0, len(memory), CHUNK):
             head = struct.pack("<BI", where, offset + start)
             asked = Packet(MEMORY, WRITE, head + memory[start : start + CHUNK])
@@ -106,12 +109,15 @@ class Firmware:
         """
         await self.plan(FORMS["start_trajectory"].packet(ALL, relative, False, False, slot, timescale), math.inf)
 
-    def _memory(self) -> int:
-        """The number of the memory of trajectories among those that it has."""
-        numbers = [memory.id for memory in self.connection.cf.mem.mems if memory.type == TRAJECTORIES]
-        if not numbers:
-            raise LinkFailed(self.connection.uri, "its firmware has no memory for trajectories")
-        return int(numbers[0])
+    async def _memory(self) -> int:
+        """The number of the memory of trajectories among those that it has; cflib would read those of decks, too."""
+        count = await self._ask(COUNT, lambda p: p[:2] == COUNT[:2] and p.data[:1] == COUNT.data, "its memories")
+        for number in range(count.data[1] if len(count.data) > 1 else 0):
+            asked = Packet(MEMORY, LISTED, bytes([2, number]))
+            answer = await self._ask(asked, partial(_details, asked), f"memory {number}")
+            if answer.data[2:3] == bytes([TRAJECTORIES]):
+                return number
+        raise LinkFailed(self.connection.uri, "its firmware has no memory for trajectories")
 
     async def plan(self, packet: Packet, again: float = AGAIN) -> None:
         """Something for the planner on board; again: s after which it is said again, infinite for what may not be."""
@@ -148,6 +154,11 @@ def _taken_or_not(asked: Packet, packet: Packet) -> bool:
     if packet[:2] != (PARAM, WRITE) or packet.data[:2] != asked.data[:2]:
         return False
     return packet.data == asked.data or len(packet.data) == 3 != len(asked.data)
+
+
+def _details(asked: Packet, packet: Packet) -> bool:
+    """Whether it says what this memory is."""
+    return packet[:2] == asked[:2] and packet.data[:2] == asked.data
 
 
 def _written(head: bytes, packet: Packet) -> bool:

@@ -21,7 +21,7 @@ from crazychoir.planning.upload import uploaded
 from crazychoir.radio import drivers
 from crazychoir.radio.connection import Connection
 from crazychoir.radio.contents import TableOfContents
-from crazychoir.radio.crtp import FORMS, Packet
+from crazychoir.radio.crtp import FORMS, MEMORY, Packet
 from crazychoir.radio.dongles import DongleFailed
 from crazychoir.radio.drone import TABLES
 from crazychoir.radio.firmware import Firmware
@@ -283,6 +283,7 @@ async def test_one_that_comes_within_reach_while_its_link_is_being_opened_is_rea
         drone.silent = False
         (link,) = await asyncio.wait_for(opening, 5.0)
         assert await Firmware(link).release() == "2025.12"
+        assert not any(packet[0] >> 4 == MEMORY for packet in drone.up), "memories of decks are not read"
         await closed([link])
 
 
