@@ -90,7 +90,7 @@ class RadioProcess(Actor):
                 for drone in self.drones.values():
                     drone.report()
             if self._ending and self._alone():
-                self._supervisor.stop()
+                self._leave()
 
     def _look_at_dongle(self, age: float) -> None:
         """One that was pulled out ends this process: nothing in it finds a dongle again as surely as a new one.
@@ -122,6 +122,12 @@ class RadioProcess(Actor):
         commanded = any(body.silence < LEFT_ALONE for body in self.bodies.values())
         flying = any(drone.flying for drone in self.drones.values())
         return self.clock.now() > self._ending or not (commanded or flying)
+
+    def _leave(self) -> None:
+        """All has landed, or has had the time to."""
+        if flying := [str(i) for i, drone in self.drones.items() if drone.flying]:
+            self.abort(f"ends {LANDS_WITHIN:g} s after it was told to, though not landed: {', '.join(flying)}")
+        self._supervisor.stop()
 
     def end(self, reason: str) -> None:
         """As soon as nobody flies."""

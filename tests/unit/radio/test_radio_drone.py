@@ -15,7 +15,7 @@ from crazychoir.radio import checks
 from crazychoir.radio.contents import TableOfContents
 from crazychoir.radio.crtp import FORMS, HIGH_LEVEL, Packet
 from crazychoir.radio.drone import JUMPS, LOST, ORPHANED, OWN, STOPS, UNREACHED, UNSEEN, WAS_CUT, RadioDrone
-from crazychoir.radio.owner import RadioProcess
+from crazychoir.radio.owner import LANDS_WITHIN, RadioProcess
 from crazychoir.runtime.mailbox import Call
 from crazychoir.safety.ascent import Track
 from crazychoir.safety.pose_gate import PoseGate
@@ -251,6 +251,20 @@ async def test_nobody_commands_it_and_it_is_beyond_the_limit(clock) -> None:
         drone._gate = PoseGate()
         owner._keep_inside(0, body)
         assert (head("emergency_stop") in kept.sent) is cut
+
+
+@virtual
+async def test_an_owner_that_ends_names_who_has_not_landed(clock) -> None:
+    raw = {"name": "a", "drones": [{"id": 7, "home": [0, 0, 0], "uri": "udp://127.0.0.1:19850"}]}
+    owner = RadioProcess(clock, SwarmConfig.of(raw), 0, "radio", "here", 1)
+    owner.drones[7]._well["supervisor.info"] = READY | checks.FLYING
+    running = asyncio.ensure_future(owner.run())
+    owner.end("")
+    await clock.sleep(LANDS_WITHIN - 1.0)
+    assert not owner.failure
+    await clock.sleep(2.0)
+    assert owner.failure.endswith("not landed: 7")
+    running.cancel()
 
 
 def seen(drone: RadioDrone, q=(0.0, 0.0, 0.0, 1.0)) -> None:
