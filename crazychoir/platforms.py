@@ -35,7 +35,8 @@ class Firmware:
 
     mass: kg;  arm: m, from the centre to a motor;  thrust_max, thrust_min: N a motor, of command 65535 and below which
     a motor stops;  thrust_to_torque: m;  needs_arming: whether motors wait for an arming request;
-    rate_pid, yaw_rate_pid: kp, ki, kd of the rate loops, command units (65535 = thrust_max) of deg/s, deg, deg/s2.
+    rate_pid, yaw_rate_pid: kp, ki, kd of the rate loops, command units (65535 = thrust_max) of deg/s, deg, deg/s2;
+    old_thrust_map: command a newton, all motors, of releases until 2025.02, None: not measured.
     """
 
     mass: float
@@ -46,6 +47,7 @@ class Firmware:
     needs_arming: bool = False
     rate_pid: Three = (250.0, 500.0, 2.5)
     yaw_rate_pid: Three = (120.0, 16.7, 0.0)
+    old_thrust_map: float | None = None
 
 
 @dataclass(frozen=True)
@@ -139,7 +141,11 @@ B500 = Rotor(
     voltage=(-0.0140589, 0.0426527, 0.00183278, 0.0020577),
 )
 
-CF20 = Firmware(mass=0.029, arm=0.046, thrust_max=0.12, thrust_min=0.0128, thrust_to_torque=0.00735086)
+OLD_THRUST_MAP = 42_000 / 0.39  # of a bare Crazyflie 2.1: measured by the authors of CrazyChoir
+CF20 = Firmware(
+    mass=0.029, arm=0.046, thrust_max=0.12, thrust_min=0.0128, thrust_to_torque=0.00735086,
+    old_thrust_map=OLD_THRUST_MAP,
+)  # fmt: skip
 CF21_PLUS = Firmware(mass=0.029, arm=0.046, thrust_max=0.12, thrust_min=0.0128, thrust_to_torque=0.00699289)
 CF21_THRUST = Firmware(mass=0.0325, arm=0.046, thrust_max=0.18, thrust_min=0.0192, thrust_to_torque=0.00516486)
 CF21_BRUSHLESS = Firmware(

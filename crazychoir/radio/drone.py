@@ -196,7 +196,7 @@ class RadioDrone(Actor):
         """What a newton is on board; ConfigError if that is not known."""
         if self.handler.needs_thrust:
             given, where = self.config.radio.thrust_map, f"drone {self.drone}"
-            self.handler.thrust = command_a_newton(self.release, self._platform.firmware, given, where)
+            self.handler.thrust = command_a_newton(self.release, self._platform, given, where)
 
     async def _prepare(self, firmware: Firmware) -> None:
         """What is done once, on the ground."""
