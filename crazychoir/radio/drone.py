@@ -171,8 +171,9 @@ class RadioDrone(Actor):
         if self.bus.stopped and self.flying:
             self.cut()
         if not self.release:
-            self.release = await firmware.release()
-            self._learn_thrust()
+            release = await firmware.release()
+            self._learn_thrust(release)
+            self.release = release
         if not self._prepared and not self.flying:
             await self._prepare(firmware)
         if self.why:
@@ -192,11 +193,11 @@ class RadioDrone(Actor):
             await self.clock.sleep(1.0 / LOOKS)
         raise LinkFailed(connection.uri, f"says nothing of itself within {REOPENS:g} s")
 
-    def _learn_thrust(self) -> None:
+    def _learn_thrust(self, release: str) -> None:
         """What a newton is on board; ConfigError if that is not known."""
         if self.handler.needs_thrust:
             given, where = self.config.radio.thrust_map, f"drone {self.drone}"
-            self.handler.thrust = command_a_newton(self.release, self._platform, given, where)
+            self.handler.thrust = command_a_newton(release, self._platform, given, where)
 
     async def _prepare(self, firmware: Firmware) -> None:
         """What is done once, on the ground."""

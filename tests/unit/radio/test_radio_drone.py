@@ -10,10 +10,10 @@ from virtual_time import virtual
 
 from crazychoir.bus.local import BODIES, Bus
 from crazychoir.bus.topics import BODY
-from crazychoir.errors import LinkFailed
+from crazychoir.errors import ConfigError, LinkFailed
 from crazychoir.radio import checks
 from crazychoir.radio.contents import TableOfContents
-from crazychoir.radio.crtp import FORMS, HIGH_LEVEL, Packet
+from crazychoir.radio.crtp import FORMS, HIGH_LEVEL, PLATFORM, Packet
 from crazychoir.radio.drone import JUMPS, LOST, ORPHANED, OWN, STOPS, UNREACHED, UNSEEN, WAS_CUT, RadioDrone
 from crazychoir.radio.owner import RadioProcess
 from crazychoir.runtime.mailbox import Call
@@ -380,6 +380,34 @@ async def test_a_cut_leaves_at_once_while_its_link_is_being_asked(clock) -> None
     drone.cut()
     assert slow.sent[0] == head("emergency_stop")
     connecting.cancel()
+
+
+class Asked(Slow):
+    """A connection to a drone on the ground, which says its release."""
+
+    def __init__(self, drone: RadioDrone, release: str) -> None:
+        super().__init__()
+        self.drone, self.release = drone, release
+
+    async def log(self, name, variables, period, data, seconds) -> None:
+        self.begun += 1
+        await self.drone.clock.sleep(0.1)
+        tell(self.drone, READY)
+
+    async def ask(self, packet, answers, seconds, again) -> Packet:
+        answer = Packet(PLATFORM, 1, b"\x01" + self.release.encode())
+        assert answers(answer)
+        return answer
+
+
+@virtual
+async def test_one_whose_thrust_is_not_known_is_refused_each_time(clock) -> None:
+    drone, _ = made(clock, "fpqr")
+    drone.connection = None
+    for _ in range(3):
+        with pytest.raises(ConfigError, match=r"found 2025\.09; .* Set thrust_map"):
+            await drone._connect(Asked(drone, "2025.09"), clock.now())
+        assert drone.connection is None
 
 
 @virtual
