@@ -25,6 +25,7 @@ from crazychoir.radio.crtp import FORMS, HIGH_LEVEL, Packet
 from crazychoir.radio.dongles import DongleFailed
 from crazychoir.radio.firmware import Firmware
 from crazychoir.radio.handlers import HANDLERS, RadioHandler, emergency, idles, pose_packet, position_packet
+from crazychoir.radio.protocol import check_protocol
 from crazychoir.radio.sights import MOTION, RATE, Sights, TakeOff
 from crazychoir.radio.thrust import command_a_newton
 from crazychoir.radio.uptime import Uptime
@@ -165,6 +166,7 @@ class RadioDrone(Actor):
         self._opening = connection
         if self._cut:
             connection.urgent(emergency())
+        check_protocol(connection.version, self.kind, self._platform, f"drone {self.drone}")
         firmware = Firmware(connection)
         await self._begin_logs(connection)
         await self._until_told(connection)

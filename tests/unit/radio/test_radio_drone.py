@@ -354,7 +354,7 @@ class Slow(Kept):
     def __init__(self, uri: str = "") -> None:
         super().__init__()
         self.uri, self.dongle_failure, self.failure = uri, "", ""
-        self.goes_on, self.begun = asyncio.Event(), 0
+        self.goes_on, self.begun, self.version = asyncio.Event(), 0, 12
 
     async def open(self, seconds: float, tables: float) -> None:
         """At once."""
@@ -385,9 +385,9 @@ async def test_a_cut_leaves_at_once_while_its_link_is_being_asked(clock) -> None
 class Asked(Slow):
     """A connection to a drone on the ground, which says its release."""
 
-    def __init__(self, drone: RadioDrone, release: str) -> None:
+    def __init__(self, drone: RadioDrone, release: str = "2025.12", version: int = 12) -> None:
         super().__init__()
-        self.drone, self.release = drone, release
+        self.drone, self.release, self.version = drone, release, version
 
     async def log(self, name, variables, period, data, seconds) -> None:
         self.begun += 1
@@ -408,6 +408,17 @@ async def test_one_whose_thrust_is_not_known_is_refused_each_time(clock) -> None
         with pytest.raises(ConfigError, match=r"found 2025\.09; .* Set thrust_map"):
             await drone._connect(Asked(drone, "2025.09"), clock.now())
         assert drone.connection is None
+
+
+@virtual
+async def test_one_whose_protocol_is_too_old_is_asked_nothing_more(clock) -> None:
+    drone, _ = made(clock, "vel")
+    drone.connection, old = None, Asked(drone, version=8)
+    with pytest.raises(ConfigError, match=r"drone 0: protocol .* found version 8; allowed: 9 or newer") as e:
+        await drone._connect(old, clock.now())
+    assert (old.begun, drone.connection) == (0, None)
+    drone._failed(e.value, clock.now())
+    assert drone.state_of_link == "refused"
 
 
 @virtual
