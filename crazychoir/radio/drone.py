@@ -571,7 +571,8 @@ class RadioDrone(Actor):
         if not (self._prepared and self._placed) and not self.flying:
             unseen = self.seen_by_cameras and self._pose.fresh() is None
             return ["the cameras do not see it" if unseen else "is being prepared"]
-        found = [*checks.supervisor_problems(self.supervisor), *checks.battery_problems(self.battery)]
+        begin = self._platform.battery.begin
+        found = [*checks.supervisor_problems(self.supervisor), *checks.battery_problems(self.battery, begin)]
         found += [text + REMEDY for text in self._astray()] + [WAS_CUT] * self._cut
         if self.flying:
             return found

@@ -2,6 +2,7 @@
 
 import asyncio
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from virtual_time import virtual
 from crazychoir.bus.local import BODIES, Bus
 from crazychoir.bus.topics import BODY
 from crazychoir.errors import ConfigError, LinkFailed
+from crazychoir.platforms import Battery
 from crazychoir.radio import checks
 from crazychoir.radio.contents import TableOfContents
 from crazychoir.radio.crtp import FORMS, HIGH_LEVEL, PLATFORM, Packet
@@ -211,6 +213,16 @@ async def test_why_it_may_not_take_off(clock) -> None:
     assert drone.problems() == []
     drone.cut()
     assert drone.problems() == [WAS_CUT]
+
+
+@virtual
+async def test_the_battery_that_it_needs_to_begin_is_its_platforms(clock) -> None:
+    drone, _ = made(clock)
+    tell(drone, READY | checks.FLYING)
+    drone._well["pm.vbat"] = 3.65
+    assert drone.problems() == ["battery at 3.65 V, 3.7 V are needed to begin"]
+    drone._platform = replace(drone._platform, battery=Battery(begin=3.6))
+    assert drone.problems() == []
 
 
 @virtual
