@@ -153,8 +153,9 @@ class Agent:
         pilot = Pilot(port, link, config.flight, fence, rate, chosen, seen, seen_at, collision, limit, reached)
         if i in self._remotes:
             self._remotes[i].found_flying = pilot.take_over
-        watch = RadioWatch(port, config.source(LINK, i), pilot.guard) if reached != "no" else None
-        if watch is not None:
+        if reached != "no":
+            firmware = platform(config.drone(i).platform).firmware
+            watch = RadioWatch(port, config.source(LINK, i), pilot.guard, firmware)
             pilot.unfit, pilot.turning, pilot.astray = watch.problems, watch.turning, watch.astray
             self._radios.append(watch)
         supervisor = self._supervisor(i)

@@ -35,7 +35,9 @@ class Firmware:
 
     mass: kg;  arm: m, from the centre to a motor;  thrust_max, thrust_min: N a motor, of command 65535 and below which
     a motor stops;  thrust_to_torque: m;  needs_arming: whether motors wait for an arming request;
-    rate_pid, yaw_rate_pid: kp, ki, kd of the rate loops, command units (65535 = thrust_max) of deg/s, deg, deg/s2.
+    rate_pid, yaw_rate_pid: kp, ki, kd of the rate loops, command units (65535 = thrust_max) of deg/s, deg, deg/s2;
+    old_thrust_map: command a newton, all motors, of releases until 2025.02, None: not measured;
+    low, critical: V, of its battery under load.
     """
 
     mass: float
@@ -46,6 +48,9 @@ class Firmware:
     needs_arming: bool = False
     rate_pid: Three = (250.0, 500.0, 2.5)
     yaw_rate_pid: Three = (120.0, 16.7, 0.0)
+    old_thrust_map: float | None = None
+    low: float = 3.2
+    critical: float = 3.0
 
 
 @dataclass(frozen=True)
@@ -53,7 +58,8 @@ class Battery:
     """One lithium-polymer cell.
 
     full, empty: V at rest;  resistance: ohm;  capacity: A s;  idle: A, of the electronics;
-    hover_power: W, that the motors take to carry the drone.
+    hover_power: W, that the motors take to carry the drone;  begin: V, with less nobody takes off: a tenth is left, by
+    the level table of the firmware, which is one for all.
     """
 
     full: float = 4.2
@@ -62,6 +68,7 @@ class Battery:
     capacity: float = 0.25 * 3600.0
     idle: float = 0.12
     hover_power: float = 7.0
+    begin: float = 3.7
 
 
 @dataclass(frozen=True)
@@ -139,12 +146,16 @@ B500 = Rotor(
     voltage=(-0.0140589, 0.0426527, 0.00183278, 0.0020577),
 )
 
-CF20 = Firmware(mass=0.029, arm=0.046, thrust_max=0.12, thrust_min=0.0128, thrust_to_torque=0.00735086)
+OLD_THRUST_MAP = 42_000 / 0.39  # of a bare Crazyflie 2.1: measured by the authors of CrazyChoir
+CF20 = Firmware(
+    mass=0.029, arm=0.046, thrust_max=0.12, thrust_min=0.0128, thrust_to_torque=0.00735086,
+    old_thrust_map=OLD_THRUST_MAP,
+)  # fmt: skip
 CF21_PLUS = Firmware(mass=0.029, arm=0.046, thrust_max=0.12, thrust_min=0.0128, thrust_to_torque=0.00699289)
 CF21_THRUST = Firmware(mass=0.0325, arm=0.046, thrust_max=0.18, thrust_min=0.0192, thrust_to_torque=0.00516486)
 CF21_BRUSHLESS = Firmware(
     mass=0.0393, arm=0.050, thrust_max=0.2, thrust_min=0.02136, thrust_to_torque=0.00569279, needs_arming=True,
-    rate_pid=(200.0, 400.0, 2.5),
+    rate_pid=(200.0, 400.0, 2.5), low=3.35,
 )  # fmt: skip
 
 PAPER = Platform(

@@ -9,8 +9,6 @@ from crazychoir.safety.radio_watch import TUMBLED as TUMBLED
 CAN_ARM, ARMED, AUTO_ARM, CAN_FLY, FLYING = (1 << k for k in range(5))
 DECK_FAULT = 1 << 11
 """Bits of the firmware's supervisor, beside those of one that flies no more."""
-LOW_BATTERY = 3.7
-"""V, of a drone that has not flown yet: less than a quarter is left (level table of the firmware)."""
 
 
 def harm(supervisor: int) -> str:
@@ -31,11 +29,11 @@ def supervisor_problems(supervisor: int) -> list[str]:
     return []
 
 
-def battery_problems(volts: float) -> list[str]:
-    """Too little to begin with."""
+def battery_problems(volts: float, begin: float) -> list[str]:
+    """Less than its platform needs to begin, in V."""
     if math.isnan(volts):
         return ["says nothing of its battery"]
-    return [f"battery at {volts:.2f} V, {LOW_BATTERY:g} V are needed to begin"] if volts < LOW_BATTERY else []
+    return [f"battery at {volts:.2f} V, {begin:g} V are needed to begin"] if volts < begin else []
 
 
 LATE, ANSWERED = 0.3, 0.5

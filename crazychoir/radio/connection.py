@@ -111,7 +111,7 @@ class Connection:
                 if not self._opened.done() and self.cf.link is not None:
                     if gone := self.dongle_failure:
                         raise DongleFailed(self.uri, gone)
-                    if self._version < VERSION_KNOWN:
+                    if self.version < VERSION_KNOWN:
                         self._to_thread(SOURCE)  # cflib asks once
             self._opened.result()
 
@@ -130,7 +130,8 @@ class Connection:
             self._close_link()  # it was closed before it was open
 
     @property
-    def _version(self) -> int:
+    def version(self) -> int:
+        """Of the protocol that the drone speaks; negative before it has said it."""
         version: int = self.cf.platform.get_protocol_version()
         return version
 
@@ -138,7 +139,7 @@ class Connection:
         """What has not come."""
         if self._heard_ns is None:
             return "no answer"
-        if self._version < VERSION_KNOWN:
+        if self.version < VERSION_KNOWN:
             return "it does not say its protocol's version"
         table = self.cf.log.toc  # cflib has none before its answer to the reset of logs
         missing = "parameters" if table is not None and table.toc else "log variables"

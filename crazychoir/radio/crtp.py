@@ -127,3 +127,9 @@ FORMS: Final = _forms(
     ("platform_recover", PLATFORM, 0, b"\x02", ""),
 )
 """By name. Logs, parameters and memories, whose packets have lists in them, are read where they are served."""
+SINCE: Final = {
+    "go_to": 8, "spiral": 8, "velocity_world": 9, "z_distance": 9, "hover": 9, "start_trajectory": 10,
+    "arm": 12, "recover": 12, "supervisor_stop": 12, "supervisor_watchdog": 12, "supervisor_info": 12,
+}  # fmt: skip
+"""Version of the protocol from which on firmware knows a form, by cflib 0.1.34, which asks for none of
+the others."""

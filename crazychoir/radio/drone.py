@@ -25,6 +25,7 @@ from crazychoir.radio.crtp import FORMS, HIGH_LEVEL, Packet
 from crazychoir.radio.dongles import DongleFailed
 from crazychoir.radio.firmware import Firmware
 from crazychoir.radio.handlers import HANDLERS, RadioHandler, emergency, idles, pose_packet, position_packet
+from crazychoir.radio.protocol import check_protocol
 from crazychoir.radio.sights import MOTION, RATE, Sights, TakeOff
 from crazychoir.radio.thrust import command_a_newton
 from crazychoir.radio.uptime import Uptime
@@ -164,14 +165,16 @@ class RadioDrone(Actor):
         self._opening, deadline = connection, self.config.radio.connect_deadline
         left = max(began + deadline - self.clock.now(), deadline / 4.0)
         await connection.open(REOPENS if self._prepared else left, 0.0 if self._prepared else TABLES)
+        check_protocol(connection.version, self.kind, self._platform, f"drone {self.drone}")
         firmware = Firmware(connection)
         await self._begin_logs(connection)
         await self._until_told(connection)
         if self.bus.stopped and self.flying:
             self.cut()
         if not self.release:
-            self.release = await firmware.release()
-            self._learn_thrust()
+            release = await firmware.release()
+            self._learn_thrust(release)
+            self.release = release
         if not self._prepared and not self.flying:
             await self._prepare(firmware)
         if self.why:
@@ -195,11 +198,11 @@ class RadioDrone(Actor):
             await self.clock.sleep(1.0 / LOOKS)
         raise LinkFailed(connection.uri, f"says nothing of itself within {REOPENS:g} s")
 
-    def _learn_thrust(self) -> None:
+    def _learn_thrust(self, release: str) -> None:
         """What a newton is on board; ConfigError if that is not known."""
         if self.handler.needs_thrust:
             given, where = self.config.radio.thrust_map, f"drone {self.drone}"
-            self.handler.thrust = command_a_newton(self.release, self._platform.firmware, given, where)
+            self.handler.thrust = command_a_newton(release, self._platform, given, where)
 
     async def _prepare(self, firmware: Firmware) -> None:
         """What is done once, on the ground."""
@@ -569,7 +572,8 @@ class RadioDrone(Actor):
         if not (self._prepared and self._placed) and not self.flying:
             unseen = self.seen_by_cameras and self._pose.fresh() is None
             return ["the cameras do not see it" if unseen else "is being prepared"]
-        found = [*checks.supervisor_problems(self.supervisor), *checks.battery_problems(self.battery)]
+        begin = self._platform.battery.begin
+        found = [*checks.supervisor_problems(self.supervisor), *checks.battery_problems(self.battery, begin)]
         found += [text + REMEDY for text in self._astray()] + [WAS_CUT] * self._cut
         if self.flying:
             return found

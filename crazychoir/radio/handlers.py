@@ -27,9 +27,12 @@ LARGEST = 32_767
 
 
 class RadioHandler:
-    """What all have. kind: as a swarm file names it;  platform: of the drone;  thrust: command a newton."""
+    """What all have. kind: as a swarm file names it;  form: of what it sends in flight;  platform: of the drone;
+    thrust: command a newton.
+    """
 
     kind: str
+    form: str
     needs_thrust = False
     """Whether it must know what a newton is on board."""
     streams = True
@@ -84,6 +87,7 @@ class _Thrust(RadioHandler):
 
     needs_thrust = True
     angles = 0
+    form = "rpyt"
 
     @property
     def parameters(self) -> dict[str, float]:
@@ -95,7 +99,7 @@ class _Thrust(RadioHandler):
         """One; its thrust is held 2 s."""
         thrust, roll, pitch, yaw_rate = command.flat.tolist()
         raw = round(min(max(self.thrust * thrust, 0.0), FULL))
-        return self._streamed(FORMS["rpyt"].packet(*roll_pitch_yaw_rate_raw(roll, pitch, yaw_rate), raw))
+        return self._streamed(FORMS[self.form].packet(*roll_pitch_yaw_rate_raw(roll, pitch, yaw_rate), raw))
 
 
 class RadioHandlerFPQR(_Thrust):
@@ -123,24 +127,24 @@ class _OnBoard(RadioHandler):
 class RadioHandlerVel(_OnBoard):
     """Velocity in the world and yaw rate; and the end of them."""
 
-    kind = "vel"
+    kind, form = "vel", "velocity_world"
 
     def setpoint(self, command: Vel) -> list[Packet]:
         """One."""
         vx, vy, vz, rate = command.flat.tolist()
-        return self._streamed(FORMS["velocity_world"].packet(vx, vy, vz, math.degrees(rate)))
+        return self._streamed(FORMS[self.form].packet(vx, vy, vz, math.degrees(rate)))
 
 
 class RadioHandlerXYZ(_OnBoard):
     """Places, for the planner on board."""
 
-    kind, streams = "xyz", False
+    kind, form, streams = "xyz", "go_to", False
 
 
 class RadioHandlerFullState(_OnBoard):
     """A flat output, with the attitude and body rates that follow from it; and the end of them."""
 
-    kind = "fullstate"
+    kind, form = "fullstate", "full_state"
 
     def setpoint(self, command: FullState) -> list[Packet]:
         """One, in thousandths."""
@@ -152,7 +156,7 @@ class RadioHandlerFullState(_OnBoard):
         if max(map(abs, milli)) > LARGEST:
             found = [x / 1e3 for x in milli]
             raise CodecError(f"full state {found}: {LARGEST / 1e3:g} m, m/s, m/s2 and rad/s are allowed at most.")
-        return self._streamed(FORMS["full_state"].packet(*milli[:9], compressed(np.array(q)), *milli[9:]))
+        return self._streamed(FORMS[self.form].packet(*milli[:9], compressed(np.array(q)), *milli[9:]))
 
 
 HANDLERS: dict[str, type[RadioHandler]] = {

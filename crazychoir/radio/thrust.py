@@ -3,28 +3,42 @@
 import re
 
 from crazychoir.errors import ConfigError
-from crazychoir.platforms import Firmware
+from crazychoir.platforms import Platform
 from crazychoir.simulation.onboard.units import thrust_raw
 
 LINEAR_SINCE = (2025, 10)
 """Release from which on the command is linear in newtons, 65535 = thrust_max of each motor (crazyflie-firmware)."""
-BEFORE = 42_000 / 0.39
-"""Command a newton of releases before: measured for a bare Crazyflie 2.1 by the authors of CrazyChoir."""
+MEASURED_UNTIL = (2025, 2)
+"""Last release for which a platform's `old_thrust_map` is right. In 2025 thrust became linear, of one platform after
+the other: releases between may have either, and so may a development build, whose tag may be much older than it is."""
 OLDEST = (2017, 1)
 
 
-def command_a_newton(release: str, firmware: Firmware, given: float | None, where: str) -> float:
+def command_a_newton(release: str, platform: Platform, given: float | None, where: str) -> float:
     """Thrust command a newton, all motors together.
 
-    release: as the firmware says it, "2025.12" or "2025.12.1 +3";  given: that of the swarm file, which counts before
-    all. Raises ConfigError for a release that is none, or not known.
+    release: as the firmware says it, "2025.12" or, of a build so many commits later, "2025.12.1 +3";  given: that of
+    the swarm file, which counts before all. Raises ConfigError for a release that is none, and for one whose thrust
+    nobody knows on this platform.
     """
     if given is not None:
         return given
     found = re.match(r"(\d{4})\.(\d{1,2})\b", release)
     number = (int(found[1]), int(found[2])) if found else (0, 0)
-    if number < OLDEST or not 1 <= number[1] <= 12:
-        do = "Set thrust_map in [radio]: command a newton; 136531 for a Crazyflie 2.1 of today. Or send vel or xyz."
-        allowed = "a release as 2025.12, by which thrust is known"
-        raise ConfigError(f"{where}: firmware", release or "no release", allowed, do)
-    return thrust_raw(1.0, firmware) if number >= LINEAR_SINCE else BEFORE
+    linear, old = thrust_raw(1.0, platform.firmware), platform.firmware.old_thrust_map
+    if number >= OLDEST and 1 <= number[1] <= 12:
+        if number >= LINEAR_SINCE:
+            return linear
+        if number <= MEASURED_UNTIL and re.fullmatch(r"[\d.]+", release) and old is not None:
+            return old
+    since, until = _text(LINEAR_SINCE), _text(MEASURED_UNTIL)
+    releases = f"{since} or newer" if old is None else f"{since} or newer, or a release until {until}"
+    known = f"{linear:.0f} since {since}" if old is None else f"{linear:.0f} since {since}, {old:.0f} until {until}"
+    allowed = f"{releases}, by which the thrust of {platform.name} is known"
+    do = f"Set thrust_map in [radio], the command a newton: {known}. Or write newer firmware, or send vel or xyz."
+    raise ConfigError(f"{where}: firmware", release or "no release", allowed, do)
+
+
+def _text(number: tuple[int, int]) -> str:
+    """As a firmware says it."""
+    return f"{number[0]}.{number[1]:02d}"

@@ -74,12 +74,10 @@ REACHED = tuple(Rule("pose", 20.0, Action.CUT, latched=True) if r.measure == "po
 PLANS_ON_BOARD = tuple(rule for rule in REACHED if rule.measure != "link" or rule.action is not Action.BRAKE)
 """The same where its planner is on board: it goes on with its plan, and nobody could tell it to brake."""
 TOLD = ("link", "battery", "empty", "tumbled", "body", "astray", "gone")
-"""Of a drone that a radio reaches: s since its last packet; s that its battery is below LOW V, V below EMPTY; 1 if it
-lies on its back, has crashed, or is locked by its firmware; 1 if what the cameras take for it does not rise when it
-takes off; 1 if that does not move as the drone does, 2 if it may not land; m outside the limit area where a body is
-seen for some time that is not believed to be its own."""
-LOW, EMPTY = 3.2, 3.0
-"""V, of one cell under load: what the firmware calls low and critical."""
+"""Of a drone that a radio reaches: s since its last packet; s that its battery is low, and V below what is critical,
+both as the firmware of its platform has it; 1 if it lies on its back, has crashed, or is locked by its firmware; 1 if
+what the cameras take for it does not rise when it takes off; 1 if that does not move as the drone does, 2 if it may not
+land; m outside the limit area where a body is seen for some time that is not believed to be its own."""
 
 TEXT = {
     "pose": "pose {value:.2f} s old, limit {limit:.2f} s: {doing}",
@@ -89,8 +87,8 @@ TEXT = {
     "limit area": "{value:.2f} m outside the limit area, in the keep-out zone: {doing}",
     "broken": "state is not finite: {doing}",
     "link": "its radio is silent for {value:.2f} s, limit {limit:.2f} s: {doing}",
-    "battery": "battery below 3.2 V for {value:.1f} s, limit {limit:.1f} s: {doing}",
-    "empty": "battery {value:.2f} V below 3.0 V: {doing}",
+    "battery": "battery below {said} V for {value:.1f} s, limit {limit:.1f} s: {doing}",
+    "empty": "battery {value:.2f} V below {said} V: {doing}",
     "body": "its body does not rise as it takes off: another drone's, or too little thrust: {doing}",
     "astray": "{said}: {doing}",
     "gone": "its body, or another, is seen {value:.2f} m outside the limit area: {doing}",

@@ -4,9 +4,10 @@ import math
 
 from crazychoir.bus.local import Port
 from crazychoir.bus.topics import LINK
+from crazychoir.platforms import Firmware
 from crazychoir.runtime.actor import ON_FAILURE, Actor
 from crazychoir.runtime.mailbox import Latest
-from crazychoir.safety.guard import EMPTY, LOW, Guard
+from crazychoir.safety.guard import Guard
 from crazychoir.types import LinkStatus
 
 TUMBLED, LOCKED, CRASHED = 1 << 5, 1 << 6, 1 << 7
@@ -16,14 +17,15 @@ TUMBLED, LOCKED, CRASHED = 1 << 5, 1 << 6, 1 << 7
 class RadioWatch(Actor):
     """Tells the guard of one drone how its link, its battery and its attitude are, ten times a second.
 
-    source: the address that says LINK.
+    source: the address that says LINK;  firmware: of its platform, which knows when a battery is low.
     """
 
     name = "radio watch"
     restart = ON_FAILURE
 
-    def __init__(self, port: Port, source: int, guard: Guard) -> None:
+    def __init__(self, port: Port, source: int, guard: Guard, firmware: Firmware) -> None:
         self.port, self.guard, self.clock = port, guard, port.bus.clock
+        self.firmware = firmware
         self._status: Latest[LinkStatus] = Latest(self.clock, f"drone {port.address} link", LINK.max_age)
         self._low_since = math.inf
         port.bus.subscribe(LINK, source, port.address, self._status)
@@ -40,9 +42,10 @@ class RadioWatch(Actor):
             return
         now, guard = self.clock.now(), self.guard
         guard.tell("link", status.silence + self._status.age())
-        self._low_since = min(self._low_since, now) if status.battery < LOW else math.inf
-        guard.tell("battery", now - self._low_since)
-        guard.tell("empty", EMPTY - status.battery if status.battery < EMPTY else -math.inf)
+        self._low_since = min(self._low_since, now) if status.battery < self.firmware.low else math.inf
+        guard.tell("battery", now - self._low_since, f"{self.firmware.low}")
+        missing = self.firmware.critical - status.battery
+        guard.tell("empty", missing if missing > 0.0 else -math.inf, f"{self.firmware.critical}")
         guard.tell("tumbled", float(bool(status.supervisor & (TUMBLED | LOCKED | CRASHED))))
 
     def turning(self) -> bool:

@@ -20,7 +20,7 @@ from crazychoir.runtime.mailbox import Call
 from crazychoir.safety.guard import Fence, Guard
 from crazychoir.safety.modes import Mode
 from crazychoir.simulation.trace import Trace
-from crazychoir.swarm.config import default_swarm
+from crazychoir.swarm.config import SwarmConfig, default_swarm
 from crazychoir.types import Acceleration
 
 BRISK = {"takeoff_height": 0.3, "speed_limit": 2.0, "acceleration_limit": 4.0, "landing_speed": 0.6}
@@ -638,3 +638,17 @@ def test_a_restarted_agent_is_a_new_incarnation_and_the_joinable_channel_goes_on
         assert list(counts.rounds) == sorted(counts.rounds), "no round twice"
         if i != 3:
             assert len(counts.rounds) == max(counts.rounds) + 1, "nor left out"
+
+
+def test_a_drone_that_a_radio_reaches_is_watched_by_the_figures_of_its_platform():
+    drones = [
+        {"id": i, "home": [i, 0, 0], "uri": f"udp://127.0.0.1:{19850 + i}", "platform": platform}
+        for i, platform in enumerate(("cf21", "cf21bl"))
+    ]
+
+    async def main(clock):
+        config = SwarmConfig.of({"name": "a", "drones": drones, "control": {"sender": "xyz"}})
+        agent = Agent(clock, config, mission_of(stays), config.ids, alone=False)
+        return [watch.firmware.low for watch in agent._radios]
+
+    assert run_virtual(main) == [3.2, 3.35]

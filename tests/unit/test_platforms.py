@@ -30,6 +30,11 @@ def test_the_battery_can_give_full_thrust_by_the_firmwares_curve(row):
     assert c0 + c1 * v + c2 * v**2 + c3 * v**3 > 0.9 * row.firmware.thrust_max
 
 
+@pytest.mark.parametrize("row", PLATFORMS.values(), ids=lambda row: row.name)
+def test_a_battery_is_enough_to_begin_before_it_is_low_and_low_before_it_is_empty(row):
+    assert row.battery.empty <= row.firmware.critical < row.firmware.low < row.battery.begin < row.battery.full
+
+
 def test_an_unknown_platform_is_refused_by_name():
     with pytest.raises(ConfigError, match="cf21bl"):
         platform("cf22")

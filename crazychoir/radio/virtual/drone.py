@@ -2,7 +2,7 @@
 
 import logging
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from crazychoir.platforms import Platform
 from crazychoir.radio.crtp import (
@@ -109,7 +109,9 @@ class VirtualCrazyflie:
         logs, parameters = names()
         self.starts += 1
         self.power = Power()
-        self.parameters = Parameters(on, parameters, self.kept.parameters)
+        levels = {"pm.lowVoltage": on.firmware.low, "pm.criticalLowVoltage": on.firmware.critical}
+        of_platform = (replace(e, boot=levels[e.full]) if e.full in levels else e for e in parameters)
+        self.parameters = Parameters(on, tuple(of_platform), self.kept.parameters)
         for deck in me.decks:
             self.parameters.set(f"deck.{deck}", 1.0)
         self.memories = Memories(on, self.kept.memories, me.number)

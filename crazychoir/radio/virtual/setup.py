@@ -9,6 +9,7 @@ import msgspec
 
 from crazychoir.errors import ConfigError
 from crazychoir.platforms import Platform, platform
+from crazychoir.radio.thrust import MEASURED_UNTIL
 from crazychoir.radio.virtual.drone import DECKS, POSITIONING, RELEASE, device_of
 from crazychoir.radio.virtual.toc import names
 from crazychoir.simulation.crazyflies import CrazyflieWorld
@@ -20,10 +21,6 @@ from crazychoir.swarm.tables import Drone
 
 ADDRESS = 0xE7
 """Last byte of the address of drone 0; each next one has the next."""
-LINEAR_SINCE = (2025, 10)
-"""Release from which on thrust commands are linear in newtons."""
-OLD_MAP = 107_692.0
-"""Command a newton, all motors, before: of the Crazyflie 2.x, as CrazyChoir measured it (42000 for 0.39 N)."""
 HOST = "127.0.0.1"
 
 
@@ -131,11 +128,11 @@ def known_decks(text: str) -> tuple[str, ...]:
 
 
 def released(base: Platform, release: str) -> Platform:
-    """With the thrust map of a release, of a year and a month; another text: the newest."""
-    found = re.match(r"(\d{4})\.(\d{1,2})", release)
-    if not found or (int(found[1]), int(found[2])) >= LINEAR_SINCE or base.firmware.needs_arming:
+    """With the thrust map of a release, of a year and a month, if it is known; another text: the newest."""
+    found, old = re.match(r"(\d{4})\.(\d{1,2})", release), base.firmware.old_thrust_map
+    if not found or (int(found[1]), int(found[2])) > MEASURED_UNTIL or old is None:
         return base
-    return replace(base, firmware=replace(base.firmware, thrust_max=65535.0 / OLD_MAP / 4.0))
+    return replace(base, firmware=replace(base.firmware, thrust_max=65535.0 / old / 4.0))
 
 
 def groups(hall: Hall, text: str | None, each: int | None) -> list[tuple[tuple[int, ...], float | None]]:

@@ -17,9 +17,10 @@ def test_the_supervisor() -> None:
 
 
 def test_the_battery() -> None:
-    assert checks.battery_problems(3.9) == []
-    assert "3.65 V" in checks.battery_problems(3.65)[0]
-    assert checks.battery_problems(math.nan)
+    assert checks.battery_problems(3.9, 3.7) == []
+    assert checks.battery_problems(3.65, 3.7) == ["battery at 3.65 V, 3.7 V are needed to begin"]
+    assert checks.battery_problems(3.65, 3.6) == []
+    assert checks.battery_problems(math.nan, 3.7)
 
 
 def test_who_nobody_sees_must_know_where_it_is() -> None:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from crazychoir.errors import CodecError, ConfigError
-from crazychoir.platforms import CRAZYFLIE_21
+from crazychoir.platforms import CRAZYFLIE_21, PLATFORMS
 from crazychoir.radio.handlers import (
     HANDLERS,
     RadioHandlerFPQR,
@@ -120,13 +120,32 @@ def test_what_asks_for_motors_that_are_off() -> None:
 @pytest.mark.parametrize(
     ("release", "given", "value"),
     [("2025.12", None, 136531.25), ("2026.8.1 +3", None, 136531.25), ("2025.02", None, 42000 / 0.39),
-     ("2025.9", None, 42000 / 0.39), ("virtual", 120000.0, 120000.0)],
+     ("2023.11", None, 42000 / 0.39), ("virtual", 120000.0, 120000.0)],
 )  # fmt: skip
 def test_thrust_by_release(release: str, given: float | None, value: float) -> None:
-    assert command_a_newton(release, CRAZYFLIE_21.firmware, given, "drone 3") == pytest.approx(value)
+    assert command_a_newton(release, CRAZYFLIE_21, given, "drone 3") == pytest.approx(value)
+
+
+def test_thrust_by_platform() -> None:
+    newest = {name: round(command_a_newton("2025.12", row, None, "")) for name, row in PLATFORMS.items()}
+    assert newest == {"paper": 136531, "cf21": 136531, "cf21plus": 136531, "cf21thrust": 91021, "cf21bl": 81919}
+
+
+@pytest.mark.parametrize("name", ["cf21plus", "cf21thrust", "cf21bl"])
+def test_thrust_that_nobody_has_measured_is_asked_for(name: str) -> None:
+    row = PLATFORMS[name]
+    with pytest.raises(ConfigError, match=f"found 2023.11; allowed: 2025.10 or newer, by .* {name} .* Set thrust_map"):
+        command_a_newton("2023.11", row, None, "drone 3")
+    assert command_a_newton("2023.11", row, 9e4, "drone 3") == 9e4
+
+
+@pytest.mark.parametrize("release", ["2025.09", "2025.9", "2025.09 +41", "2025.02 +300", "2023.11.1 +2"])
+def test_a_build_that_may_be_linear_already_has_no_thrust(release: str) -> None:
+    with pytest.raises(ConfigError, match=r"136531 since 2025.10, 107692 until 2025.02"):
+        command_a_newton(release, CRAZYFLIE_21, None, "drone 3")
 
 
 @pytest.mark.parametrize("release", ["", "master", "1.0", "2025.13", "20255.1"])
 def test_an_unknown_release_has_no_thrust(release: str) -> None:
     with pytest.raises(ConfigError, match=r"drone 3: firmware: .* Set thrust_map"):
-        command_a_newton(release, CRAZYFLIE_21.firmware, None, "drone 3")
+        command_a_newton(release, CRAZYFLIE_21, None, "drone 3")

@@ -2,6 +2,7 @@
 
 import asyncio
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,10 +11,11 @@ from virtual_time import virtual
 
 from crazychoir.bus.local import BODIES, Bus
 from crazychoir.bus.topics import BODY
-from crazychoir.errors import LinkFailed
+from crazychoir.errors import ConfigError, LinkFailed
+from crazychoir.platforms import Battery
 from crazychoir.radio import checks
 from crazychoir.radio.contents import TableOfContents
-from crazychoir.radio.crtp import FORMS, HIGH_LEVEL, Packet
+from crazychoir.radio.crtp import FORMS, HIGH_LEVEL, PLATFORM, Packet
 from crazychoir.radio.drone import JUMPS, LOST, ORPHANED, OWN, STOPS, UNREACHED, UNSEEN, WAS_CUT, RadioDrone
 from crazychoir.radio.owner import LANDS_WITHIN, RadioProcess
 from crazychoir.runtime.mailbox import Call
@@ -214,6 +216,16 @@ async def test_why_it_may_not_take_off(clock) -> None:
 
 
 @virtual
+async def test_the_battery_that_it_needs_to_begin_is_its_platforms(clock) -> None:
+    drone, _ = made(clock)
+    tell(drone, READY | checks.FLYING)
+    drone._well["pm.vbat"] = 3.65
+    assert drone.problems() == ["battery at 3.65 V, 3.7 V are needed to begin"]
+    drone._platform = replace(drone._platform, battery=Battery(begin=3.6))
+    assert drone.problems() == []
+
+
+@virtual
 async def test_a_plan_that_is_refused_is_counted_and_a_landing_that_never_began_too(clock) -> None:
     drone, _ = made(clock)
     for name in ("go_to", "land"):
@@ -368,7 +380,7 @@ class Slow(Kept):
     def __init__(self, uri: str = "") -> None:
         super().__init__()
         self.uri, self.dongle_failure, self.failure = uri, "", ""
-        self.goes_on, self.begun = asyncio.Event(), 0
+        self.goes_on, self.begun, self.version = asyncio.Event(), 0, 12
 
     async def open(self, seconds: float, tables: float) -> None:
         """At once."""
@@ -394,6 +406,45 @@ async def test_a_cut_leaves_at_once_while_its_link_is_being_asked(clock) -> None
     drone.cut()
     assert slow.sent[0] == head("emergency_stop")
     connecting.cancel()
+
+
+class Asked(Slow):
+    """A connection to a drone on the ground, which says its release."""
+
+    def __init__(self, drone: RadioDrone, release: str = "2025.12", version: int = 12) -> None:
+        super().__init__()
+        self.drone, self.release, self.version = drone, release, version
+
+    async def log(self, name, variables, period, data, seconds) -> None:
+        self.begun += 1
+        await self.drone.clock.sleep(0.1)
+        tell(self.drone, READY)
+
+    async def ask(self, packet, answers, seconds, again) -> Packet:
+        answer = Packet(PLATFORM, 1, b"\x01" + self.release.encode())
+        assert answers(answer)
+        return answer
+
+
+@virtual
+async def test_one_whose_thrust_is_not_known_is_refused_each_time(clock) -> None:
+    drone, _ = made(clock, "fpqr")
+    drone.connection = None
+    for _ in range(3):
+        with pytest.raises(ConfigError, match=r"found 2025\.09; .* Set thrust_map"):
+            await drone._connect(Asked(drone, "2025.09"), clock.now())
+        assert drone.connection is None
+
+
+@virtual
+async def test_one_whose_protocol_is_too_old_is_asked_nothing_more(clock) -> None:
+    drone, _ = made(clock, "vel")
+    drone.connection, old = None, Asked(drone, version=8)
+    with pytest.raises(ConfigError, match=r"drone 0: protocol .* found version 8; allowed: 9 or newer") as e:
+        await drone._connect(old, clock.now())
+    assert (old.begun, drone.connection) == (0, None)
+    drone._failed(e.value, clock.now())
+    assert drone.state_of_link == "refused"
 
 
 @virtual

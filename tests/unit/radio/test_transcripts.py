@@ -54,6 +54,15 @@ def test_the_tables_have_what_programs_ask_for_once_each():
             "deck.bcFlow2", "pm.lowVoltage", "flightmode.stabModeYaw", "led.bitmask"} <= set_  # fmt: skip
 
 
+@pytest.mark.parametrize("platform", ["cf21", "cf21bl"])
+def test_when_a_battery_is_low_is_as_its_platform_has_it(platform):
+    drone = Hangar(platform).drone
+    entries = {entry.full: entry.boot for entry in drone.parameters.toc.entries}
+    low = {"cf21": 3.2, "cf21bl": 3.35}[platform]
+    assert (entries["pm.lowVoltage"], entries["pm.criticalLowVoltage"]) == (low, 3.0)
+    assert drone.parameters.read("pm.lowVoltage") == low
+
+
 def test_each_log_variable_can_be_read():
     hangar = Hangar(decks=("bcFlow2", "bcLighthouse4", "bcMultiranger")).hovering()
     values = {entry.full: hangar.log(entry.full) for entry in hangar.drone.logs.toc.entries}

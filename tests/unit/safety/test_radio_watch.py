@@ -1,12 +1,14 @@
 """What a drone that a radio reaches says of itself, as the guard is told it."""
 
 import math
+from dataclasses import replace
 
 import pytest
 from virtual_time import virtual
 
 from crazychoir.bus.local import BODIES, Bus
 from crazychoir.bus.topics import LINK
+from crazychoir.platforms import CRAZYFLIE_21, CRAZYFLIE_21_BRUSHLESS
 from crazychoir.safety.guard import PLANS_ON_BOARD, REACHED, Action, Guard
 from crazychoir.safety.radio_watch import RadioWatch
 from crazychoir.types import LinkStatus, State
@@ -15,11 +17,16 @@ HOVER = State.at((0.0, 0.0, 1.0))
 FLYING = 1 << 4
 
 
-async def judged(clock, table, seconds: float = 0.0, **said) -> Action:
-    """The verdict about a drone of which an owner says this, so many s long."""
+async def judged(clock, table, seconds: float = 0.0, platform=CRAZYFLIE_21, **said) -> Action:
+    """The worst action about a drone of which an owner says this, so many s long."""
+    return (await watched(clock, table, seconds, platform, **said))[0]
+
+
+async def watched(clock, table, seconds, platform, **said) -> tuple[Action, str]:
+    """The same, and why it may not fly again."""
     bus = Bus(clock)
     owner, port, guard = bus.port(BODIES + 3), bus.port(3), Guard(table=table)
-    watch = RadioWatch(port, BODIES + 3, guard)
+    watch = RadioWatch(port, BODIES + 3, guard, platform.firmware)
     action = Action.NOMINAL
     for _ in range(1 + round(seconds / 0.1)):
         status = LinkStatus("up", **({"silence": 0.02, "battery": 3.9, "supervisor": FLYING} | said))
@@ -27,7 +34,7 @@ async def judged(clock, table, seconds: float = 0.0, **said) -> Action:
         await clock.sleep(0.1)
         watch.look()
         action = max(action, guard.check(clock.now(), HOVER, 0.01).action)
-    return action
+    return action, guard.latched
 
 
 @pytest.mark.parametrize("table", [REACHED, PLANS_ON_BOARD])
@@ -46,3 +53,14 @@ def test_what_it_says_and_what_follows(table) -> None:
         assert await judged(clock, table, silence=4.1) is Action.LAND
 
     check()
+
+
+@virtual
+async def test_a_battery_is_low_when_the_firmware_of_its_platform_says_so(clock) -> None:
+    assert await watched(clock, REACHED, 6.0, CRAZYFLIE_21, battery=3.3) == (Action.NOMINAL, "")
+    action, reason = await watched(clock, REACHED, 6.0, CRAZYFLIE_21_BRUSHLESS, battery=3.3)
+    assert (action, reason[:26]) == (Action.LAND, "battery below 3.35 V for 5")
+    action, reason = await watched(clock, REACHED, 6.0, CRAZYFLIE_21, battery=3.1)
+    assert (action, reason[:25]) == (Action.LAND, "battery below 3.2 V for 5")
+    own = replace(CRAZYFLIE_21, firmware=replace(CRAZYFLIE_21.firmware, critical=3.12))
+    assert (await watched(clock, REACHED, 0.0, own, battery=3.1))[1].startswith("battery 0.02 V below 3.12 V: landing")
