@@ -26,7 +26,7 @@ from crazychoir.radio.dongles import DongleFailed
 from crazychoir.radio.firmware import Firmware
 from crazychoir.radio.handlers import HANDLERS, RadioHandler, emergency, idles, pose_packet, position_packet
 from crazychoir.radio.protocol import check_protocol
-from crazychoir.radio.sights import MOTION, RATE, Sights, TakeOff
+from crazychoir.radio.sights import RATE, Sights, TakeOff
 from crazychoir.radio.thrust import command_a_newton
 from crazychoir.radio.uptime import Uptime
 from crazychoir.runtime.actor import ON_FAILURE, Actor
@@ -37,6 +37,7 @@ from crazychoir.safety.pose_gate import PoseGate
 from crazychoir.safety.tracking import Standing, before_arming
 from crazychoir.simulation.telemetry import check_period
 from crazychoir.swarm.config import SwarmConfig
+from crazychoir.swarm.radios import MOTION, SPREADS
 from crazychoir.types import XYZ, Body, Command, LinkStatus, Pose, State, Vec
 
 log = logging.getLogger(__name__)
@@ -239,7 +240,7 @@ class RadioDrone(Actor):
         self._logs_ns = self.clock.now_ns()
         await connection.log("own", (*OWN, *WELL), period, self._take_own, seconds)
         if not self.seen_by_cameras:
-            await connection.log("spread", SPREAD, 0.1, self._take_spread, seconds)
+            await connection.log("spread", SPREAD, 1.0 / SPREADS, self._take_spread, seconds)
 
     async def _begin_logs_again(self, connection: Connection) -> None:
         """It says nothing of itself any more, whatever blocks it has."""

@@ -13,8 +13,6 @@ from crazychoir.types import Body, Pose
 
 RATE = 50.0
 """Hz, at which bodies are looked at, and not their drones told of it."""
-MOTION = 20.0
-"""Hz, at least, at which a drone that cameras see says how it is tilted."""
 OLD = 0.2
 """s, there and back, from which on what a drone says of itself is too old to be compared."""
 

@@ -155,6 +155,26 @@ class CrazyflieWorld(MotorWorld):
             self.onboard[i].external_pose(pose.p, pose.q)
 
     @property
+    def failed(self) -> dict[int, str]:
+        """Drones of which something is no number any more, and what: no step mends that."""
+        parts = {
+            "the requests to its motors": self._firmware["request"],
+            "the commands of its motors": self._firmware["motors"],
+            "the state of its body": self.states,
+        }
+        return {
+            self.ids[row]: f"{part}: found {numbers[row].tolist()}; allowed: finite numbers"
+            for part, numbers in parts.items()
+            for row in np.flatnonzero(~np.isfinite(numbers).all(axis=1)).tolist()
+        }
+
+    def restore(self, i: int) -> None:
+        """As a MotorWorld does; its firmware is another's business."""
+        super().restore(i)
+        row = self.row[i]
+        self._firmware["vbat"][row] = self._firmware["vbat_low"][row] = self.vbat(i)
+
+    @property
     def variables(self) -> Iterable[str]:
         """What its drones log."""
         return TABLE

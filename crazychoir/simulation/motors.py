@@ -34,7 +34,7 @@ from crazychoir.simulation.truth import Truth
 # isort: off
 from crazychoir.simulation.lanes import (
     ACCX, ACCY, ACCZ, AIRX, AIRY, AIRZ, ALIVE1, ALIVE2, ALIVE3, ALIVE4, BIAS1, CHARGE, F1, FREE, GYROX, GYROY, GYROZ,
-    LANES, N1, S1, SIZE, SX, VOLTAGE, Blocks, block_fields, blocks, constants, give, in_lanes, take,
+    LANES, LIFT, N1, S1, SIZE, SX, VOLTAGE, Blocks, block_fields, blocks, constants, give, in_lanes, take,
 )  # fmt: skip
 # isort: on
 
@@ -141,6 +141,7 @@ class MotorWorld(Truth):
         self._lanes = self._blocks.view(block_fields)[:, 0]
         self._fill(seed, sensors, ground_effect, charge)
         self._run(0, 0)
+        self._began = self._blocks.copy()
 
     def _keys(self, seed: int, use: int) -> Keys:
         """(blocks, LANES) the keys of the drones' streams; the last drone's where a lane is empty."""
@@ -198,6 +199,14 @@ class MotorWorld(Truth):
         """Another battery for drone i, so full: 0 to 1."""
         block, lane = divmod(self.row[i], LANES)
         self._blocks[block, CHARGE + lane] = charge
+
+    def restore(self, i: int) -> None:
+        """Put drone i back where it began, as it was then, whatever has become of it; the others fly on."""
+        row, (block, lane) = self.row[i], divmod(self.row[i], LANES)
+        began = self._began[block, lane::LANES]
+        self._blocks[block, lane::LANES] = began
+        self.states[row], self.commands[row] = began[:13], 0.0
+        self._resting[row], self.impact[row], self._lift[row] = 1.0 - self._of(i, FREE), 0.0, self._of(i, LIFT)
 
     def vbat(self, i: int) -> float:
         """V at the poles of drone i's battery, under load; 0 when it is empty."""

@@ -135,6 +135,8 @@ def _radio_hosts(swarm: Swarm, where: str) -> None:
 
 PINGS, PLANS, OTHERS = 10.0, 10.0, 2.0
 """Packets a second and drone: echoes, lines of the planner on board, and what else is asked."""
+MOTION, SPREADS = 20.0, 10.0
+"""Hz at which drones speak of themselves: at least, how one is tilted that cameras see; how sure another is."""
 ALONE = 1000.0
 """Packets a second of a dongle that never changes its channel and address: users of cflib, not measured here."""
 LEAST = {"fpqr": 50.0, "frpy": 30.0, "vel": 10.0, "fullstate": 20.0}
@@ -151,17 +153,19 @@ def capacity_of(swarm: Swarm, dongle: int) -> float:
 def carried(swarm: Swarm, dongle: int, senders: Mapping[int, str]) -> float:
     """Hz of set-points of each drone that a dongle reaches, of those that are streamed any.
 
-    senders: by drone, what it is sent. What drones say rides on the acknowledgements of what they are told.
-    Raises ConfigError, with the numbers, where the dongle does not carry them.
+    senders: by drone, what it is sent. What drones say rides on the acknowledgements of what they are told, one packet
+    each: what they say must fit, too. Raises ConfigError, with the numbers, where the dongle does not carry either.
     """
     radio, ids, capacity = swarm.radio, dongles(swarm)[dongle], capacity_of(swarm, dongle)
+    _check_said(swarm, dongle, senders)
     streamed = [i for i in ids if senders[i] in LEAST]
     poses = radio.pose_rate if all(_told(swarm, i) for i in ids) else max(radio.pose_rate, radio.log_rate)
     beside = len(ids) * (poses + PINGS + OTHERS) + PLANS * (len(ids) - len(streamed))
     least = max((LEAST[senders[i]] for i in streamed), default=0.0)
     spare = (PLANNED * capacity - beside) / len(streamed) if streamed else 0.0
     rate = radio.command_rate or min(math.floor(spare), MOST_COMMANDS)
-    if rate >= least and beside + rate * len(streamed) <= capacity:
+    most = capacity if streamed else PLANNED * capacity
+    if rate >= least and beside + rate * len(streamed) <= most:
         return rate
     asked = max(rate, least)
     kinds = ", ".join(sorted({senders[i] for i in ids}))
@@ -169,9 +173,32 @@ def carried(swarm: Swarm, dongle: int, senders: Mapping[int, str]) -> float:
     sums = f"{len(streamed)} x {asked:g} set-points, " if streamed else ""
     each = f"{len(ids)} x {poses + PINGS + OTHERS:g} poses, echoes and requests"
     plans = f", {len(ids) - len(streamed)} x {PLANS:g} plans" if len(streamed) < len(ids) else ""
-    room = f"it carries {capacity:g}" + (f", {max(spare, 0.0):.0f} set-points a second and drone" if streamed else "")
+    spared = f"{max(spare, 0.0):.0f} set-points a second and drone" if streamed else _spared(capacity)
+    room = f"it carries {capacity:g}, {spared}"
     do = "Use more dongles, send xyz or a lower command_rate ([radio]), or measure its capacity."
     raise ConfigError(f"dongle {dongle}", found, room, do, f"{sums}{each}{plans}")
+
+
+def _check_said(swarm: Swarm, dongle: int, senders: Mapping[int, str]) -> None:
+    """Raise ConfigError where what the drones of a dongle say would grow old on board, and answers with it."""
+    ids, log_rate = dongles(swarm)[dongle], swarm.radio.log_rate
+    logs = sum(max(log_rate, MOTION) if _told(swarm, i) else log_rate + SPREADS for i in ids)
+    plans = sum(senders[i] not in LEAST for i in ids)
+    said, carries = logs + len(ids) * (PINGS + OTHERS) + plans * PLANS, capacity_of(swarm, dongle)
+    if said <= PLANNED * carries:
+        return
+    kinds = ", ".join(sorted({senders[i] for i in ids}))
+    found = f"drones {', '.join(map(str, ids))} ({kinds}) say {said:g} packets a second"
+    answers = f"{len(ids)} x {PINGS + OTHERS:g} echoes and answers"
+    answers += f", {plans} x {PLANS:g} to plans" if plans else ""
+    room = f"it carries {carries:g}, {_spared(carries)}"
+    less = "a lower log_rate ([radio]), " if log_rate > MOTION or not all(_told(swarm, i) for i in ids) else ""
+    do = f"Use more dongles, {less}or measure its capacity."
+    raise ConfigError(f"dongle {dongle}", found, room, do, f"{logs:g} logs, {answers}")
+
+
+def _spared(capacity: float) -> str:
+    return f"{PLANNED * capacity:g} with room to spare"
 
 
 def _told(swarm: Swarm, i: int) -> bool:

@@ -35,15 +35,15 @@ def _land(on: Onboard, group: int, height: float, yaw: float, keep: bool, durati
 
 
 def _rise(on: Onboard, group: int, height: float, relative: bool, yaw: float, keep: bool, speed: float) -> int:
-    here, fast = _height(on), speed if speed > 0.0 else on.get("hlCommander.vtoff")
+    here = _height(on)
     goal = here + height if relative else height
-    return on.take_off(goal, abs(goal - here) / fast, None if keep else yaw)
+    return on.take_off(goal, abs(goal - here) / speed if speed > 0.0 else None, None if keep else yaw)
 
 
 def _sink(on: Onboard, group: int, height: float, relative: bool, yaw: float, keep: bool, speed: float) -> int:
-    here, fast = _height(on), speed if speed > 0.0 else on.get("hlCommander.vland")
+    here = _height(on)
     goal = here - height if relative else height
-    return on.land(goal, abs(goal - here) / fast, None if keep else yaw)
+    return on.land(goal, abs(goal - here) / speed if speed > 0.0 else None, None if keep else yaw)
 
 
 def _height(on: Onboard) -> float:

@@ -137,6 +137,10 @@ class VirtualCrazyflie:
             log.warning("%s: reset: %s", self.identity.name, why)
             self.say("SYS: The system resumed after a failed assert [WARNING]\n")
 
+    def _fail(self, where: str, error: Exception) -> None:
+        log.error("%s: %s: %s: %s", self.identity.name, where, type(error).__name__, error, exc_info=error)
+        self.restart(f"{where} has failed")
+
     def refuse_arming(self, refuses: bool) -> None:
         """Whether checks before flight fail; a drone that flies goes on."""
         self.flight.refuses = refuses
@@ -156,6 +160,9 @@ class VirtualCrazyflie:
                 yield answer
         except Assertion as error:
             self.restart(str(error))
+            return
+        except Exception as error:  # noqa: BLE001 - what one drone cannot bear must not end the others
+            self._fail(f"a packet of port {packet.port}, channel {packet.channel}", error)
             return
         if self.parameters.read("system.doAssert"):
             self.restart("the parameter system.doAssert")
@@ -179,6 +186,14 @@ class VirtualCrazyflie:
 
     def pass_time(self) -> Iterator[Packet]:
         """What it says by itself as far as its model has been stepped."""
+        try:
+            for packet in self._says():
+                self.sent += 1
+                yield packet
+        except Exception as error:  # noqa: BLE001 - what one drone cannot say must not end the others
+            self._fail("what it says by itself", error)
+
+    def _says(self) -> Iterator[Packet]:
         now = self.uptime
         self._watch(now)
         if self.booting:
@@ -186,11 +201,8 @@ class VirtualCrazyflie:
         if self.logs.running and now - self._heard > SILENCE:
             self.logs.blocks.clear()
         said, self._said = self._said, []
-        self.sent += len(said)
         yield from said
-        for packet in self.logs.due(now):
-            self.sent += 1
-            yield packet
+        yield from self.logs.due(now)
 
     def _watch(self, now: int) -> None:
         """The battery at each look, the rates of packets once a second."""

@@ -1,11 +1,13 @@
 """Port 5: log blocks of a virtual drone, which send what they hold by the drone's own clock."""
 
+import math
 import struct
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
 from crazychoir.radio.crtp import LOG, Packet
 from crazychoir.radio.virtual.toc import LETTERS, LOG_TYPES, Entry, Toc
+from crazychoir.simulation.onboard.logs import whole
 
 TOC, SETTINGS, DATA = range(3)
 """Channels."""
@@ -19,6 +21,8 @@ LETTER = {LOG_TYPES[kind]: letter for kind, letter in LETTERS.items()} | {8: "e"
 """By type; the last is a float of 16 bits, as which a client may ask for a variable."""
 HALF_FLOAT = 65504.0
 """The largest number of a float of 16 bits."""
+FLOAT = 3.4028234e38
+"""That of one of 32 bits, and a little less."""
 Read = Callable[[str], float]
 
 
@@ -133,11 +137,11 @@ def _wanted(rest: bytes) -> Iterator[tuple[int, int]]:
 
 
 def value_of(letter: str, value: float) -> bytes:
-    """A value as it travels: whole numbers at the ends of their range stay there."""
+    """A value as it travels: whole numbers at the ends of their range stay there; 0 where it has none for it."""
     if letter == "e":
         return struct.pack("<e", min(max(value, -HALF_FLOAT), HALF_FLOAT))
     if letter == "f":
-        return struct.pack("<f", value)
+        return struct.pack("<f", value if abs(value) <= FLOAT or not math.isfinite(value) else 0.0)
     bits = 8 * struct.calcsize(letter)
     low, high = (-(1 << bits - 1), (1 << bits - 1) - 1) if letter.islower() else (0, (1 << bits) - 1)
-    return int(min(max(int(value), low), high)).to_bytes(bits // 8, "little", signed=letter.islower())
+    return whole(value, low, high).to_bytes(bits // 8, "little", signed=letter.islower())

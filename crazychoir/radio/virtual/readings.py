@@ -4,6 +4,8 @@ import math
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
+import numpy as np
+
 from crazychoir.math3d import GRAVITY
 from crazychoir.radio.compressed import compressed
 from crazychoir.radio.virtual.flight import Flight
@@ -86,7 +88,7 @@ def _sensed(me: Parts) -> Readings:
     on = me.onboard
     return {
         "baro.asl": lambda: on.estimate.p[2],
-        "baro.pressure": lambda: 1013.25 * (1.0 - 2.25577e-5 * on.estimate.p[2]) ** 5.25588,
+        "baro.pressure": lambda: 1013.25 * max(1.0 - 2.25577e-5 * on.estimate.p[2], 0.0) ** 5.25588,
         "baro.temp": lambda: 25.0,
         "supervisor.accNorm": lambda: math.hypot(on.log("acc.x"), on.log("acc.y"), on.log("acc.z")),
         "sys.testLogParam": lambda: me.parameters.read("system.testLogParam"),
@@ -98,6 +100,10 @@ def _sensed(me: Parts) -> Readings:
 def _thought(me: Parts) -> Readings:
     log = me.onboard.log
 
+    def turned() -> float:
+        q = me.onboard.estimate.q
+        return float(compressed(q)) if np.all(np.isfinite(q)) else 0.0
+
     def scaled(name: str, factor: float) -> Callable[[], float]:
         return lambda: factor * log(name)
 
@@ -105,7 +111,7 @@ def _thought(me: Parts) -> Readings:
     rates = {"Roll": "x", "Pitch": "y", "Yaw": "z"}
     degree = math.pi / 180.0
     return {
-        "stateEstimateZ.quat": lambda: float(compressed(me.onboard.estimate.q)),
+        "stateEstimateZ.quat": turned,
         **{f"stateEstimateZ.rate{name}": scaled(f"gyro.{axis}", 1000.0 * degree) for name, axis in rates.items()},
         **{f"ctrltargetZ.{name}": scaled(f"ctrltarget.{name}", 1000.0) for name in axes},
         "controller.actuatorThrust": scaled("controller.cmd_thrust", 1.0),

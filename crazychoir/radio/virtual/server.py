@@ -104,6 +104,7 @@ class VirtualServer(Actor):
         if self.world.tick % DECK_EVERY == 0:
             self._look_around()
         self.world.step()
+        self._start_anew()
         for port in self.ports.values():
             port.look()
             for packet in port.drone.pass_time():
@@ -118,6 +119,14 @@ class VirtualServer(Actor):
                 overturn(self.world.states[self.world.row[i]])
             if fault.voltage > 0.0:
                 self.world.charge_to(i, charge_of(fault.voltage, self.world.platforms[self.world.row[i]].battery))
+
+    def _start_anew(self) -> None:
+        """Reset drones whose model has failed, and no others; one whose body is nowhere stands at home then."""
+        for i, why in self.world.failed.items():
+            if not np.all(np.isfinite(self.world.states[self.world.row[i]])):
+                self.world.restore(i)
+                self._put(i, "motor", self.faults[i].motor)
+            self.ports[i].drone.restart(why)
 
     def _look_around(self) -> None:
         """What decks see is told to the estimator: where it is by the lighthouses, how fast it is by the flow below."""

@@ -1,12 +1,14 @@
 """The firmware's log variables by name, in its units; pitch positive nose up."""
 
 import difflib
+import math
 from collections.abc import Callable
 
 from crazychoir.errors import ConfigError
 from crazychoir.math3d import GRAVITY
 from crazychoir.simulation.onboard import supervisor
 from crazychoir.simulation.onboard.record import Fleet, entries
+from crazychoir.simulation.onboard.units import FULL
 
 Read = Callable[[Fleet, int], float]
 
@@ -19,13 +21,18 @@ def _field(name: str, factor: float = 1.0) -> Read:
     return lambda rows, i: float(rows[name][i]) * factor
 
 
+def whole(value: float, low: float, high: float) -> int:
+    """Cut to an integer, at the ends of a range where it is beyond them; 0 for what is not a number."""
+    return 0 if math.isnan(value) else int(min(max(value, low), high))
+
+
 def _whole(name: str, factor: float = 1.0) -> Read:
     """As a 16-bit integer of thousandths."""
-    return lambda rows, i: float(int(max(min(float(rows[name][i]) * factor, 32767.0), -32768.0)))
+    return lambda rows, i: float(whole(float(rows[name][i]) * factor, -32768.0, 32767.0))
 
 
 def _motor(k: int) -> Read:
-    return lambda rows, i: float(int(rows["request"][i, k]))
+    return lambda rows, i: float(whole(float(rows["request"][i, k]), 0.0, FULL))
 
 
 AXES = ("x", "y", "z")

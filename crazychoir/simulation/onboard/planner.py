@@ -27,6 +27,10 @@ IDLE, FLYING, LANDING, DISABLED = 0, 1, 2, 3
 OK, REFUSED, UNKNOWN, BUSY = 0, 1, 8, 16
 """Answers: done; not in this state; no such trajectory; the supervisor does not let it fly."""
 SECONDS = F(1e-3)
+SHORTEST, LONGEST = F(1e-3), F(1e5)
+"""s that a plan takes which is not at its end at once, chosen: beyond them the powers of degree 7 leave 32 bits."""
+MOST = F(1e18)
+"""m, rad and their derivatives, chosen: what a plan asks for stays below it, so that nobody who follows overflows."""
 
 
 @kernel()
@@ -36,9 +40,9 @@ def _now(fw: Record) -> Single:
 
 
 @kernel()
-def _memory_piece(fw: Record, k: int) -> Single:
-    """Piece k of the trajectory that is flown."""
-    start = fw.planner.offset[fw.planner.slot] + k * PIECE
+def _memory_piece(fw: Record, slot: int, k: int) -> Single:
+    """Piece k of an uploaded trajectory."""
+    start = fw.planner.offset[slot] + k * PIECE
     return fw.memory[start : start + PIECE]
 
 
@@ -49,7 +53,7 @@ def _count(fw: Record) -> int:
 
 @kernel()
 def _piece(fw: Record, k: int) -> Single:
-    return _memory_piece(fw, k) if fw.planner.slot >= 0 else fw.planner.piece[0:PIECE]
+    return _memory_piece(fw, fw.planner.slot, k) if fw.planner.slot >= 0 else fw.planner.piece[0:PIECE]
 
 
 @kernel()
@@ -208,9 +212,43 @@ def stop(fleet: Fleet, i: int) -> None:
 
 
 @kernel()
+def _lasts(t: Single) -> bool:
+    """Can a plan take t s?"""
+    can: bool = SHORTEST <= t <= LONGEST
+    return can
+
+
+@kernel()
+def _bounded(c: Single, timescale: Single) -> bool:
+    """Do a piece and its derivatives stay below MOST? sum |c_n| T^n is a bound of them all."""
+    bound, out = np.empty(PIECE, np.float32), np.empty(16, np.float32)
+    for n in range(PIECE):
+        bound[n] = abs(c[n])
+    evaluate(bound, duration(bound), out)
+    scale = ONE
+    for order in range(0, 16, 4):
+        for axis in range(AXES):
+            if not out[order + axis] < MOST * scale:
+                return False
+        scale *= timescale
+    return True
+
+
+@kernel()
 def _start(fw: Record, state: int) -> None:
     plan = fw.planner
     plan.state, plan.begin, plan.slot, plan.timescale, plan.reversed = state, _now(fw), -1, ONE, 0
+
+
+@kernel()
+def _fly(fw: Record, state: int, piece: Single) -> int:
+    """Begin with one piece; chosen: 1 where no drone can follow it, and what was flown goes on."""
+    t = duration(piece)
+    if not ((t == ZERO or _lasts(t)) and _bounded(piece, ONE)):
+        return REFUSED
+    fw.planner.piece[0:PIECE] = piece
+    _start(fw, state)
+    return OK
 
 
 @kernel()
@@ -226,25 +264,27 @@ def _here(fw: Record) -> None:
 
 
 @kernel()
-def _to(fw: Record, axis: int, t: Single, goal: Single, end_v: Single, start_v: Single, start_a: Single) -> None:
+def _to(
+    fw: Record, piece: Single, axis: int, t: Single, goal: Single, end_v: Single, start_v: Single, start_a: Single
+) -> None:
     start, end = np.zeros(3, np.float32), np.zeros(3, np.float32)
     start[0], start[1], start[2] = fw.planner.out[P + axis], start_v, start_a
     end[0], end[1] = goal, end_v
-    connect(fw.planner.piece, axis, t, start, end)
+    connect(piece, axis, t, start, end)
 
 
 @kernel()
-def _vertical(fw: Record, state: int, height: float, t: float, yaw: float, keep_yaw: float) -> None:
+def _vertical(fw: Record, state: int, height: float, t: float, yaw: float, keep_yaw: float) -> int:
     """From the last set-point, at rest, to the height above the same place."""
-    plan = fw.planner
+    plan, piece = fw.planner, np.zeros(PIECE, np.float32)
     for axis in range(AXES):
         plan.out[P + axis] = plan.last[axis]
     for axis in range(3):
-        _to(fw, axis, F(t), F(height) if axis == 2 else plan.last[axis], ZERO, ZERO, ZERO)
+        _to(fw, piece, axis, F(t), F(height) if axis == 2 else plan.last[axis], ZERO, ZERO, ZERO)
     heading = plan.last[3] if keep_yaw > 0.0 else short_way(plan.last[3], F(yaw))
-    _to(fw, 3, F(t), heading, ZERO, ZERO, ZERO)
-    plan.piece[PIECE - 1] = F(max(t, 0.0))
-    _start(fw, state)
+    _to(fw, piece, 3, F(t), heading, ZERO, ZERO, ZERO)
+    piece[PIECE - 1] = F(max(t, 0.0))
+    return _fly(fw, state, piece)
 
 
 @kernel(rows, whole, real, real, real, real)
@@ -254,8 +294,7 @@ def take_off(fleet: Fleet, i: int, height: float, t: float, yaw: float, keep_yaw
     if fw.planner.state != IDLE:
         return REFUSED
     speed = max(fw.planner.take_off_speed, 1e-3)
-    _vertical(fw, FLYING, height, t if t >= 0.0 else abs(height - fw.planner.last[2]) / speed, yaw, keep_yaw)
-    return OK
+    return _vertical(fw, FLYING, height, t if t >= 0.0 else abs(height - fw.planner.last[2]) / speed, yaw, keep_yaw)
 
 
 @kernel(rows, whole, real, real, real, real)
@@ -265,8 +304,7 @@ def land(fleet: Fleet, i: int, height: float, t: float, yaw: float, keep_yaw: fl
     if fw.planner.state == IDLE or fw.planner.state == LANDING:
         return REFUSED
     speed = max(fw.planner.landing_speed, 1e-3)
-    _vertical(fw, LANDING, height, t if t >= 0.0 else abs(height - fw.planner.last[2]) / speed, yaw, keep_yaw)
-    return OK
+    return _vertical(fw, LANDING, height, t if t >= 0.0 else abs(height - fw.planner.last[2]) / speed, yaw, keep_yaw)
 
 
 @kernel(rows, whole, real, real, real, real, real, real, real)
@@ -279,7 +317,7 @@ def go_to(
     """
     fw = fleet[i]
     _here(fw)
-    out = fw.planner.out
+    out, piece = fw.planner.out, np.zeros(PIECE, np.float32)
     for axis in range(AXES):
         goal = F((x, y, z, yaw)[axis])
         if relative > 0.0:
@@ -288,12 +326,11 @@ def go_to(
             goal = short_way(out[P + 3], goal)
         if linear > 0.0 and t > 0.0:
             v = (goal - out[P + axis]) / F(t)
-            _to(fw, axis, F(t), goal, v, v, ZERO)
+            _to(fw, piece, axis, F(t), goal, v, v, ZERO)
         else:
-            _to(fw, axis, F(t), goal, ZERO, out[V + axis], out[A + axis])
-    fw.planner.piece[PIECE - 1] = F(max(t, 0.0))
-    _start(fw, FLYING)
-    return OK
+            _to(fw, piece, axis, F(t), goal, ZERO, out[V + axis], out[A + axis])
+    piece[PIECE - 1] = F(max(t, 0.0))
+    return _fly(fw, FLYING, piece)
 
 
 @kernel(rows, whole, real, real, real, real, real, real, real)
@@ -308,7 +345,7 @@ def spiral(
     """
     fw = fleet[i]
     _here(fw)
-    out = fw.planner.out
+    out, piece = fw.planner.out, np.zeros(PIECE, np.float32)
     turn = -abs(angle) if clockwise > 0.0 else abs(angle)
     yaw = float(out[P + 3])
     towards = yaw if sideways > 0.0 else yaw + math.copysign(0.5 * math.pi, turn)
@@ -325,21 +362,33 @@ def spiral(
             n = math.cos(phi) if axis else -math.sin(phi)
             row = end if stage else start
             row[0], row[1], row[2] = F(centre + r * u), F(dr * u + r * w * n), F(2.0 * dr * w * n - r * w * w * u)
-        connect(fw.planner.piece, axis, F(span), start, end)
+        connect(piece, axis, F(span), start, end)
     for axis in range(2, 4):
         gap = F(climb) if axis == 2 else F(turn)
         speed = gap / F(span)
-        _to(fw, axis, F(span), out[P + axis] + gap, speed, speed, ZERO)
-    fw.planner.piece[PIECE - 1] = F(span)
-    _start(fw, FLYING)
-    return OK
+        _to(fw, piece, axis, F(span), out[P + axis] + gap, speed, speed, ZERO)
+    piece[PIECE - 1] = F(span)
+    return _fly(fw, FLYING, piece)
+
+
+@kernel()
+def _possible(fw: Record, k: int, timescale: Single) -> bool:
+    """Can a drone follow the pieces of slot k, so many times as slow? Who uploads them may write anything."""
+    total = ZERO
+    for n in range(fw.planner.pieces[k]):
+        c = _memory_piece(fw, k, n)
+        t = duration(c)
+        if not (ZERO <= t <= LONGEST and _bounded(c, timescale)):
+            return False
+        total += t * timescale
+    return _lasts(total)
 
 
 @kernel(rows, whole, real, real, real, real, real)
 def start_trajectory(
     fleet: Fleet, i: int, slot: float, timescale: float, relative: float, relative_yaw: float, backwards: float
 ) -> int:
-    """Fly an uploaded trajectory; 8 where there is none.
+    """Fly an uploaded trajectory; 8 where there is none, and, chosen, 1 where no drone can follow it.
 
     relative: shifted to the present set-point;  relative_yaw: turned to its heading about its start (chosen).
     """
@@ -347,6 +396,8 @@ def start_trajectory(
     plan, k = fw.planner, int(slot)
     if k < 0 or k >= TRAJECTORIES or plan.pieces[k] == 0 or not timescale > 0.0:
         return UNKNOWN
+    if not _possible(fw, k, F(timescale)):
+        return REFUSED
     _here(fw)
     here = plan.out[0:4].copy()
     _start(fw, FLYING)

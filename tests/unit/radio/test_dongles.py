@@ -5,8 +5,14 @@ from types import SimpleNamespace
 import pytest
 from virtual_time import virtual
 
+from crazychoir.errors import ConfigError
+from crazychoir.radio.budget import rates
+from crazychoir.radio.checks import link_problems
 from crazychoir.radio.virtual.air import ALONE, CAPACITY, DOWN, UP, Air, Dongle
 from crazychoir.radio.virtual.faults import Faults
+from crazychoir.runtime.clock import SECOND
+from crazychoir.swarm.config import SwarmConfig
+from crazychoir.swarm.radios import MOTION, OTHERS, PINGS, PLANS
 
 MS = 1_000_000
 
@@ -51,6 +57,39 @@ async def test_drones_take_turns_whatever_one_of_them_asks_for(clock):
     await clock.sleep(1.0)
     assert came[:4] in ([0, 1, 2, 0], [0, 0, 1, 2])
     assert len(came) == 22
+
+
+def _speak(clock, dongle, seconds):
+    """Let its drones be told and say what those do that are sent places; s there and back, as asked, 95 of 100."""
+    trips = []
+
+    def ask(i):
+        began = clock.now()
+        dongle.up(i, lambda: dongle.down(i, lambda: trips.append(clock.now() - began)))
+
+    for i in dongle.drones:
+        told = (10.0, lambda i: dongle.up(i, list))
+        said = (MOTION, lambda i: dongle.down(i, list))
+        for row, (rate, flow) in enumerate([(PINGS + PLANS + OTHERS, ask), told, said]):
+            for k in range(round(rate * seconds)):
+                clock.call_at(clock.now_ns() + round((k + 0.37 * i + 0.29 * row) / rate * SECOND), flow, i)
+    return lambda: sorted(trips)[round(0.95 * len(trips)) - 1]
+
+
+@virtual
+async def test_what_the_budget_lets_pass_comes_in_time_and_what_it_refuses_does_not(clock):
+    at_home = [f'[[drones]]\nid = {i}\nhome = [0, {i - 3}, 0]\nuri = "udp://127.0.0.1:{19850 + i}"\n' for i in range(7)]
+    latencies = {n: _speak(clock, Dongle(clock, range(n)), 20.0) for n in (5, 7)}
+    await clock.sleep(25.0)
+    for n, latency in latencies.items():
+        config = SwarmConfig.loads('name = "x"\n[control]\nsender = "xyz"\n' + "".join(at_home[:n]), "x.toml")
+        if n == 5:
+            assert rates(config) == {0: 0.0}
+            assert link_problems(latency(), 1.0) == []
+        else:
+            with pytest.raises(ConfigError, match="say 294 packets a second"):
+                rates(config)
+            assert "there and back" in link_problems(latency(), 1.0)[0]
 
 
 def test_a_late_computer_takes_no_time_of_the_radio():

@@ -24,6 +24,13 @@ def test_it_rises_and_sinks_at_a_speed():
     assert _wanted(hangar)[2] == pytest.approx(0.45, abs=0.02)
 
 
+def test_a_speed_of_nothing_is_a_speed_all_the_same():
+    hangar = Hangar().run(0.5)
+    hangar.drone.parameters.set("hlCommander.vtoff", 0.0)
+    (reply,) = hangar.send("take_off_with_velocity", 0, 0.6, False, 0.0, True, 0.0)
+    assert (reply.data[3], hangar.drone.starts) == (0, 1)
+
+
 def test_a_go_to_of_older_programs():
     hangar = Hangar().hovering()
     (reply,) = hangar.send("go_to_legacy", 0, 1, 0.3, 0.0, 0.1, 0.0, 1.0)

@@ -1,6 +1,8 @@
 """What a virtual Crazyflie answers, byte by byte: a conversation a port, with a drone of its own."""
 
+import math
 import re
+import struct
 from itertools import pairwise
 
 import pytest
@@ -8,6 +10,7 @@ from transcripts import ALL
 from virtual_drones import Hangar
 
 from crazychoir.radio.crtp import LOG, PARAM, Packet, parse
+from crazychoir.radio.virtual.logs import value_of
 
 
 def _matches(pattern, reply):
@@ -99,11 +102,27 @@ def test_a_log_block_comes_by_the_drones_clock_and_once_if_it_has_no_period():
 
 
 def test_a_half_float_too_large_stays_at_the_end_of_its_range():
-    from crazychoir.radio.virtual.logs import value_of
-
     assert value_of("e", 1e9) == value_of("e", 65504.0)
     assert value_of("H", 70000.0) == b"\xff\xff"
     assert value_of("h", -70000.0) == b"\x00\x80"
+    assert [value_of("b", math.inf), value_of("I", -math.inf)] == [b"\x7f", bytes(4)]
+    assert [value_of("i", math.nan), value_of("f", 1e39)] == [bytes(4), bytes(4)]
+    assert all(math.isnan(struct.unpack("<" + letter, value_of(letter, math.nan))[0]) for letter in "ef")
+
+
+def test_each_log_variable_of_a_broken_drone_is_sent():
+    hangar = Hangar(decks=("bcFlow2", "bcMultiranger")).hovering()
+    record = hangar.onboard.record
+    for wrong in (math.nan, math.inf, -math.inf, 1e300):
+        for name in record.dtype.names:
+            if record.dtype[name].kind == "f":
+                record[name] = wrong
+        for part, names in (("wanted", ("x", "vx", "ax", "thrust")), ("request", range(4))):
+            for name in names:
+                record[part][name] = wrong
+        for entry in hangar.drone.logs.toc.entries:
+            for letter in "bBhHiIef":
+                assert len(value_of(letter, hangar.log(entry.full))) == struct.calcsize(letter), entry.full
 
 
 def test_the_console_splits_no_character():

@@ -166,6 +166,64 @@ async def test_what_breaks_a_drone_in_flight():
         assert state["3"]["motors"][0] > 0.1
 
 
+def _in_the_air(hall):
+    for drone in range(hall.n):
+        hall.take_off(drone)
+
+
+async def _fly_on(hall, caplog):
+    """Drone 1 of three is named, and has started anew; the others hover. The truth about it."""
+    state = (await hall.asked({"ask": "state"}))["drones"]
+    assert [record.getMessage()[:23] for record in caplog.records] == ["virtual drone 1: reset:"]
+    assert [state[i]["starts"] for i in "012"] == [1, 2, 1]
+    assert [state[i]["p"][2] for i in "02"] == pytest.approx([0.6, 0.6], abs=0.1)
+    assert await hall.said(ECHO, drone=1) == ECHO
+    return state["1"]
+
+
+async def test_a_body_that_is_nowhere_stands_at_home_again_and_the_others_fly_on(caplog):
+    async with Open(3) as hall:
+        home = hall.server.world.states[1].copy()
+        _in_the_air(hall)
+        await hall.asked({"faults": {"1": {"motor": 2}}})
+        hall.server.world.states[1, 3] = np.nan
+        hall.run(1e-3 * BOOT + 0.5)
+        assert (await _fly_on(hall, caplog))["vbat"] > 4.0
+        assert np.allclose(hall.server.world.states[1], home, atol=1e-3)
+        hall.take_off(1)
+        assert hall.height(1) < 0.3, "a motor that was broken is broken still"
+        hall.server.world.states[1, 0] = np.inf
+        await hall.asked({"faults": {"1": {"motor": 0}}})
+        hall.run(1e-3 * BOOT)
+        hall.take_off(1)
+        assert hall.height(1) > 0.5
+
+
+async def test_a_firmware_that_reckons_with_no_numbers_is_reset_and_the_others_fly_on(caplog):
+    async with Open(3) as hall:
+        _in_the_air(hall)
+        hall.server.world.onboard[1].record["roll_pid"]["integral"] = np.nan
+        hall.run(1e-3 * BOOT + 0.5)
+        assert (await _fly_on(hall, caplog))["p"][2] < 0.1
+
+
+async def test_what_a_drone_cannot_bear_restarts_it_alone(monkeypatch, caplog):
+    async with Open(2) as hall:
+        hall.take_off(0)
+        drone = hall.server.ports[1].drone
+        monkeypatch.setattr(drone.logs, "due", lambda now: 1 / 0)
+        hall.run(0.01)
+        monkeypatch.undo()
+        assert "virtual drone 1: what it says by itself: ZeroDivisionError" in caplog.text
+        hall.run(1e-3 * BOOT)
+        monkeypatch.setattr(drone.parameters, "take", lambda packet: [][0])
+        assert list(drone.take(Packet(2, 1, b"\0\0"))) == []
+        assert "virtual drone 1: a packet of port 2, channel 1: IndexError" in caplog.text
+        hall.run(0.5)
+        assert drone.starts == 3
+        assert hall.height(0) == pytest.approx(0.6, abs=0.1)
+
+
 async def test_the_cameras_show_the_truth_as_long_as_somebody_asks():
     async with Open(3, decks=()) as hall:
         assert await hall.said(ASK, port=hall.port - 1) == b""

@@ -91,9 +91,23 @@ def test_what_dongles_leave() -> None:
 
 
 def test_plans_count_as_they_are_sent() -> None:
-    assert rates(udp(6, sender="xyz")) == {0: 0.0}
-    with pytest.raises(ConfigError, match="8 x 22 poses, echoes and requests, 8 x 10 plans"):
-        rates(udp(8, sender="xyz"))
+    assert rates(udp(5, sender="xyz")) == {0: 0.0}
+    with pytest.raises(ConfigError, match=r"5 x 37 poses, echoes and requests, 5 x 10 plans; .* 212\.5 with room"):
+        rates(udp(5, sender="xyz", radio={"pose_rate": 25.0}))
+
+
+def test_what_drones_say_counts_as_well() -> None:
+    with pytest.raises(ConfigError) as caught:
+        rates(udp(7, sender="xyz"))
+    assert str(caught.value) == (
+        "dongle 0 = drones 0, 1, 2, 3, 4, 5, 6 (xyz) say 294 packets a second: 140 logs, 7 x 12 echoes and answers, "
+        "7 x 10 to plans; it carries 250, 212.5 with room to spare. Use more dongles, or measure its capacity."
+    )
+    with pytest.raises(ConfigError, match="6 x 10 to plans; it carries 250"):
+        rates(udp(6, sender="xyz"))
+    assert rates(udp(7, sender="xyz", radio={"capacity": 350.0})) == {0: 0.0}
+    with pytest.raises(ConfigError, match=r"say 224 .*: 200 logs, 2 x 12 echoes and answers; .* a lower log_rate"):
+        rates(udp(2, sender="vel", radio={"log_rate": 100.0}))
 
 
 def test_who_is_reached_by_a_radio_is_streamed_angles_unless_the_file_says_otherwise() -> None:

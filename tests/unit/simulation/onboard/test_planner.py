@@ -269,3 +269,61 @@ def test_a_spiral_ends_on_its_radius_at_its_angle(onboard, clockwise, side):
     assert math.radians(target(onboard, "yaw")[0]) == pytest.approx(0.5 + side * math.pi / 2, abs=1e-4)
     nose = np.array([math.cos(0.5), math.sin(0.5)])
     assert start @ nose == pytest.approx(0.5 * math.pi / 2 / 3, rel=0.1)  # forward, along the circle
+
+
+WILD = (1e-16, 1e-7, 5e-4, 2e5, 1e30, 1e300)
+
+
+def still_flown(onboard, before):
+    """The plan of before goes on, and all that is asked for is a number."""
+    run(onboard, 100)
+    assert target(onboard) == pytest.approx(before, abs=1e-3)
+    assert all(math.isfinite(onboard.log(f"ctrltarget.{name}")) for name in ("x", "vx", "ax", "z", "yaw"))
+    assert np.all(np.isfinite(onboard.record["motors"]))
+
+
+@pytest.mark.parametrize("duration", WILD)
+def test_a_plan_of_a_wild_duration_is_refused_and_the_last_one_goes_on(onboard, duration):
+    assert onboard.take_off(1.0, duration) == 1
+    before = target(risen(onboard))
+    assert onboard.go_to((1.4, -0.3, 1.0), 0.5, duration) == 1
+    assert onboard.go_to((1.4, -0.3, 1.0), 0.5, duration, linear=True) == 1
+    assert onboard.land(0.0, duration) == 1
+    if duration > 1.0:  # a spiral takes a ms at least
+        assert onboard.spiral(1.0, 0.5, 0.5, 0.0, duration) == 1
+    still_flown(onboard, before)
+    assert onboard.land(0.0, 1.0) == 0
+
+
+@pytest.mark.parametrize("far", [1e18, 3e38, 1e300])
+def test_a_plan_beyond_all_bounds_is_refused(onboard, far):
+    before = target(risen(onboard))
+    assert onboard.go_to((far, 0.0, 1.0), 0.5, 2.0) == 1
+    assert onboard.go_to((far, 0.0, 1.0), 0.5, 0.0) == 1
+    assert onboard.land(far, 2.0) == 1
+    assert onboard.spiral(1.0, far, 0.5, 0.0, 2.0) == 1
+    still_flown(onboard, before)
+
+
+@pytest.mark.parametrize(
+    ("axes", "duration", "timescale"),
+    [
+        ({0: [1.0, math.nan]}, 1.0, 1.0),
+        ({1: [1.0, math.inf]}, 1.0, 1.0),
+        ({2: [1e30]}, 1.0, 1.0),
+        ({0: [1.0, 1.0]}, math.nan, 1.0),
+        ({0: [1.0, 1.0]}, math.inf, 1.0),
+        ({0: [1.0, 1.0]}, -1.0, 1.0),
+        ({0: [1.0, 1.0]}, 1e30, 1e-28),
+        ({0: [1.0, 1.0]}, 1.0, 1e-30),
+        ({0: [1.0, 1.0]}, 1.0, 1e30),
+        ({0: [0.0, 0.0, 0.0, 1e12]}, 1.0, 1e-2),
+    ],
+)
+def test_what_was_uploaded_and_nobody_can_fly_is_refused(onboard, axes, duration, timescale):
+    words = pieces((axes, duration)).astype(np.float32)
+    onboard.memory[0:132] = np.frombuffer(words.tobytes(), np.uint8)
+    assert onboard.define_trajectory(0, 0, 1) == 0
+    before = target(risen(onboard))
+    assert onboard.start_trajectory(0, timescale) == 1
+    still_flown(onboard, before)
