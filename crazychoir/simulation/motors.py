@@ -34,7 +34,8 @@ from crazychoir.simulation.truth import Truth
 # isort: off
 from crazychoir.simulation.lanes import (
     ACCX, ACCY, ACCZ, AIRX, AIRY, AIRZ, ALIVE1, ALIVE2, ALIVE3, ALIVE4, BIAS1, CHARGE, F1, FREE, GYROX, GYROY, GYROZ,
-    LANES, LIFT, N1, S1, SIZE, SX, VOLTAGE, Blocks, block_fields, blocks, constants, give, in_lanes, take,
+    LANES, LIFT, N1, S1, SIZE, SX, U1, U2, U3, U4, VOLTAGE, Blocks, block_fields, blocks, constants, give, in_lanes,
+    take,
 )  # fmt: skip
 # isort: on
 
@@ -205,7 +206,7 @@ class MotorWorld(Truth):
         row, (block, lane) = self.row[i], divmod(self.row[i], LANES)
         began = self._began[block, lane::LANES]
         self._blocks[block, lane::LANES] = began
-        self.states[row], self.commands[row] = began[:13], 0.0
+        self.states[row], self.commands[row] = began[:13], [self._of(i, c) for c in (U1, U2, U3, U4)]
         self._resting[row], self.impact[row], self._lift[row] = 1.0 - self._of(i, FREE), 0.0, self._of(i, LIFT)
 
     def vbat(self, i: int) -> float:

@@ -254,3 +254,24 @@ def test_a_step_is_a_multiple_of_the_firmwares_tick():
 def test_each_drone_has_a_platform():
     with pytest.raises(ConfigError, match="one platform, or 1"):
         MotorWorld([1], np.zeros((1, 3)), platform=[P, P])
+
+
+@pytest.mark.parametrize("wrong", [np.nan, np.inf])
+def test_a_drone_is_put_back_where_it_began_and_no_other_notices(wrong):
+    places = np.array([[0.5 * i, 0.0, 1.0 - 0.125 * i] for i in range(9)])
+    began, alone, mended = (MotorWorld(range(9), places, downwash=False) for _ in range(3))
+    for world in (alone, mended):
+        fly(world, 0.6, 20)
+    mended.states[3, 5] = wrong
+    mended.step()
+    alone.step()
+    assert not np.all(np.isfinite(mended.states[3]))
+    mended.restore(3)
+    assert np.array_equal(mended.states[3], began.states[3])
+    assert (mended.vbat(3), mended.resting(3), mended.harm(3)) == (began.vbat(3), began.resting(3), "")
+    others = [i for i in range(9) if i != 3]
+    run(alone, 10)
+    run(mended, 10)
+    assert np.array_equal(mended.states[others], alone.states[others])
+    assert np.allclose(mended.commands[3], began.commands[3])
+    assert mended.state(3).p[2] == pytest.approx(places[3, 2], abs=0.05), "it hovers there"
