@@ -175,7 +175,8 @@ def carried(swarm: Swarm, dongle: int, senders: Mapping[int, str]) -> float:
     plans = f", {len(ids) - len(streamed)} x {PLANS:g} plans" if len(streamed) < len(ids) else ""
     spared = f"{max(spare, 0.0):.0f} set-points a second and drone" if streamed else _spared(capacity)
     room = f"it carries {capacity:g}, {spared}"
-    do = "Use more dongles, send xyz or a lower command_rate ([radio]), or measure its capacity."
+    less = "send xyz or a lower command_rate" if streamed else "tell poses at a lower pose_rate"
+    do = f"Use more dongles, {less} ([radio]), or measure its capacity."
     raise ConfigError(f"dongle {dongle}", found, room, do, f"{sums}{each}{plans}")
 
 
