@@ -19,7 +19,7 @@ from cflib.crtp.crtpstack import CRTPPacket
 from crazychoir.errors import LinkFailed
 from crazychoir.radio import drivers
 from crazychoir.radio.contents import TableOfContents
-from crazychoir.radio.crtp import LINK, LOG, PARAM, Packet
+from crazychoir.radio.crtp import LINK, LOG, MEMORY, PARAM, Packet
 from crazychoir.radio.dongles import DONGLES, DongleFailed
 from crazychoir.radio.round_trips import ECHO, RoundTrips
 from crazychoir.radio.writer import Writer
@@ -71,6 +71,7 @@ class Connection:
         cf = Crazyflie()
         cf._toc_cache = contents
         cf.mem.refresh = _unread  # it would read those of decks, too, and never end where one fails
+        cf.remove_port_callback(MEMORY, cf.mem._new_packet_cb)
         cf.param.request_update_of_all_params = _nothing
         cf.param.refresh_toc = MethodType(_only_contents, cf.param)
         cf.connected.add_callback(lambda uri: self._from_thread(self._is_open))

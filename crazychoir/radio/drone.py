@@ -13,6 +13,7 @@ import numpy as np
 
 from crazychoir.bus.local import BODIES, EYES, Bus
 from crazychoir.bus.topics import BODY, LINK, POSE, TELEMETRY, TRUTH
+from crazychoir.control.senders import STOP
 from crazychoir.errors import CodecError, ConfigError, LinkFailed
 from crazychoir.math3d import product, quaternion_of_yaw, yaw_of
 from crazychoir.mocap.view import RateLimit
@@ -59,10 +60,14 @@ TABLES = 30.0
 10 s of tables of contents, once a firmware."""
 FORGOTTEN = 1.0
 """s without a log of one that answers otherwise: its firmware has dropped its blocks, as after 1 s of silence."""
-UNHEARD, LANDS_AGAIN, ORPHANED = 0.25, 1.0, 3.0
-"""s between two words to land: until its planner answers, and from then on; and after which one that flies, and that
-nobody commands, is landed."""
-LANDS = tuple(FORMS[name].head for name in ("land", "land_with_velocity"))
+UNHEARD, REFUSED, ORPHANED = 0.25, 1.0, 3.0
+"""s between two words to land: until its planner answers, and where it refuses; and after which one that flies, and
+that nobody commands, is landed."""
+LANDS, LANDING = tuple(FORMS[name].head for name in ("land", "land_with_velocity")), (0, 1)
+"""Heads of its answers; and the results of one that lands now, or does so already."""
+UNTIMED, LANDED = 10.0, 1.0
+"""s of a landing at the speed of its firmware, and s later than a landing takes: its planner has ended it, and is not
+told to land any more, as it would begin anew."""
 STOPS = 0.5
 """s between two plans to stop, of a drone that stands."""
 WATCHDOG = 0.25
@@ -118,8 +123,10 @@ class RadioDrone(Actor):
         self.state_of_link, self.why = "connecting", ""
         self.refused_plans = self.reconnected = self.malformed = 0
         self._stopped = True
-        self._cut = self._placed = self._prepared = self._arming = self._fed = self._flown_here = self._lands = False
+        self._cut = self._placed = self._prepared = self._arming = self._fed = self._flown_here = False
         self._landing: XYZ | None = None
+        self._landed_at = math.inf
+        self._only_lands = ""
         self._due_ns = self._stop_due_ns = self._watchdog_ns = 0
         self._own: State | None = None
         self._own_ns = self._logs_ns = self._landing_ns = self._up_ns = 0
@@ -166,24 +173,44 @@ class RadioDrone(Actor):
         self._opening, deadline = connection, self.config.radio.connect_deadline
         left = max(began + deadline - self.clock.now(), deadline / 4.0)
         await connection.open(REOPENS if self._prepared else left, 0.0 if self._prepared else TABLES)
-        check_protocol(connection.version, self.kind, self._platform, f"drone {self.drone}")
-        firmware = Firmware(connection)
-        await self._begin_logs(connection)
-        await self._until_told(connection)
+        firmware, refused = Firmware(connection), self._too_old(connection)
+        try:
+            await self._begin_logs(connection)
+            await self._until_told(connection)
+        except LinkFailed as error:
+            raise refused or error from None
         if self.bus.stopped and self.flying:
             self.cut()
-        if not self.release:
-            release = await firmware.release()
-            self._learn_thrust(release)
-            self.release = release
+        await self._check(firmware, refused)
         if not self._prepared and not self.flying:
             await self._prepare(firmware)
         if self.why:
             raise LinkFailed(self.row.uri, self.why)
         self.connection, self._opening, self._up_ns = connection, None, self.clock.now_ns()
         self.reconnected += self.state_of_link == "lost"
-        self._change("up", "")
+        self._change("up", self._only_lands)
         self._work = asyncio.get_running_loop().create_task(self._begin_all_asked(connection))
+
+    def _too_old(self, connection: Connection) -> ConfigError | None:
+        """Why its firmware does not know what it would be sent."""
+        try:
+            check_protocol(connection.version, self.kind, self._platform, f"drone {self.drone}")
+        except ConfigError as error:
+            return error
+        return None
+
+    async def _check(self, firmware: Firmware, refused: ConfigError | None) -> None:
+        """ConfigError if it cannot be flown; one that flies, as somebody has left it, is landed first."""
+        if refused is None and not self.release:
+            release = await firmware.release()
+            try:
+                self._learn_thrust(release)
+                self.release = release
+            except ConfigError as error:
+                refused = error
+        if refused is not None and not self.flying:
+            raise refused
+        self._only_lands = str(refused or "")
 
     async def _insist(self, connection: Connection) -> None:
         """One whose motors were cut is told so until it says that it has heard it, from its link's opening on."""
@@ -261,6 +288,10 @@ class RadioDrone(Actor):
                 raise LinkFailed(self.row.uri, self.why)
             if gone := connection.dongle_failure:
                 raise DongleFailed(self.row.uri, gone)
+            if self._only_lands and not self.flying:
+                raise LinkFailed(self.row.uri, self._only_lands)
+            if self.bus.stopped and self.flying and not self._cut:
+                self.cut()
             silence = connection.silence
             if silence > LOST:
                 raise LinkFailed(self.row.uri, f"silent for {silence:.1f} s")
@@ -321,13 +352,22 @@ class RadioDrone(Actor):
             self._send_now([FORMS["emergency_stop_watchdog"].packet()])
 
     def _go_on_landing(self) -> None:
-        """Who has been told to land is told again until its motors stand: a packet may be lost, and a link."""
+        """Who has been told to land is told again until its planner does: a packet may be lost, and a link.
+
+        From then on it is told that set-points have ended, until its landing has, and then to stop.
+        """
         now_ns = self.clock.now_ns()
         if not self.flying or self._landing is None:
-            self._landing, self._lands = None, False
+            self._landing, self._landed_at = None, math.inf
         elif now_ns >= self._landing_ns:
             self._landing_ns = now_ns + round(UNHEARD * SECOND)
-            self._transmit(self._landing)
+            if math.isinf(self._landed_at):
+                self._transmit(self._landing)
+            elif self.clock.now() < self._landed_at:
+                self._send_now(self.handler.relax)
+            else:
+                self._landing_ns = now_ns + round(STOPS * SECOND)
+                self._transmit(STOP)
 
     @property
     def orphan(self) -> bool:
@@ -371,6 +411,8 @@ class RadioDrone(Actor):
             if self._landing is None or self.connection is None:
                 self._landing, self._landing_ns = self._landing or command, 0
             return
+        if self._only_lands:
+            return
         if self.connection is None or (idles(command) and self._flies_unheard()):
             return  # it flies, and who sends has not flown it: it may not know
         now_ns, stops = self.clock.now_ns(), idles(command)
@@ -387,7 +429,7 @@ class RadioDrone(Actor):
             self._arm()
         if self._take_off is not None and not stops and not self.flying:
             self._take_off.begin(self.clock.now())
-        self._stopped, self._landing = stops, None
+        self._stopped, self._landing, self._landed_at = stops, None, math.inf
         self._flown_here = self._flown_here or not (stops or self.connection.silence > DEGRADED)
         self._transmit(self._within_reach(command))
 
@@ -498,12 +540,16 @@ class RadioDrone(Actor):
     def _heard(self, packet: Packet) -> None:
         if packet.port != HIGH_LEVEL or len(packet.data) < 4:
             return
-        if packet.data[:1] in LANDS:
-            self._landing_ns = self.clock.now_ns() + round(LANDS_AGAIN * SECOND)
-            self._lands = self._lands or packet.data[3] == 0
-        if packet.data[3] != 0 and not (self._lands and packet.data[:1] in LANDS):  # one that lands does not do so anew
+        result = packet.data[3]
+        if packet.data[:1] in LANDS and self._landing is not None:
+            if result in LANDING:
+                lasts = float(self._landing.flat[4]) or UNTIMED
+                self._landed_at = min(self._landed_at, self.clock.now() + lasts + LANDED)
+                return
+            self._landing_ns = self.clock.now_ns() + round(REFUSED * SECOND)
+        if result != 0:
             self.refused_plans += 1
-            self._say("planner", f"its planner refuses command {packet.data[0]} with {packet.data[3]}")
+            self._say("planner", f"its planner refuses command {packet.data[0]} with {result}")
 
     def _take_own(self, values: dict[str, float], at: int) -> None:
         if self._uptime.restarted(self.clock.now(), at):

@@ -58,8 +58,11 @@ class RadioHandler:
         raise CodecError(f"{type(command).__name__} for a drone that is sent {self.kind}.")
 
     def planned(self, command: XYZ) -> list[Packet]:
-        """What says this to the planner on board; after set-points it is told before that they have ended."""
-        relax = [FORMS["notify_setpoint_stop"].packet(0)] if self._streamed_last else []
+        """What says this to the planner on board; after set-points it is told then that they have ended.
+
+        In this order: a planner in control without a plan switches the motors off (crazyflie-firmware since 2023.11).
+        """
+        relax = self.relax
         ends = command.verb in ("land", "stop")  # said again with each: the first may be lost
         self._streamed_last = self._streamed_last and ends
         x, y, z, yaw, duration = command.flat.tolist()
@@ -69,13 +72,18 @@ class RadioHandler:
                 return [*before, FORMS["planner_stop"].packet(ALL), *relax]
             case "go_to" | "line":
                 line = int(command.verb == "line")
-                return [*relax, FORMS["go_to"].packet(ALL, 0, line, x, y, z, yaw, duration)]
+                return [FORMS["go_to"].packet(ALL, 0, line, x, y, z, yaw, duration), *relax]
             case "take_off" | "land" if duration > 0.0:
-                return [*relax, FORMS[command.verb].packet(ALL, z, yaw, False, duration)]
+                return [FORMS[command.verb].packet(ALL, z, yaw, False, duration), *relax]
             case "take_off" | "land":
                 form = FORMS[f"{command.verb}_with_velocity"]
-                return [*relax, form.packet(ALL, z, False, yaw, False, 0.0)]
+                return [form.packet(ALL, z, False, yaw, False, 0.0), *relax]
         raise CodecError(f"no plan {command.verb!r}; there are stop, go_to, line, take_off and land.")
+
+    @property
+    def relax(self) -> list[Packet]:
+        """What gives the planner control again, if it may have lost it."""
+        return [FORMS["notify_setpoint_stop"].packet(0)] if self._streamed_last else []
 
     def _streamed(self, packet: Packet) -> list[Packet]:
         self._streamed_last = True

@@ -126,7 +126,7 @@ class RadioProcess(Actor):
     def _leave(self) -> None:
         """All has landed, or has had the time to."""
         if flying := [str(i) for i, drone in self.drones.items() if drone.flying]:
-            self.abort(f"ends {LANDS_WITHIN:g} s after it was told to, though not landed: {', '.join(flying)}")
+            self.abort(f"ends {LANDS_WITHIN:g} s after it was told to; not known to have landed: {', '.join(flying)}")
         self._supervisor.stop()
 
     def end(self, reason: str) -> None:

@@ -33,9 +33,9 @@ def command_a_newton(release: str, platform: Platform, given: float | None, wher
             return old
     since, until = _text(LINEAR_SINCE), _text(MEASURED_UNTIL)
     releases = f"{since} or newer" if old is None else f"{since} or newer, or a release until {until}"
-    known = f"{linear:.0f} since {since}" if old is None else f"{linear:.0f} since {since}, {old:.0f} until {until}"
     allowed = f"{releases}, by which the thrust of {platform.name} is known"
-    do = f"Set thrust_map in [radio], the command a newton: {known}. Or write newer firmware, or send vel or xyz."
+    do = "Write newer firmware, or send vel or xyz, or set thrust_map in [radio], the command a newton as you measure "
+    do += f"it, of all drones of the file; of this one it is {linear:.0f} since {since}."
     raise ConfigError(f"{where}: firmware", release or "no release", allowed, do)
 
 

@@ -106,7 +106,7 @@ def _own_poses(swarm: Swarm, where: str) -> None:
     for n, drone in enumerate(swarm.drones):
         if is_reached(drone) and drone.pose == "onboard" and swarm.radio.log_rate < SEES:
             problem = f"drones[{n}] says itself where it is, and a pose that is older than 0.1 s brakes it"
-            do = f"Set log_rate = {2 * SEES:g} in [radio]."
+            do = f"Set log_rate = {SEES:g} in [radio]; more where the dongle carries it."
             raise ConfigError(f"{where}: radio.log_rate", swarm.radio.log_rate, f"{SEES:g} Hz or more", do, problem)
 
 

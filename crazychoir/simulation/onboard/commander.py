@@ -11,7 +11,7 @@ from crazychoir.simulation.onboard.record import ABSOLUTE, DISABLE, VELOCITY, Fl
 NOBODY, HIGH_LEVEL, CRTP, EXTERNAL = 0, 1, 2, 3
 """Priorities of who gives set-points: nobody, the planner, the radio, an external receiver."""
 LEAST_THRUST, MOST_THRUST = 1000.0, 60000.0
-PLANNER_DISABLED = 3
+PLANNER_IDLE = 0
 
 
 @kernel()
@@ -27,15 +27,16 @@ def clear(sp: Record) -> None:
 
 @kernel()
 def accept(fw: Record, priority: int) -> bool:
-    """May somebody of this priority give a set-point? Then he has control, and above the planner he disables it.
+    """May somebody of this priority give a set-point? Then he has control, and above the planner he stops its plan.
 
-    Chosen: a disabled planner is silent until its next command, so that the last set-point grows old as any other.
+    Since crazyflie-firmware 2023.11 the planner is idle then: as soon as it is in control again, without a new plan, it
+    switches the motors off.
     """
     if priority < fw.priority:
         return False
     fw.priority, fw.stamp = priority, fw.tick
     if priority > HIGH_LEVEL:
-        fw.planner.state = PLANNER_DISABLED
+        fw.planner.state = PLANNER_IDLE
     clear(fw.wanted)
     return True
 

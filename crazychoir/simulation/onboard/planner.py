@@ -23,12 +23,13 @@ from crazychoir.simulation.onboard.polynomial import (
 )
 from crazychoir.simulation.onboard.record import ABSOLUTE, PIECE, TRAJECTORIES, Fleet, Record, rows, whole
 
-IDLE, FLYING, LANDING, DISABLED = 0, 1, 2, 3
+IDLE, FLYING, LANDING = 0, 1, 2
 OK, REFUSED, UNKNOWN, BUSY = 0, 1, 8, 16
 """Answers: done; not in this state; no such trajectory; the supervisor does not let it fly."""
 SECONDS = F(1e-3)
 SHORTEST, LONGEST = F(1e-3), F(1e5)
-"""s that a plan takes which is not at its end at once, chosen: beyond them the powers of degree 7 leave 32 bits."""
+"""s that a plan takes, chosen: a shorter one is at its end at once, as one of 0 s; of a longer one the powers of degree
+7 leave 32 bits."""
 MOST = F(1e18)
 """m, rad and their derivatives, chosen: what a plan asks for stays below it, so that nobody who follows overflows."""
 
@@ -130,9 +131,8 @@ def sample(fw: Record) -> bool:
 @kernel()
 def finished(fw: Record) -> bool:
     """Is nothing being flown?"""
-    idle: bool = fw.planner.state == IDLE or fw.planner.state == DISABLED
-    ended: bool = _now(fw) - fw.planner.begin > _total(fw)
-    return idle or ended
+    ended: bool = fw.planner.state == IDLE or _now(fw) - fw.planner.begin > _total(fw)
+    return ended
 
 
 @kernel()
@@ -177,10 +177,8 @@ def take_state(fw: Record) -> None:
 
 @kernel()
 def update(fw: Record) -> None:
-    """At 100 Hz: the plan's set-point, or none at all while it is idle on the ground; silent while disabled."""
+    """At 100 Hz: the plan's set-point, or the null set-point while it is idle; silent while others are in control."""
     plan = fw.planner
-    if plan.state == DISABLED:
-        return
     own = fw.priority <= HIGH_LEVEL
     if plan.state == IDLE:
         take_state(fw)
@@ -264,6 +262,12 @@ def _here(fw: Record) -> None:
 
 
 @kernel()
+def _span(t: float) -> float:
+    """s that a plan takes which is to take t s."""
+    return 0.0 if t < SHORTEST else t
+
+
+@kernel()
 def _to(
     fw: Record, piece: Single, axis: int, t: Single, goal: Single, end_v: Single, start_v: Single, start_a: Single
 ) -> None:
@@ -276,7 +280,7 @@ def _to(
 @kernel()
 def _vertical(fw: Record, state: int, height: float, t: float, yaw: float, keep_yaw: float) -> int:
     """From the last set-point, at rest, to the height above the same place."""
-    plan, piece = fw.planner, np.zeros(PIECE, np.float32)
+    plan, piece, t = fw.planner, np.zeros(PIECE, np.float32), _span(t)
     for axis in range(AXES):
         plan.out[P + axis] = plan.last[axis]
     for axis in range(3):
@@ -299,9 +303,12 @@ def take_off(fleet: Fleet, i: int, height: float, t: float, yaw: float, keep_yaw
 
 @kernel(rows, whole, real, real, real, real)
 def land(fleet: Fleet, i: int, height: float, t: float, yaw: float, keep_yaw: float) -> int:
-    """Sink to the height in t s, then idle; chosen: 1 where it is idle or landing. t < 0: by hlCommander.vland."""
+    """Sink to the height in t s, then idle; 1 where it is landing. t < 0: by hlCommander.vland.
+
+    From idle too: whoever was sent set-points is told to land, and then that they have ended.
+    """
     fw = fleet[i]
-    if fw.planner.state == IDLE or fw.planner.state == LANDING:
+    if fw.planner.state == LANDING:
         return REFUSED
     speed = max(fw.planner.landing_speed, 1e-3)
     return _vertical(fw, LANDING, height, t if t >= 0.0 else abs(height - fw.planner.last[2]) / speed, yaw, keep_yaw)
@@ -317,7 +324,7 @@ def go_to(
     """
     fw = fleet[i]
     _here(fw)
-    out, piece = fw.planner.out, np.zeros(PIECE, np.float32)
+    out, piece, t = fw.planner.out, np.zeros(PIECE, np.float32), _span(t)
     for axis in range(AXES):
         goal = F((x, y, z, yaw)[axis])
         if relative > 0.0:

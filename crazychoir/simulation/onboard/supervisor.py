@@ -2,7 +2,7 @@
 
 from crazychoir.math3d import kernel
 from crazychoir.simulation.onboard.commander import HIGH_LEVEL, NOBODY
-from crazychoir.simulation.onboard.planner import DISABLED, IDLE, finished
+from crazychoir.simulation.onboard.planner import IDLE, finished
 from crazychoir.simulation.onboard.record import Fleet, Record, rows, whole
 
 NOT_INITIALISED, NOT_PASSED, PASSED, ARMING, READY, FLYING = range(6)
@@ -149,7 +149,7 @@ def can_arm(fleet: Fleet, i: int) -> bool:
 @kernel(rows, whole)
 def information(fleet: Fleet, i: int) -> int:
     """Bits: 0 can arm, 1 armed, 2 arms itself, 3 can fly, 4 flying, 5 tumbled, 6 locked, 7 crashed,
-    8 planner in control, 9 plan ended, 10 planner disabled; 11, a fault of a deck, never.
+    8 planner in control, 9 plan ended; never: 10 planner disabled, 11 a fault of a deck.
     """
     fw = fleet[i]
     ended = finished(fw)
@@ -162,12 +162,11 @@ def information(fleet: Fleet, i: int) -> int:
         fw.tumbled != 0,
         fw.state == LOCKED,
         fw.state == CRASHED,
-        fw.priority == HIGH_LEVEL and fw.planner.state != IDLE and fw.planner.state != DISABLED,
+        fw.priority == HIGH_LEVEL and fw.planner.state != IDLE,
         ended,
-        fw.planner.state == DISABLED,
     )
     word = 0
-    for k in range(11):
+    for k in range(10):
         word |= (1 if bits[k] else 0) << k
     return word
 

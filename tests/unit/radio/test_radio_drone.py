@@ -18,11 +18,12 @@ from crazychoir.radio.contents import TableOfContents
 from crazychoir.radio.crtp import FORMS, HIGH_LEVEL, PLATFORM, Packet
 from crazychoir.radio.drone import JUMPS, LOST, ORPHANED, OWN, STOPS, UNREACHED, UNSEEN, WAS_CUT, RadioDrone
 from crazychoir.radio.owner import LANDS_WITHIN, RadioProcess
+from crazychoir.runtime.clock import run_virtual
 from crazychoir.runtime.mailbox import Call
 from crazychoir.safety.ascent import Track
 from crazychoir.safety.pose_gate import PoseGate
 from crazychoir.swarm.config import SwarmConfig
-from crazychoir.types import FPQR, XYZ, Pose
+from crazychoir.types import FPQR, XYZ, Pose, Vel
 
 READY = checks.CAN_FLY | checks.AUTO_ARM
 STOP, LINE, LAND = (XYZ(verb, np.array([1.0, 0.0, 1.0, 0.0, 2.0])) for verb in ("stop", "line", "land"))
@@ -105,26 +106,53 @@ async def test_who_has_not_flown_it_does_not_stop_its_motors(clock) -> None:
     assert kept.sent == [head("go_to"), head("planner_stop")]
 
 
-@virtual
-async def test_a_landing_is_said_until_the_motors_stand_also_after_the_link_was_gone(clock) -> None:
-    drone, kept = made(clock)
-    tell(drone, READY | checks.FLYING)
+class Planner(Kept):
+    """A planner on board: it lands from idle, too, 2 s long, and refuses what it is told while it lands.
+
+    hears: how many words to land get through: None, all after the second.
+    """
+
+    def __init__(self, drone: RadioDrone) -> None:
+        super().__init__()
+        self.drone, self.lands, self.words, self.ends, self.turned = drone, 0, 0, -math.inf, 0.0
+
+    def send(self, packet) -> None:
+        super().send(packet)
+        now = self.drone.clock.now()
+        if self.sent[-1] == head("land"):
+            self.words += 1
+            if self.words > 2:
+                landing = now < self.ends
+                self.lands, self.ends = self.lands + (not landing), self.ends if landing else now + LAND.flat[4]
+                self.drone._heard(Packet(HIGH_LEVEL, 0, bytes([*FORMS["land"].head, 0, 0, landing])))
+
+    def look(self) -> None:
+        """Its motors turn until it has landed, and count as turning for 2 s more."""
+        now = self.drone.clock.now()
+        self.turned = now if now < self.ends or not self.lands else self.turned
+        tell(self.drone, READY | checks.FLYING * (now - self.turned < 2.0))
+
+
+@pytest.mark.parametrize("kind", ["xyz", "frpy"])
+def test_one_that_lands_is_told_so_until_its_planner_does_and_never_anew(kind) -> None:
+    run_virtual(lambda clock: _lands(clock, kind))
+
+
+async def _lands(clock, kind) -> None:
+    drone, _ = made(clock, kind)
+    planner = Planner(drone)
+    planner.look()
     drone.connection = None
     drone.send(LAND)
-    drone.connection = kept
-    for _ in range(60):
-        before = len(kept.sent)
+    drone.connection = planner
+    for _ in range(20 * 20):
+        planner.look()
         drone._go_on_landing()
-        if len(kept.sent) > before >= 2:  # the third word gets through: it lands; then, that it does not do so anew
-            drone._heard(Packet(HIGH_LEVEL, 0, bytes([*FORMS["land"].head, 0, 0, before > 2])))
         await clock.sleep(0.05)
-    assert kept.sent == [head("land")] * 5, "at 0, 0.25 and 0.5 s until it answers, then at 1.5 and 2.5 s"
-    assert drone.refused_plans == 0
-    tell(drone, READY)
-    drone._go_on_landing()
-    tell(drone, READY | checks.FLYING)
-    drone._go_on_landing()
-    assert len(kept.sent) == 5, "it has landed"
+    assert (planner.words, planner.lands, drone.flying, drone.refused_plans) == (3, 1, False, 0)
+    relaxed = planner.sent.count(head("notify_setpoint_stop"))
+    assert relaxed == 0 if kind == "xyz" else relaxed > 10, "one word may be lost"
+    assert planner.sent[-1][:2] == head("planner_stop")[:2] if kind == "xyz" else head("notify_setpoint_stop")[:2]
 
 
 @virtual
@@ -226,7 +254,7 @@ async def test_the_battery_that_it_needs_to_begin_is_its_platforms(clock) -> Non
 
 
 @virtual
-async def test_a_plan_that_is_refused_is_counted_and_a_landing_that_never_began_too(clock) -> None:
+async def test_a_plan_that_is_refused_is_counted(clock) -> None:
     drone, _ = made(clock)
     for name in ("go_to", "land"):
         drone._heard(Packet(HIGH_LEVEL, 0, bytes([*FORMS[name].head, 0, 0, 1])))
@@ -275,7 +303,7 @@ async def test_an_owner_that_ends_names_who_has_not_landed(clock) -> None:
     await clock.sleep(LANDS_WITHIN - 1.0)
     assert not owner.failure
     await clock.sleep(2.0)
-    assert owner.failure.endswith("not landed: 7")
+    assert owner.failure.endswith("not known to have landed: 7")
     running.cancel()
 
 
@@ -409,16 +437,18 @@ async def test_a_cut_leaves_at_once_while_its_link_is_being_asked(clock) -> None
 
 
 class Asked(Slow):
-    """A connection to a drone on the ground, which says its release."""
+    """A connection to a drone, on the ground unless it says otherwise, which says its release."""
 
-    def __init__(self, drone: RadioDrone, release: str = "2025.12", version: int = 12) -> None:
+    def __init__(
+        self, drone: RadioDrone, release: str = "2025.12", version: int = 12, supervisor: int = READY
+    ) -> None:  # fmt: skip
         super().__init__()
-        self.drone, self.release, self.version = drone, release, version
+        self.drone, self.release, self.version, self.supervisor = drone, release, version, supervisor
 
     async def log(self, name, variables, period, data, seconds) -> None:
         self.begun += 1
         await self.drone.clock.sleep(0.1)
-        tell(self.drone, READY)
+        tell(self.drone, self.supervisor)
 
     async def ask(self, packet, answers, seconds, again) -> Packet:
         answer = Packet(PLATFORM, 1, b"\x01" + self.release.encode())
@@ -431,20 +461,43 @@ async def test_one_whose_thrust_is_not_known_is_refused_each_time(clock) -> None
     drone, _ = made(clock, "fpqr")
     drone.connection = None
     for _ in range(3):
-        with pytest.raises(ConfigError, match=r"found 2025\.09; .* Set thrust_map"):
+        with pytest.raises(ConfigError, match=r"found 2025\.09; .* set thrust_map"):
             await drone._connect(Asked(drone, "2025.09"), clock.now())
         assert drone.connection is None
 
 
 @virtual
-async def test_one_whose_protocol_is_too_old_is_asked_nothing_more(clock) -> None:
+async def test_one_whose_protocol_is_too_old_is_refused(clock) -> None:
     drone, _ = made(clock, "vel")
     drone.connection, old = None, Asked(drone, version=8)
     with pytest.raises(ConfigError, match=r"drone 0: protocol .* found version 8; allowed: 9 or newer") as e:
         await drone._connect(old, clock.now())
-    assert (old.begun, drone.connection) == (0, None)
+    assert drone.connection is None
     drone._failed(e.value, clock.now())
     assert drone.state_of_link == "refused"
+
+
+@virtual
+async def test_one_that_is_refused_while_it_flies_is_landed_first(clock) -> None:
+    for kind, link in (("vel", {"version": 8}), ("fpqr", {"release": "2025.09"})):
+        drone, _ = made(clock, kind)
+        drone.connection, old = None, Asked(drone, supervisor=READY | checks.FLYING, **link)
+        await drone._connect(old, clock.now())
+        assert drone.connection is old
+        assert "2025.09" in drone.problem or "version 8" in drone.problem
+        await clock.sleep(ORPHANED + 0.1)
+        tell(drone, READY | checks.FLYING)
+        drone.send(Vel(np.array([0.1, 0.0, 0.0, 0.0])) if kind == "vel" else FPQR(np.array([0.3, 0.0, 0.0, 0.0])))
+        assert old.sent == []
+        assert drone.orphan
+        drone.send(LAND)
+        drone._go_on_landing()
+        assert old.sent[0] == head("land")
+        drone.cut()
+        assert head("emergency_stop") in old.sent
+        tell(drone, READY)
+        with pytest.raises(LinkFailed, match=r"2025\.09|version 8"):
+            await drone._look_after(old)
 
 
 @virtual

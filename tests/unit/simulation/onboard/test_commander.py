@@ -110,13 +110,24 @@ def test_a_set_point_stops_the_planner_until_it_is_told(onboard):
     run(onboard, 500)
     assert onboard.info >> 8 & 0b111 == 0b001
     onboard.velocity((0, 0, 0.1), 0.0)
-    assert onboard.info >> 8 & 0b111 == 0b110
+    assert onboard.info >> 8 & 0b111 == 0b010
     assert onboard.go_to((0, 0, 1), 0.0, 1.0) == 0  # runs, but nobody listens
     run(onboard, 100)
     assert wanted(onboard, "mode_z") == (2,)
     onboard.notify_setpoint_stop()
     run(onboard, 20)
     assert wanted(onboard, "mode_z") == (1,)
+
+
+def test_a_planner_that_is_in_control_again_without_a_plan_switches_the_motors_off(onboard):
+    onboard.take_off(1.0, 2.0)
+    run(onboard, 500)
+    onboard.velocity((0, 0, 0.1), 0.0)
+    run(onboard, 20)
+    assert wanted(onboard, "mode_z") == (2,)
+    onboard.notify_setpoint_stop()
+    run(onboard, 20)
+    assert wanted(onboard, "mode_z") == (0,)
 
 
 def test_the_idle_planner_gives_null_set_points_and_their_age_stays_fresh(onboard):

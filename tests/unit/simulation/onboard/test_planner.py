@@ -90,7 +90,8 @@ def test_velocity_and_acceleration_are_the_derivatives(onboard):
 
 
 def test_refusals_of_take_off_and_landing(onboard):
-    assert onboard.land(0.0, 2.0) == 1
+    assert onboard.land(0.0, 2.0) == 0, "whoever was sent set-points lands from idle"
+    onboard.stop()
     assert onboard.take_off(1.0, 2.0) == 0
     assert onboard.take_off(1.0, 2.0) == 1
     run(onboard, 2100)
@@ -271,7 +272,7 @@ def test_a_spiral_ends_on_its_radius_at_its_angle(onboard, clockwise, side):
     assert start @ nose == pytest.approx(0.5 * math.pi / 2 / 3, rel=0.1)  # forward, along the circle
 
 
-WILD = (1e-16, 1e-7, 5e-4, 2e5, 1e30, 1e300)
+LONG, SHORT = (2e5, 1e30, 1e300), (1e-16, 1e-7, 5e-4)
 
 
 def still_flown(onboard, before):
@@ -282,17 +283,26 @@ def still_flown(onboard, before):
     assert np.all(np.isfinite(onboard.record["motors"]))
 
 
-@pytest.mark.parametrize("duration", WILD)
+@pytest.mark.parametrize("duration", LONG)
 def test_a_plan_of_a_wild_duration_is_refused_and_the_last_one_goes_on(onboard, duration):
     assert onboard.take_off(1.0, duration) == 1
     before = target(risen(onboard))
     assert onboard.go_to((1.4, -0.3, 1.0), 0.5, duration) == 1
     assert onboard.go_to((1.4, -0.3, 1.0), 0.5, duration, linear=True) == 1
     assert onboard.land(0.0, duration) == 1
-    if duration > 1.0:  # a spiral takes a ms at least
-        assert onboard.spiral(1.0, 0.5, 0.5, 0.0, duration) == 1
+    assert onboard.spiral(1.0, 0.5, 0.5, 0.0, duration) == 1
     still_flown(onboard, before)
     assert onboard.land(0.0, 1.0) == 0
+
+
+@pytest.mark.parametrize("duration", SHORT)
+def test_a_plan_of_no_duration_is_at_its_end_at_once(onboard, duration):
+    assert onboard.take_off(1.0, duration) == 0
+    assert onboard.go_to((1.4, -0.3, 1.0), 0.5, duration, linear=True) == 0
+    still_flown(onboard, [1.4, -0.3, 1.0])
+    assert onboard.land(0.0, duration) == 0
+    run(onboard, 20)
+    assert onboard.record["planner"]["state"] == 0
 
 
 @pytest.mark.parametrize("far", [1e18, 3e38, 1e300])
