@@ -256,6 +256,8 @@ async def test_trajectories_are_uploaded_and_what_does_not_fit_is_not_sent(known
         assert sum(plain(packet)[:1] == b"\x4e" for packet in receiver.up) == before
         with pytest.raises(LinkFailed, match="its planner refuses"):
             await firmware.start(7)
+        asked = sum(packet[0] >> 4 == MEMORY and packet[0] & 3 == 0 for packet in receiver.up)
+        assert asked <= 2 * len(there.server.drones[0].memories.all), "those of decks are not read"
         await closed(links)
 
 
