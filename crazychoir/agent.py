@@ -7,7 +7,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-from crazychoir.bus.commands import CommandServer
+from crazychoir.bus.commands import COMMANDED, CommandServer
 from crazychoir.bus.hello import VERSION
 from crazychoir.bus.local import Bus
 from crazychoir.bus.topics import LINK, LOG, POSE, RESULT, STATUS, TELEMETRY, TRUTH
@@ -53,8 +53,9 @@ from crazychoir.worlds import owners
 log = logging.getLogger(__name__)
 RESTARTED = 20.0
 """s without a word of the owner of a dongle, which `run` starts again, after which it does not come back."""
-VERBS = (*ORDERS, "impair", "param_get", "param_set", "task_add", "task_cancel", "ping")
-"""What operators may ask of a drone."""
+QUERIES = ("param_get", "ping")
+VERBS = (*ORDERS, "impair", "param_set", "task_add", "task_cancel", *QUERIES)
+"""What operators may ask of a drone; QUERIES change nothing."""
 
 
 class StatusActor(Actor):
@@ -324,7 +325,9 @@ class Agent:
             drone.pilot.cut(text)
 
     async def _execute(self, drone: Drone, verb: str, arguments: dict[str, Any]) -> Any:
-        """What operators may ask of a drone."""
+        """What operators may ask of a drone; what changes something is told to all who look on."""
+        if verb not in QUERIES:
+            drone.port.publish(LOG, f"drone {drone.id}: {COMMANDED}{verb}")
         if verb in ORDERS:
             return await self._orders[drone.id].execute(verb)
         match verb:
@@ -345,6 +348,7 @@ class Agent:
                 raise Refused(f"drone {drone.id}", f"no command {verb!r}; there are {', '.join(VERBS)}")
 
     def _stop(self, drone: Drone, on: bool) -> None:
+        drone.port.publish(LOG, f"drone {drone.id}: {COMMANDED}{'emergency stop' if on else 'clear stop'}")
         if on:
             drone.pilot.cut("emergency stop")
 

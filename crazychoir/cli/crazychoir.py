@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from crazychoir.cli import (
+    dashboard,
     ending,
     identify,
     look,
@@ -44,6 +45,7 @@ app.command()(simulate.simulate)
 app.command()(plot.plot)
 app.command()(render.render)
 app.command()(identify.identify)
+app.command()(dashboard.dashboard)
 for command in (look.topics, look.echo, look.hz, look.status, look.impair, orders.stop):
     app.command()(command)
 for verb in orders.TEXTS:
