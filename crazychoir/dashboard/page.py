@@ -2,115 +2,110 @@
 
 from collections.abc import Callable
 from functools import partial
+from html import escape
 from pathlib import Path
 from typing import Any
 
 import nicegui
 from nicegui import ui
 
-from crazychoir.dashboard.asks import Message, Order, Stop
-from crazychoir.dashboard.operator import Operator
-from crazychoir.dashboard.watch import Watch
-from crazychoir.errors import CrazyChoirError
+from crazychoir.dashboard import drawing_tab
+from crazychoir.dashboard.layout import button, card, choice, field, panel, row, tabs, text
 
 THREE = Path(nicegui.__file__).parent / "elements" / "scene" / "dist"
 """The folder of NiceGUI's own three.js."""
 VERBS = {
     "take-off": "Take off", "start": "Start", "hold": "Hold", "go": "Go on", "land": "Land", "home": "Fly home",
 }  # fmt: skip
-TABS = {"fly": "Fly", "log": "Log"}
 HEAD = """<link rel="stylesheet" href="/own/page.css"><script type="module">
 import { start } from "/own/page.js"; start();</script>"""
 
 
-class Pages:
-    """Makes a page for each browser that comes."""
-
-    def __init__(self, swarm: str, operator: Callable[[], Operator], watch: Watch) -> None:
-        self.swarm, self.operator, self.watch = swarm, operator, watch
-
-    def build(self) -> None:
-        """One page."""
-        Page(self.swarm, self.operator(), self.watch).build()
-
-
 class Page:
-    """One browser's page: its widgets, and the drones that it has chosen."""
+    """The same for all browsers; about: what SwarmModel.about says."""
 
-    def __init__(self, swarm: str, operator: Operator, watch: Watch) -> None:
-        self.swarm, self.operator, self.watch = swarm, operator, watch
-        self.drones: tuple[int, ...] | None = None
+    def __init__(self, about: dict[str, Any]) -> None:
+        self.about, self.swarm = about, str(about["swarm"])
+        self.panels: dict[str, tuple[str, Callable[[], None]]] = {
+            "fly": ("Fly", self._fly), "draw": ("Draw", partial(drawing_tab.build, about)), "tasks": ("Tasks", _tasks),
+            "network": ("Network", _network), "plots": ("Plots", self._plots), "log": ("Log", _log),
+        }  # fmt: skip
 
     def build(self) -> None:
-        """Everything."""
+        """One browser's page."""
         ui.add_body_html(HEAD)
-        ui.on("selected", self._select)
         self._top()
         with ui.element("main").classes("board"):
-            with ui.element("section").classes("card view").props('aria-label="view of the room"'):
-                ui.html('<div id="scene"></div>', sanitize=False)
-            with ui.element("section").classes("card side").props('aria-label="controls"'):
-                self._tabs()
-                with _panel("fly"):
-                    self._fly()
-                with _panel("log"):
-                    self._log()
-            with ui.element("section").classes("card all").props('aria-label="drones"'):
-                ui.html('<table id="drones"></table>', sanitize=False)
-
-    def _select(self, event: Any) -> None:
-        ids = event.args if isinstance(event.args, list) else None
-        self.drones = tuple(i for i in ids or () if isinstance(i, int)) or None
-
-    async def ask(self, message: Message) -> None:
-        """Do it, or say why not."""
-        try:
-            await self.operator.asked(message)
-        except CrazyChoirError as error:
-            self.watch.add(f"not done: {error}", "warning")
-            ui.notify(str(error), type="negative")
+            with card("view", "view of the room"):
+                text('<div id="scene"></div>')
+            with card("side", "controls"):
+                tabs({name: label for name, (label, _) in self.panels.items()})
+                for name, (_, build) in self.panels.items():
+                    with panel(name):
+                        build()
+            with card("all", "drones"):
+                text('<table id="drones"></table>')
 
     def _top(self) -> None:
         with ui.element("header").classes("top"):
-            ui.html(f"<h1>{self.swarm} · crazychoir</h1>", sanitize=False)
-            ui.html('<span id="connection" role="status">connecting</span>', sanitize=False)
+            text(f"<h1>{escape(self.swarm)} · {escape(Path(str(self.about['mission'])).stem)}</h1>")
+            text('<span id="connection" role="status">connecting</span>')
             ui.element("span").classes("gap")
-            theme = ui.button("Light or dark").props("flat dense no-caps")
-            theme.on("click", js_handler="() => Quasar.Dark.toggle()")
-            ui.button("Clear stop", on_click=lambda: self.ask(Stop(clear=True))).props("outline no-caps")
-            stop = ui.button("STOP ALL (space)", color="negative").props("no-caps").classes("stop")
-            stop.on("click", js_handler="() => window.choir.stopAll()")
-
-    def _tabs(self) -> None:
-        buttons = "".join(
-            f'<button role="tab" id="tab-{name}" aria-controls="panel-{name}">{text}</button>'
-            for name, text in TABS.items()
-        )
-        ui.html(f'<div class="tabs" role="tablist" aria-label="controls">{buttons}</div>', sanitize=False)
+            button("Light or dark", "turn()", "flat dense")
+            button("Clear stop", "clearStop()", "outline")
+            button("STOP ALL (space)", "stopAll()", color="negative").classes("stop")
 
     def _fly(self) -> None:
-        ui.html('<h2>Commands <span id="chosen"></span></h2>', sanitize=False)
-        with ui.element("div").classes("row"):
-            for verb, text in VERBS.items():
-                ui.button(text, on_click=partial(self._order, verb)).props("no-caps").mark(verb)
-            ui.button("Motors off", color="negative", on_click=self._stop).props("no-caps outline")
-        ui.html('<h3>Receipts</h3><ul id="receipts" class="lines" aria-live="polite"></ul>', sanitize=False)
+        text('<h2>Commands <span id="chosen" role="status"></span></h2>')
+        with row():
+            for verb, label in VERBS.items():
+                button(label, f"order('{verb}')")
+            button("Motors off", "stopChosen()", "outline", color="negative")
+        text("<h3>Go to a place</h3>")
+        with row():
+            text(
+                field("goal_x", "x", 0, "m", step=0.1) + field("goal_y", "y", 0, "m", step=0.1)
+                + field("goal_z", "z", self.about["height"], "m", step=0.1)
+                + field("apart_y", "y from drone to drone", 0.5, "m", step=0.1)
+            )  # fmt: skip
+            button("Go there", "goTo()")
+            text('<span class="field"><label for="pick">A click on the floor says where</label>'
+                 '<input id="pick" type="checkbox"></span>')  # fmt: skip
+        text('<h3>Receipts</h3><ul id="receipts" class="lines" aria-live="polite"></ul>')
 
-    async def _order(self, verb: str) -> None:
-        await self.ask(Order(verb, self.drones))  # type: ignore[arg-type]  # a key of VERBS
+    def _plots(self) -> None:
+        ids = {str(i): f"drone {i}" for i in self.about["ids"]}
+        text(f'<h2>Plots</h2>{choice("plotted", "Of", ids)}<div id="plots"></div>')
 
-    async def _stop(self) -> None:
-        await self.ask(Stop(self.drones))
 
-    def _log(self) -> None:
-        ui.html(
-            '<h2>Log</h2><label>from level <select id="level"><option>info</option><option>warning</option>'
-            '<option>error</option></select></label><ul id="log" class="lines" role="log"></ul>', sanitize=False,
+def _tasks() -> None:
+    text('<h2>Tasks</h2><p id="tasks-said" role="status"></p>')
+    with row():
+        text(
+            '<span class="field"><label for="placing">Clicks on the floor: pickup, then delivery</label>'
+            '<input id="placing" type="checkbox"></span>'
+            + choice("task_kind", "A task is", {"two": "pickup and delivery", "one": "done at one place"})
+            + field("pickup_x", "Pickup x", 0, "m", step=0.1) + field("pickup_y", "y", 0, "m", step=0.1)
+            + field("delivery_x", "Delivery x", 1, "m", step=0.1) + field("delivery_y", "y", 1, "m", step=0.1)
+            + field("load", "Load", 1, "", min=0, step=0.5)
         )  # fmt: skip
+        button("Add task", "tasks.add()")
+    text('<ul id="tasks" class="lines"></ul>')
 
 
-def _panel(name: str) -> ui.element:
-    return ui.element("div").classes("panel").props(
-        f'id="panel-{name}" role="tabpanel" aria-labelledby="tab-{name}" tabindex="0"'
-    )  # fmt: skip
+def _network() -> None:
+    text('<h2>Simulated network</h2><p class="help">None chosen: all links. One drone: its links. Two: the link '
+         "between them.</p>")  # fmt: skip
+    with row():
+        text(
+            field("loss", "Loss", 0, "%", "range", min=0, max=100, step=1)
+            + field("delay", "Delay", 0, "ms", "range", min=0, max=500, step=5)
+        )
+    with row():
+        button("Cut the chosen off", "network.cut()", "outline")
+        button("Take everything back", "network.clear()", "outline")
 
+
+def _log() -> None:
+    levels = choice("level", "From level", {name: name for name in ("info", "warning", "error")})
+    text(f'<h2>Log</h2>{levels}<ul id="log" class="lines" role="log"></ul>')

@@ -19,7 +19,8 @@ from crazychoir.dashboard.desk import Desk, Place
 from crazychoir.dashboard.gate import LOOPBACK, MOST_BODY, Gate
 from crazychoir.dashboard.model import SwarmModel
 from crazychoir.dashboard.operator import Operator
-from crazychoir.dashboard.page import THREE, Pages
+from crazychoir.dashboard.page import THREE, Page
+from crazychoir.dashboard.polls import Links, TaskBoard
 from crazychoir.dashboard.stream import Stream
 from crazychoir.dashboard.watch import Watch
 from crazychoir.errors import ConfigError
@@ -42,7 +43,11 @@ class Outlook(Place, Protocol):
     """A place on the network from which one looks on and commands."""
 
     address: int
-    link: Link
+
+    @property
+    def link(self) -> Link:
+        """The way to it."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -96,12 +101,13 @@ async def serve(place: Outlook, served: Served, say: Callable[[str], None]) -> N
     bus, clock, config = place.link.bus, place.clock, place.config
     watch = Watch(clock)
     model, desk = SwarmModel(bus, place.address, config, watch), Desk(place, watch)
-    stream = Stream(model, desk, watch)
+    links, board = Links(desk), TaskBoard(desk)
+    stream = Stream(model, desk, watch, links, board)
     listening = served.bound()
     port = listening.getsockname()[1]
     scheme = "http" if served.certificate is None else "https"
     hosts = tuple(f"{name}:{port}" for name in LOOPBACK) if served.loopback else None
-    app = _app(stream, Pages(config.name, lambda: Operator(config, desk), watch))
+    app = _app(stream, lambda: Operator(config, desk, board), Page(model.about()))
     gate = Gate(app, clock, hosts, served.password, tls=scheme == "https")
     server = uvicorn.Server(uvicorn.Config(
         gate, log_level="warning", lifespan="on", ws_max_size=MOST_BODY, ws_per_message_deflate=False, ws_max_queue=8,
@@ -110,7 +116,7 @@ async def serve(place: Outlook, served: Served, say: Callable[[str], None]) -> N
     ))  # fmt: skip
     shown = f"[{served.host}]" if ":" in served.host else served.host
     say(f"page of swarm {config.name}: {scheme}://{shown}:{port}; Ctrl-C ends it, and the swarm flies on")
-    streaming = asyncio.create_task(Supervisor(clock, "page").run([stream]))
+    streaming = asyncio.create_task(Supervisor(clock, "page").run([stream, links, board]))
     try:
         await server.serve(sockets=[listening])
     finally:
@@ -156,17 +162,17 @@ def _ending() -> Iterator[None]:
         raise ConnectionError(str(error)) from error
 
 
-def _app(stream: Stream, pages: Pages) -> FastAPI:
+def _app(stream: Stream, operator: Callable[[], Operator], page: Page) -> FastAPI:
     app = FastAPI(openapi_url=None, docs_url=None, redoc_url=None)
 
     async def line(websocket: WebSocket) -> None:
         await websocket.accept()
-        await stream.serve(_Line(websocket), pages.operator())
+        await stream.serve(_Line(websocket), operator())
 
     app.add_api_websocket_route("/line", line)
     app.mount("/own", StaticFiles(directory=STATIC))
     app.mount("/three", StaticFiles(directory=THREE))
-    ui.page("/", title=f"{pages.swarm} · crazychoir")(pages.build)
+    ui.page("/", title=f"{page.swarm} · crazychoir")(page.build)
     ui.run_with(app, binding_refresh_interval=None, show_welcome_message=False, dark=None, reconnect_timeout=5.0,
                 tailwind=False, cache_control_directives="no-cache")  # fmt: skip
     return app

@@ -11,6 +11,7 @@ import msgspec
 from crazychoir.dashboard.asks import Message, read
 from crazychoir.dashboard.desk import Desk
 from crazychoir.dashboard.model import RATE, SwarmModel
+from crazychoir.dashboard.polls import Links, TaskBoard
 from crazychoir.dashboard.watch import Watch
 from crazychoir.errors import CrazyChoirError
 from crazychoir.runtime.actor import Actor
@@ -59,7 +60,8 @@ class Stream(Actor):
 
     name = "stream"
 
-    def __init__(self, model: SwarmModel, desk: Desk, watch: Watch) -> None:
+    def __init__(self, model: SwarmModel, desk: Desk, watch: Watch, links: Links, board: TaskBoard) -> None:
+        self.links, self.board = links, board
         self.model, self.desk, self.watch, self.clock = model, desk, watch, model.bus.clock
         self.pages = 0
         self.frame, self.table = b"", b""
@@ -70,6 +72,7 @@ class Stream(Actor):
         """Make each frame once for all pages."""
         every, count = round(RATE / TABLES), 0
         async for _ in self.clock.ticks(RATE):
+            self.links.watched = self.board.watched = self.pages > 0
             if not self.pages:
                 continue
             self.frame = self.model.frame()
@@ -85,7 +88,11 @@ class Stream(Actor):
 
     def news(self) -> dict[str, Any]:
         """What changes slowly."""
-        return {"drones": self.model.table(), "costs": list(self.model.costs)[-1:]}
+        links = {f"{i}-{j}": round(lost, 3) for (i, j), lost in self.links.lost.items()}
+        return {
+            "drones": self.model.table(), "costs": list(self.model.costs)[-1:], "links": links,
+            "tasks": self.board.tasks,
+        }  # fmt: skip
 
     async def serve(self, socket: Socket, answering: Answering) -> None:
         """One page, until it is gone."""

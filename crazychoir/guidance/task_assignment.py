@@ -114,7 +114,7 @@ class TaskAssignmentGuidance(CFGuidance):
         return {"done": self.done, "tables": self.tables, "open": left, "way": self.way} | failed
 
     async def asked(self, verb: str, arguments: dict[str, Any]) -> Any:
-        """An operator adds a task, at its pickup, or cancels one; see TaskSource."""
+        """An operator adds a task, at its pickup, cancels one, or wants the list; see TaskSource."""
         place = {"delivery": arguments.get("pickup")} if verb == "task_add" else {}
         return await self.source.asked(verb, {**arguments, **place})
 

@@ -1,7 +1,11 @@
 // The page, put together. Space stops all, wherever the focus is but in a text.
 import { ask, chosen, connect, on, seen, select, tell } from "./line.js";
+import { number } from "./canvas.js";
+import * as draw from "./draw.js";
+import * as plots from "./plots.js";
 import * as scene from "./scene.js";
 import * as table from "./table.js";
+import * as tasks from "./tasks.js";
 
 const find = (id) => document.getElementById(id);
 
@@ -31,8 +35,36 @@ function tabs() {
 const writes = (element) =>
   element.isContentEditable || element.tagName === "TEXTAREA" || (element.tagName === "INPUT" && !["checkbox", "button", "range"].includes(element.type));
 
-export function stopAll() {
-  return ask({ ask: "stop" });
+// What buttons call.
+const choir = {
+  order: (verb) => ask({ ask: "order", verb, drones: chosen() }),
+  stopAll: () => ask({ ask: "stop" }),
+  stopChosen: () => (chosen() ? ask({ ask: "stop", drones: chosen() }) : tell("refused", "motors off: choose drones, or stop all")),
+  clearStop: () => confirm("Let drones take off again?") && ask({ ask: "stop", clear: true }),
+  goTo: () => {
+    if (!chosen()) return tell("refused", "go to: choose drones in the table");
+    ask({ ask: "go-to", drones: chosen(), p: ["goal_x", "goal_y", "goal_z"].map(number), offset: [0, number("apart_y"), 0] });
+  },
+  turn: () => Quasar.Dark.toggle(),
+  network: {
+    cut: () => (chosen() ? ask({ ask: "impair", drones: chosen(), cut: true }) : tell("refused", "cut off: choose drones")),
+    clear: () => ask({ ask: "impair", clear: true }),
+  },
+  sketch: draw.sketch,
+  tasks: tasks.tasks,
+  ask, chosen, seen, select,
+};
+
+function sliders() {
+  for (const range of document.querySelectorAll('input[type="range"]')) {
+    const shown = document.querySelector(`output[for="${range.id}"]`);
+    const show = () => (shown.textContent = range.value);
+    range.addEventListener("input", show);
+    show();
+  }
+  for (const [id, unit] of [["loss", 100], ["delay", 1000]]) {
+    find(id).addEventListener("change", () => ask({ ask: "impair", [id]: number(id) / unit, drones: chosen() }));
+  }
 }
 
 function keys() {
@@ -41,7 +73,7 @@ function keys() {
     if (!isStop(event)) return;
     event.preventDefault();
     event.stopImmediatePropagation();
-    if (!event.repeat) stopAll();
+    if (!event.repeat) choir.stopAll();
   }, true);
   window.addEventListener("keyup", (event) => isStop(event) && event.preventDefault(), true);
 }
@@ -58,16 +90,18 @@ export function start() {
 }
 
 function begin() {
+  window.choir = choir;
   tabs();
   keys();
+  sliders();
   theme();
   table.start({ table: find("drones"), said: find("receipts"), lines: find("log"), level: find("level"), caption: find("chosen") });
   on("connected", (there) => {
     find("connection").textContent = there ? "connected" : "NOT CONNECTED: this page shows nothing new, and cannot stop anything";
     find("connection").dataset.there = there;
   });
-  on("selected", (ids) => window.emitEvent?.("selected", ids));
+  on("links", (lost) => (seen.links = lost));
+  for (const part of [draw, plots, tasks]) part.start();
   scene.start(find("scene"));
-  window.choir = { ask, chosen, seen, select, stopAll };
   connect();
 }

@@ -4,7 +4,7 @@ import { colour, on, seen, selected, tell } from "./line.js";
 
 const TRAIL = 120, TRAIL_S = 0.1, ARM = 0.13, LABELS = 40;
 let renderer, camera, controls, scene, host, drones, references, trails, edges, path, tasks, room;
-let labels = [], trailed = 0, drawn = -1, looked = false;
+let labels = [], waiting = 0, trailed = 0, drawn = -1, looked = false, tasked = "null";
 
 const at = (rows, k, c) => rows[k * seen.about.columns + c];
 const lines = (material) => unbounded(new THREE.LineSegments(new THREE.BufferGeometry(), material));
@@ -51,6 +51,7 @@ function box(low, high, tint) {
 function build(about) {
   scene.clear();
   labels = [];
+  tasked = "null";
   trailed = 0;
   const n = about.ids.length;
   const [low, high] = about.fence;
@@ -88,7 +89,7 @@ function look(about, rows) {
   const low = [0, 1].map((c) => Math.min(...spots.map((spot) => spot[c])));
   const high = [0, 1].map((c) => Math.max(...spots.map((spot) => spot[c])));
   const x = (low[0] + high[0]) / 2, y = (low[1] + high[1]) / 2;
-  const reach = Math.max(2.5, 1.2 * Math.hypot(high[0] - low[0], high[1] - low[1]));
+  const reach = Math.max(3.5, 1.2 * Math.hypot(high[0] - low[0], high[1] - low[1]));
   camera.position.set(x, y - reach, about.ground + 0.3 + 0.8 * reach);
   controls.target.set(x, y, about.ground + 0.4);
   controls.update();
@@ -105,7 +106,13 @@ function tint(i, k, rows) {
 const matrix = new THREE.Matrix4(), turn = new THREE.Quaternion(), where = new THREE.Vector3(), paint = new THREE.Color();
 const unit = new THREE.Vector3(1, 1, 1), none = new THREE.Matrix4().makeScale(0, 0, 0);
 
+// Drawn when the browser draws, so that a slow one draws less often instead of later and later.
+function soon() {
+  if (!waiting) waiting = requestAnimationFrame(() => { waiting = 0; show(seen); });
+}
+
 function show({ about, rows }) {
+  if (!about || !rows) return;
   if (!looked) look(about, rows);
   const repaint = seen.received % 10 === 1;
   about.ids.forEach((i, k) => {
@@ -168,7 +175,11 @@ export function showPath(points) {
 const TINTS = { open: "--warn", aboard: "--accent", delivered: "--good", done: "--good", cancelled: "--faint", lost: "--bad" };
 
 function showTasks(list) {
+  const text = JSON.stringify(list);
+  if (text === tasked) return;
+  tasked = text;
   tasks.clear();
+  if (!list) return;
   const z = seen.about.ground + 0.02;
   for (const task of list) {
     const spots = task.delivery ? [task.pickup, task.delivery] : [task.pickup];
@@ -207,7 +218,7 @@ export function start(element) {
   camera = new THREE.PerspectiveCamera(50, 1, 0.05, 500);
   camera.up.set(0, 0, 1);
   controls = new OrbitControls(camera, renderer.domElement);
-  controls.addEventListener("change", () => seen.rows && renderer.render(scene, camera));
+  controls.addEventListener("change", soon);
   let pressed = null;
   renderer.domElement.addEventListener("pointerdown", (event) => (pressed = [event.clientX, event.clientY]));
   renderer.domElement.addEventListener("pointerup", (event) => {
@@ -221,10 +232,10 @@ export function start(element) {
     renderer.setSize(clientWidth, clientHeight);
     camera.aspect = clientWidth / clientHeight;
     camera.updateProjectionMatrix();
-    if (seen.rows) renderer.render(scene, camera);
+    soon();
   }).observe(host);
   on("about", build);
-  on("frame", show);
+  on("frame", soon);
   on("tasks", showTasks);
   on("theme", () => seen.about && build(seen.about));
 }
