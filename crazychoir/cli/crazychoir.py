@@ -18,6 +18,7 @@ from crazychoir.cli import (
     rigid_bodies,
     simulate,
     solve,
+    steer,
     task,
     virtual,
 )
@@ -51,6 +52,8 @@ for command in (look.topics, look.echo, look.hz, look.status, look.impair, order
 for verb in orders.TEXTS:
     app.command(name=verb)(orders.order(verb, orders.LONGEST[verb]))
 
+app.command(name="go-to")(steer.go_to)
+app.command()(steer.fly)
 app.add_typer(param.app, name="param")
 app.add_typer(radio.app, name="radio")
 app.add_typer(task.app, name="task")

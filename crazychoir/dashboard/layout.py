@@ -9,8 +9,8 @@ from nicegui import ui
 
 
 def text(html: str) -> Any:
-    """HTML of ours."""
-    return ui.html(html, sanitize=False)
+    """HTML of ours; in a row, each of its elements is one of the row."""
+    return ui.html(html, sanitize=False).classes("loose")
 
 
 def field(name: str, label: str, value: float | str, unit: str = "", kind: str = "number", **more: float) -> str:

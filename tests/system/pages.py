@@ -3,7 +3,7 @@
 import asyncio
 import contextlib
 import json
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
 
@@ -107,4 +107,4 @@ async def looking_on(address: str) -> AsyncIterator[Seen]:
             await asyncio.wait([reading])
 
 
-Check = Callable[[], Any]
+

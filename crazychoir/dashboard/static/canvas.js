@@ -20,7 +20,7 @@ export function prepared(canvas) {
 export function curves(canvas, list, seconds = 0) {
   const pen = prepared(canvas);
   if (!pen) return;
-  const { clientWidth: w, clientHeight: h } = canvas, left = 44, top = 16, foot = 16;
+  const { clientWidth: w, clientHeight: h } = canvas, left = 50, top = 16, foot = 16;
   const known = list.flatMap(({ values }) => values.filter(Number.isFinite));
   if (!known.length) return;
   let low = Math.min(0, ...known), high = Math.max(...known, low + 1e-3);
@@ -34,7 +34,7 @@ export function curves(canvas, list, seconds = 0) {
     pen.moveTo(left, y(value));
     pen.lineTo(w, y(value));
     pen.stroke();
-    pen.fillText(value.toPrecision(3), 2, y(value) + 4);
+    pen.fillText(Number(value.toPrecision(2)), 2, y(value) + 4);
   }
   pen.fillText(`${seconds.toFixed(1)} s`, w - 40, h - 3);
   let x = left;

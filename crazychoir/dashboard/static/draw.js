@@ -1,5 +1,5 @@
 // Strokes by hand, in metres; what planning makes of them, over them; and whom it is sent to.
-import { ask, chosen, colour, on, seen, selected, tell } from "./line.js";
+import { ask, chosen, colour, on, row, seen, selected, tell } from "./line.js";
 import { showPath } from "./scene.js";
 import { curves, number, prepared } from "./canvas.js";
 
@@ -94,10 +94,21 @@ function changed() {
   }, 150);
 }
 
+const NEAR = 0.4, BELOW = 0.7;
+
+// Who is in the way where it is now; it will be given way to, and the path is not flown to its end.
+function inTheWay(points) {
+  const others = seen.about.ids.filter((i) => !selected.has(i) && [...(row(i) ?? [])].slice(0, 3).every(Number.isFinite));
+  const near = (p, [x, y, z]) => Math.hypot(Math.hypot(p[0] - x, p[1] - y) / NEAR, (p[2] - z) / BELOW) < 1;
+  return others.filter((i) => row(i)[2] > seen.about.ground + 0.1 && points.some((point) => near(row(i), point)));
+}
+
 function planned(made) {
   plan = made;
   showPath(made.points);
-  said(`${made.duration} s, at most ${made.speed} m/s and ${made.acceleration} m/s², at most ${Math.round(1000 * made.deviation)} mm beside what was drawn`);
+  const others = inTheWay(made.points);
+  const warning = others.length ? `. In the way, where they are now: drone ${others.join(", ")}` : "";
+  said(`${made.duration} s, at most ${made.speed} m/s and ${made.acceleration} m/s², at most ${Math.round(1000 * made.deviation)} mm beside what was drawn${warning}`);
   curves(find("profile"), [
     { name: "speed, m/s", values: made.speeds, tint: "--accent" }, { name: "acceleration, m/s²", values: made.accelerations, tint: "--warn" },
   ], made.duration);
