@@ -11,8 +11,8 @@ from system.agents import flying, until
 for package in ("nicegui", "playwright"):
     pytest.importorskip(package, reason="the page in a browser needs: pip install 'crazychoir[dashboard,test]'")
 
-from playwright.async_api import async_playwright
-from system.pages import dashboard, looking_on, six
+from playwright.async_api import async_playwright  # noqa: E402 - see above
+from system.pages import dashboard, looking_on, six  # noqa: E402
 
 CHROMIUM = shutil.which("chromium")
 FLAGS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
@@ -143,8 +143,10 @@ async def test_six_take_off_and_one_flies_a_word_that_was_drawn_and_space_stops_
 
 
 async def test_a_task_is_added_by_clicks_on_the_floor_while_they_fly(tmp_path, compiled):
-    options = {"tasks": 6, "later": 0, "until": 60.0}
-    async with flying(six("online_delivery", mission_options=options), tmp_path) as team:
+    tables = {
+        "mission_options": {"tasks": 6, "later": 0, "until": 60.0}, "fence": {"min": [-3, -3, 0], "max": [7, 7, 3]},
+    }  # fmt: skip
+    async with flying(six("online_delivery", **tables), tmp_path) as team:
         program, address = await dashboard(team.path)
         try:
             async with browser(address, tmp_path, color_scheme="dark") as page:

@@ -55,7 +55,7 @@ function build(about) {
   trailed = 0;
   const n = about.ids.length;
   const [low, high] = about.fence;
-  scene.add(new THREE.HemisphereLight(0xffffff, 0x667788, 2.5));
+  scene.add(new THREE.HemisphereLight(0xffffff, 0x8899aa, 4));
   room = new THREE.Group();
   const reach = Math.max(high[0] - low[0], high[1] - low[1]);
   const grid = new THREE.GridHelper(2 * Math.ceil(reach / 2), 2 * Math.ceil(reach / 2), colour("--ink"), colour("--rule"));

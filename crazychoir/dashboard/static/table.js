@@ -53,7 +53,7 @@ function fill(drones) {
 function words(receipt) {
   const groups = {};
   for (const [i, [kind, said]] of Object.entries(receipt.answers)) {
-    const text = typeof said === "string" ? said : JSON.stringify(said);
+    const text = typeof said === "string" ? said : said.id == null ? "" : `task ${said.id}${said.note ? `: ${said.note}` : ""}`;
     const long = text.length > 90 ? `${text.slice(0, 87)}...` : text;
     (groups[kind + (long ? `: ${long}` : "")] ??= []).push(i);
   }
