@@ -32,7 +32,7 @@ def choice(name: str, label: str, options: dict[str, str]) -> str:
 
 def button(label: str, action: str, look: str = "", **more: Any) -> Any:
     """A button that calls a function of static/page.js."""
-    made = ui.button(label, **more).props(f'no-caps {look} data-action="{escape(action)}"')
+    made = ui.button(label, **more).props(f'no-caps {look} data-action="{action}"')
     made.on("click", js_handler=f"() => window.choir.{action}")
     return made
 

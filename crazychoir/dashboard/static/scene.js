@@ -31,7 +31,7 @@ function label(text, size = 0.28) {
   const canvas = document.createElement("canvas");
   canvas.width = canvas.height = 64;
   const pen = canvas.getContext("2d");
-  pen.font = "bold 40px system-ui";
+  pen.font = `bold ${Math.min(40, 100 / text.length)}px system-ui`;
   pen.textAlign = "center";
   pen.fillStyle = colour("--ink");
   pen.fillText(text, 32, 46);
