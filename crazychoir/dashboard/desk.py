@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
-from crazychoir.bus.commands import ACCEPTED, DONE, REFUSED, Commander
+from crazychoir.bus.commands import ACCEPTED, DONE, NOT_READY, REFUSED, Answer, Commander
 from crazychoir.bus.local import BODIES
 from crazychoir.dashboard.watch import Watch
 from crazychoir.runtime.clock import Clock
@@ -18,6 +18,8 @@ ACKNOWLEDGED = 2.0
 SECONDS = {"take-off": 30.0, "start": 5.0, "hold": 5.0, "go": 5.0, "land": 60.0, "home": 120.0, "go-to": 120.0}
 """s to wait until each is done; others get REQUEST s."""
 REQUEST, STOP, LOOK = 5.0, 10.0, 0.05
+READY, RETRY = 15.0, 0.3
+"""s for which a drone that is not ready yet is asked again, and between two times."""
 KEPT = 50
 """Receipts."""
 
@@ -129,9 +131,7 @@ class Desk:
             place.clock.now_ns() + round(ACKNOWLEDGED * 1e9), self._unheard, receipt, i, drone=i
         )
         try:
-            answer = await place.commander.request(
-                i, verb, seconds, lambda: self._answer(receipt, i, ACCEPTED), **arguments
-            )
+            answer = await self._answered(receipt, i, verb, seconds, arguments)
         except TimeoutError:
             self._answer(receipt, i, SILENT, f"no answer within {seconds:g} s; is its agent running?")
             return
@@ -141,6 +141,20 @@ class Desk:
             self._answer(receipt, i, REFUSED, f"not done within {seconds:g} s")
         else:
             self._answer(receipt, i, answer.kind, "" if answer.detail is None else answer.detail)
+
+    async def _answered(
+        self, receipt: Receipt, i: int, verb: str, seconds: float, arguments: Mapping[str, Any]
+    ) -> Answer:  # fmt: skip
+        """What it says at last; who is not ready yet is asked again, for at most READY s."""
+        clock, commander = self.place.clock, self.place.commander
+        began, asks = clock.now(), clock.now() + min(seconds, READY)
+        while True:
+            left = began + seconds - clock.now()
+            answer = await commander.request(i, verb, left, lambda: self._answer(receipt, i, ACCEPTED), **arguments)
+            waits = answer.kind == REFUSED and str(answer.detail).startswith(NOT_READY)
+            if not waits or clock.now() + RETRY >= asks:
+                return answer
+            await clock.sleep(RETRY)
 
     def _unheard(self, receipt: Receipt, i: int) -> None:
         if receipt.answers[i][0] == SENT:

@@ -1,6 +1,6 @@
 from virtual_time import virtual
 
-from crazychoir.bus.commands import ACCEPTED, DONE, REFUSED, Commander, CommandServer
+from crazychoir.bus.commands import ACCEPTED, DONE, NOT_READY, REFUSED, Commander, CommandServer
 from crazychoir.bus.local import OBSERVER, Bus
 from crazychoir.bus.topics import REQUEST
 from crazychoir.dashboard.desk import ACKNOWLEDGED, KEPT, SENT, SILENT, STOP, Desk
@@ -70,6 +70,25 @@ async def test_what_is_accepted_and_not_done_in_time_is_said(clock):
     receipt = swarm.desk.order("land", [0], seconds=0.5)
     await swarm.desk.settled(receipt)
     assert receipt.answers == {0: (REFUSED, "not done within 0.5 s")}
+
+
+@virtual
+async def test_who_is_not_ready_yet_is_asked_again(clock):
+    swarm = Swarm(clock)
+    execute = swarm.executor(0)
+
+    async def later(verb, arguments):
+        if clock.now() < 4.0:
+            raise Refused("drone 0", f"{NOT_READY}: waiting for the others")
+        return await execute(verb, arguments)
+
+    CommandServer(swarm.bus.ports[0], later, print)
+    receipt = await swarm.desk.settled(swarm.desk.order("take-off", [0]))
+    assert receipt.answers == {0: (DONE, "hovering")}
+    assert 5.0 <= clock.now() < 5.5
+    CommandServer(swarm.bus.ports[0], swarm.executor(1), print)
+    assert (await swarm.desk.settled(swarm.desk.order("take-off", [0]))).answers[0][0] == REFUSED
+    assert clock.now() < 6.0
 
 
 @virtual
