@@ -34,6 +34,7 @@ class Page:
     def build(self) -> None:
         """One browser's page."""
         ui.add_body_html(HEAD)
+        ui.colors(primary="#0b5cad", positive="#1a7f37", negative="#c0182b")
         self._top()
         with ui.element("main").classes("board"):
             with card("view", "view of the room"):

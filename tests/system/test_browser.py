@@ -107,7 +107,8 @@ async def test_six_take_off_and_one_flies_a_word_that_was_drawn_and_space_stops_
                 while not any(r["verb"] == "fly" and r["answers"]["4"][0] == "done" for r in seen.receipts.values()):
                     way.append(seen.rows[4, 0:3].copy())
                     assert len(way) < 1200, seen.receipts
-                    if len(way) == 150:
+                    if len(way) == 200:
+                        await page.evaluate("document.querySelector('#panel-draw').scrollTop = 60")
                         await page.shot("3_flying")
                     await asyncio.sleep(0.05)
                 await page.click("#tab-fly")
@@ -166,10 +167,16 @@ async def test_a_task_is_added_by_clicks_on_the_floor_while_they_fly(tmp_path, c
                 await page.shot("7_task")
                 listed = await page.inner_text('[data-task^="1000"]')
                 assert "load 1: open" in listed
-                await page.click('[data-task^="1000"] button')
                 await page.wait_for_function(
-                    "document.querySelector('[data-task^=\"1000\"]').textContent.includes('cancelled')"
+                    "choir.seen.drones.some(drone => drone.task.includes('1 aboard'))", timeout=60_000
                 )
+                await page.shot("8_delivering")
+                for name, metres in {"pickup_x": 6, "pickup_y": 6, "delivery_x": -2, "delivery_y": 6}.items():
+                    await page.fill(f"#{name}", str(metres))
+                await page.click("text=Add task")
+                last = "#tasks li:has-text('6.00, 6.00 → -2.00, 6.00 m')"
+                await page.click(f"{last} button")
+                await page.wait_for_selector(f"{last}:has-text('cancelled')")
         finally:
             await program.kill()
 
