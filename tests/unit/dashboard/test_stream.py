@@ -116,8 +116,10 @@ async def test_nobody_is_asked_anything_while_nobody_looks_on(clock):
     await page.serving
     await clock.sleep(0.2)
     server.obeyed.clear()
+    frame = server.stream.frame
     await clock.sleep(2.0)
     assert server.obeyed == []
+    assert server.stream.frame is frame, "nor is any frame made"
     await server.end()
 
 
