@@ -8,11 +8,14 @@ HELP = (
     "Draw with mouse, finger or pen; several strokes are joined by straight flights. The thin line is what was drawn, "
     "the thick one what will be flown, here and in the room. Nothing flies before you say so."
 )
+ABOVE, BELOW = 0.7, 0.3
+"""m above those that hover where they took off, and below the fence: a drawing's height, unless it is set."""
 
 
 def build(about: dict[str, Any]) -> None:
     """The whole tab."""
     v_max, a_max = about["speed_limit"], about["acceleration_limit"]
+    height = round(min(about["height"] + ABOVE, about["fence"][1][2] - BELOW), 2)
     text(f'<p class="help">{HELP}</p><canvas id="sketch" role="img" '
          'aria-label="Drawing of a path, x to the right, y up; a file can be loaded instead"></canvas>')  # fmt: skip
     with row():
@@ -27,7 +30,7 @@ def build(about: dict[str, Any]) -> None:
          'aria-label="Speed and acceleration on the way"></canvas>')  # fmt: skip
     with row():
         text(
-            field("height", "Height", about["height"], "m", step=0.1)
+            field("height", "Height", height, "m", step=0.1)
             + field("lift", "Lift between strokes", 0, "m", min=0, max=5, step=0.1)
             + choice("yaw", "Looks", {"0": "along x", "along": "along the path", "1.5708": "along y"})
             + choice("timing", "Timing", {"even": "as fast as limits allow", "drawn": "as it was drawn"})
