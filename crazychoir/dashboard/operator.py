@@ -42,6 +42,7 @@ class Operator:
     def __init__(self, config: SwarmConfig, desk: Desk, board: TaskBoard) -> None:
         self.config, self.desk, self.board = config, desk, board
         self._plan: Planned | None = None
+        self._drawn = 0
 
     async def asked(self, message: Message) -> dict[str, Any] | None:
         """Do it; raises ConfigError, with why not."""
@@ -96,10 +97,13 @@ class Operator:
             "go-to", places, words=f"{list(message.p)} m", each=lambda i: {"p": places[i], "yaw": message.yaw}
         )
 
-    async def _draw(self, message: Draw) -> dict[str, Any]:
-        """Plan in a thread: the page of nobody waits for it."""
-        self._plan = None
+    async def _draw(self, message: Draw) -> dict[str, Any] | None:
+        """Plan in a thread: the page of nobody waits for it. What was drawn since counts alone."""
+        self._plan, self._drawn = None, self._drawn + 1
+        number = self._drawn
         plan = await _aside(planned, message, self.config)
+        if number != self._drawn:
+            return None
         self._plan = plan
         return {"plan": plan.shown()}
 

@@ -110,7 +110,8 @@ class Stream(Actor):
                 task.cancel()
             await asyncio.gather(telling, hearing, return_exceptions=True)
         for task in (telling, hearing):
-            if not task.cancelled() and (error := task.exception()) and not isinstance(error, ConnectionError):
+            error = None if task.cancelled() else task.exception()
+            if error is not None and not _gone(error):
                 raise error
 
     async def _tell(self, socket: Socket) -> None:
@@ -133,18 +134,22 @@ class Stream(Actor):
                 await socket.send_text(self.table.decode())
 
     async def _hear(self, socket: Socket, answering: Answering) -> None:
+        """Nothing that is asked waits for what was asked before: a stop may come while a drawing is planned."""
         times: deque[float] = deque(maxlen=MOST_ASKED)
-        while True:
-            text = await socket.receive_text()
-            now = self.clock.now()
-            if len(times) == MOST_ASKED and now - times[0] < PER_SECONDS:
-                await socket.close(POLICY, f"more than {MOST_ASKED} messages in {PER_SECONDS:g} s")
-                return
-            times.append(now)
-            reply = await self._replied(text, answering)
-            if reply is not None:
-                await socket.send_text(_text(reply))
-            self.wake()
+        async with asyncio.TaskGroup() as group:
+            while True:
+                text = await socket.receive_text()
+                now = self.clock.now()
+                if len(times) == MOST_ASKED and now - times[0] < PER_SECONDS:
+                    await socket.close(POLICY, f"more than {MOST_ASKED} messages in {PER_SECONDS:g} s")
+                    raise ConnectionError("closed")
+                times.append(now)
+                group.create_task(self._reply(socket, text, answering))
+
+    async def _reply(self, socket: Socket, text: str, answering: Answering) -> None:
+        reply = await self._replied(text, answering)
+        if reply is not None:
+            await socket.send_text(_text(reply))
 
     async def _replied(self, text: str, answering: Answering) -> dict[str, Any] | None:
         try:
@@ -152,6 +157,13 @@ class Stream(Actor):
         except (msgspec.ValidationError, msgspec.DecodeError, CrazyChoirError) as error:
             self.watch.add(f"not done: {error}", "warning")
             return {"refused": str(error)}
+
+
+def _gone(error: BaseException) -> bool:
+    """Whether it says no more than that the page is gone."""
+    if isinstance(error, BaseExceptionGroup):
+        return all(map(_gone, error.exceptions))
+    return isinstance(error, ConnectionError)
 
 
 def _text(value: Any) -> str:

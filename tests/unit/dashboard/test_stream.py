@@ -2,11 +2,13 @@ import asyncio
 import json
 
 import numpy as np
+import pytest
 from virtual_time import virtual
 
 from crazychoir.bus.commands import Commander, CommandServer
 from crazychoir.bus.local import OBSERVER, Bus
 from crazychoir.bus.topics import STATE
+from crazychoir.dashboard import operator
 from crazychoir.dashboard.desk import Desk
 from crazychoir.dashboard.model import RATE, SwarmModel
 from crazychoir.dashboard.operator import Operator
@@ -156,6 +158,50 @@ async def test_what_is_malformed_or_wrong_is_refused_and_the_page_stays(clock):
     await clock.sleep(0.5)
     assert len(server.those("land")) == 3
     assert page.closed is None
+    await server.end()
+
+
+@virtual
+async def test_a_stop_waits_for_nothing_that_was_asked_before(clock):
+    server = Server(clock)
+    page = server.page()
+    await clock.sleep(1.5)
+    execute = server.execute
+
+    async def slow(i, verb, arguments):
+        if verb == "task_add":
+            await clock.sleep(4.0)
+        return await execute(i, verb, arguments)
+
+    server.execute = slow
+    page.asks.put_nowait({"ask": "add-task", "pickup": [1.0, 2.0]})
+    await clock.sleep(0.1)
+    page.asks.put_nowait({"ask": "stop"})
+    await clock.sleep(0.3)
+    assert server.bus.stopped
+    (receipt,) = [one for told in page.told("receipts") for one in told if one["verb"] == "emergency stop"][-1:]
+    assert {kind for kind, _ in receipt["answers"].values()} == {"done"}
+    assert not server.those("task_add")
+    await clock.sleep(5.0)
+    assert server.those("task_add")
+    await server.end()
+
+
+@virtual
+async def test_of_two_drawings_the_newer_counts_whichever_is_planned_first(clock):
+    server = Server(clock)
+    page = server.page()
+
+    async def aside(work, message, config):
+        await clock.sleep(2.0 if message.height == 0.5 else 1.0)
+        return work(message, config)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(operator, "_aside", aside)
+        for height in (0.5, 0.7):
+            page.asks.put_nowait({"ask": "draw", "strokes": [[[0, 0, 0], [1, 1, 0]]], "height": height})
+        await clock.sleep(3.0)
+    assert [plan["points"][-1] for plan in page.told("plan")] == [[1.0, 0.0, 0.7]]
     await server.end()
 
 
