@@ -132,12 +132,15 @@ async def test_six_take_off_and_one_flies_a_word_that_was_drawn_and_space_stops_
                 assert "impair loss 0.3" in await receipt(page, "impair")
                 await page.shot("5_loss")
 
-                await page.focus('input[aria-label="drone 2"]')
+                await page.focus("#goal_x")
                 await page.keyboard.press("Space")
                 assert "emergency stop" in await receipt(page, "motors off")
                 await page.wait_for_function("choir.seen.drones.every(drone => drone.phase === 'stopped')")
                 assert {status["phase"] for status in team.newest()} == {"stopped"}
+                await page.focus('input[aria-label="drone 2"]')
+                await page.keyboard.press("Space")
                 assert not await page.is_checked('input[aria-label="drone 2"]'), "space does nothing else"
+                assert sum("emergency stop" in line for line in await page.locator("#receipts li").all_inner_texts()) == 2
                 await page.shot("6_stopped")
         finally:
             await program.kill()

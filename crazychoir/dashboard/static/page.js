@@ -32,8 +32,8 @@ function tabs() {
   show(all[0]);
 }
 
-const writes = (element) =>
-  element.isContentEditable || element.tagName === "TEXTAREA" || (element.tagName === "INPUT" && !["checkbox", "button", "range"].includes(element.type));
+const TEXTS = ["text", "search", "password", "email", "url"];
+const writes = (element) => element.isContentEditable || element.tagName === "TEXTAREA" || TEXTS.includes(element.type);
 
 // What buttons call.
 const choir = {

@@ -4,7 +4,7 @@ import { colour, on, seen, selected, tell } from "./line.js";
 
 const TRAIL = 120, TRAIL_S = 0.1, ARM = 0.13, LABELS = 40;
 let renderer, camera, controls, scene, host, drones, references, trails, edges, path, tasks, room;
-let labels = [], waiting = 0, trailed = 0, drawn = -1, looked = false, tasked = "null";
+let labels = [], links = [], waiting = 0, trailed = 0, drawn = -1, looked = false, tasked = "null";
 
 const at = (rows, k, c) => rows[k * seen.about.columns + c];
 const lines = (material) => unbounded(new THREE.LineSegments(new THREE.BufferGeometry(), material));
@@ -73,6 +73,8 @@ function build(about) {
   edges.geometry.setAttribute("position", new THREE.BufferAttribute(new Float32Array(6 * about.edges.length), 3));
   edges.geometry.setAttribute("color", new THREE.BufferAttribute(new Float32Array(6 * about.edges.length), 3));
   path = lines(new THREE.LineBasicMaterial({ color: colour("--good") }));
+  const place = new Map(about.ids.map((i, k) => [i, k]));
+  links = about.edges.map(([i, j]) => ({ ends: [place.get(i), place.get(j)], name: `${i}-${j}` }));
   tasks = new THREE.Group();
   scene.add(references, trails, edges, path, tasks);
   if (n <= LABELS) {
@@ -129,7 +131,7 @@ function show({ about, rows }) {
   if (drones.instanceColor) drones.instanceColor.needsUpdate = true;
   references.geometry.attributes.position.needsUpdate = true;
   if (seen.at - drawn >= TRAIL_S || seen.at < drawn) trail(about, rows);
-  connectEdges(about, rows);
+  connectEdges(rows);
   renderer.render(scene, camera);
 }
 
@@ -149,11 +151,10 @@ function trail(about, rows) {
   points.needsUpdate = true;
 }
 
-function connectEdges(about, rows) {
+function connectEdges(rows) {
   const { position, color } = edges.geometry.attributes;
-  about.edges.forEach(([i, j], e) => {
-    const ends = [about.ids.indexOf(i), about.ids.indexOf(j)];
-    const known = seen.links?.[`${i}-${j}`];
+  links.forEach(({ ends, name }, e) => {
+    const known = seen.links?.[name];
     const lost = known ?? (seen.drones.length ? (seen.drones[ends[0]].lost + seen.drones[ends[1]].lost) / 2 : 0);
     paint.setHSL(0.33 * (1 - Math.min(1, 1.5 * lost)), 0.75, 0.45);
     ends.forEach((k, end) => {
