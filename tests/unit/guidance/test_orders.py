@@ -330,6 +330,21 @@ def test_what_cannot_be_flown_is_refused_before_anything_moves():
     play(There, scene)
 
 
+def test_a_drone_says_what_each_of_its_links_has_lost():
+    async def scene(operator):
+        assert await told(operator, "links", 0) == (DONE, {})
+        await told(operator, "impair", 0, loss=0.5)
+        await operator.order("take-off")
+        kind, links = await told(operator, "links", 0)
+        assert (kind, sorted(links)) == (DONE, [1, 2])
+        for sent, lost in links.values():
+            assert sent > 30
+            assert 0.2 < lost / sent < 0.8
+        await operator.order("land")
+
+    play(There, scene)
+
+
 def test_a_flight_on_command_puts_off_the_end_of_waiting(monkeypatch):
     monkeypatch.setattr(base, "PATIENCE", 6.0)
 
