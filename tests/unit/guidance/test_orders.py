@@ -33,6 +33,15 @@ class Stay(CFDistributedFeedback):
         return Acceleration(-2.0 * me.v)
 
 
+class Rests(CFDistributedFeedback):
+    """Wants to hover, in each of its steps."""
+
+    duration = 30.0
+
+    def step(self, me, heard):
+        return None
+
+
 class There(CFGuidance):
     """To a place beside its home, and to another one for long."""
 
@@ -288,6 +297,19 @@ def test_a_drone_that_is_held_flies_on_command_and_goes_on_with_its_mission():
         await operator.order("land")
 
     play(There, scene)
+
+
+def test_a_law_that_wants_to_hover_does_not_end_a_flight_on_command():
+    async def scene(operator):
+        await operator.order("take-off")
+        await operator.order("start")
+        await operator.clock.sleep(1.0)
+        await operator.order("hold", 0)
+        assert await told(operator, "go-to", 0, p=[-1.0, 1.0, 0.8]) == (DONE, "there")
+        assert await told(operator, "fly", 0, **way((-1.0, 1.0, 0.8), (-1.0, 2.0, 0.8))) == (DONE, "flown")
+        await operator.order("land")
+
+    play(Rests, scene)
 
 
 def test_the_newer_command_counts_and_a_hold_ends_a_flight():
