@@ -7,7 +7,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-from crazychoir.bus.commands import CommandServer
+from crazychoir.bus.commands import COMMANDED, CommandServer
 from crazychoir.bus.hello import VERSION
 from crazychoir.bus.local import Bus
 from crazychoir.bus.topics import LINK, LOG, POSE, RESULT, STATUS, TELEMETRY, TRUTH
@@ -23,6 +23,7 @@ from crazychoir.guidance.mission import Mission, mission_hash
 from crazychoir.guidance.orders import VERBS as ORDERS
 from crazychoir.guidance.orders import Orders
 from crazychoir.guidance.sensors import Sensors
+from crazychoir.guidance.steering import Steering
 from crazychoir.platforms import platform
 from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import Clock
@@ -53,8 +54,9 @@ from crazychoir.worlds import owners
 log = logging.getLogger(__name__)
 RESTARTED = 20.0
 """s without a word of the owner of a dongle, which `run` starts again, after which it does not come back."""
-VERBS = (*ORDERS, "impair", "param_get", "param_set", "task_add", "task_cancel", "ping")
-"""What operators may ask of a drone."""
+QUERIES = ("param_get", "task_list", "links", "ping")
+VERBS = (*ORDERS, "go-to", "fly", "impair", "param_set", "task_add", "task_cancel", *QUERIES)
+"""What operators may ask of a drone; QUERIES change nothing."""
 
 
 class StatusActor(Actor):
@@ -132,6 +134,7 @@ class Agent:
         self.services: list[Actor] = []
         self._guidances: dict[int, GuidanceActor] = {}
         self._orders = {i: self._orders_of(drone) for i, drone in self.drones.items()}
+        self._steering = {i: Steering(drone) for i, drone in self.drones.items()}
 
     def _drone(self, i: int) -> Drone:
         config, port = self.config, self.bus.ports[i]
@@ -325,7 +328,9 @@ class Agent:
             drone.pilot.cut(text)
 
     async def _execute(self, drone: Drone, verb: str, arguments: dict[str, Any]) -> Any:
-        """What operators may ask of a drone."""
+        """What operators may ask of a drone; what changes something is told to all who look on."""
+        if verb not in QUERIES:
+            drone.port.publish(LOG, f"drone {drone.id}: {COMMANDED}{verb}")
         if verb in ORDERS:
             return await self._orders[drone.id].execute(verb)
         match verb:
@@ -336,7 +341,13 @@ class Agent:
                 return drone.pilot.parameters.values(arguments.get("name"))
             case "param_set":
                 return drone.pilot.set_parameter(arguments["name"], arguments["value"])
-            case "task_add" | "task_cancel":
+            case "go-to":
+                return await self._steering[drone.id].go_to(arguments)
+            case "fly":
+                return await self._steering[drone.id].fly(arguments)
+            case "links":
+                return self._links(drone.id)
+            case "task_add" | "task_cancel" | "task_list":
                 if not hasattr(drone.guidance, "member"):
                     raise Refused(f"drone {drone.id}", "its mission has not begun")
                 return await drone.guidance.asked(verb, arguments)
@@ -345,7 +356,13 @@ class Agent:
             case _:
                 raise Refused(f"drone {drone.id}", f"no command {verb!r}; there are {', '.join(VERBS)}")
 
+    def _links(self, i: int) -> dict[int, list[int]]:
+        """Messages that drone i has sent to each other one through the simulated network, and those that it lost."""
+        edges = self.bus.impairment.counters
+        return {j: [edge.sent, edge.lost] for (source, j), edge in edges.items() if source == i}
+
     def _stop(self, drone: Drone, on: bool) -> None:
+        drone.port.publish(LOG, f"drone {drone.id}: {COMMANDED}{'emergency stop' if on else 'clear stop'}")
         if on:
             drone.pilot.cut("emergency stop")
 

@@ -19,6 +19,8 @@ AGAIN = 0.5
 """s between repeats of a request that was accepted."""
 ALONE = "alone"
 """What a stop says that is meant for its targets alone: it does not keep the others on the ground."""
+COMMANDED = "commanded: "
+"""How the log line of a drone begins that does what an operator has commanded."""
 REMEMBERED = 256
 ACCEPTED, REFUSED, DONE = "accepted", "refused", "done"
 NOT_READY = "it is not ready"
@@ -48,15 +50,23 @@ class Commander:
         self._count = 0
         self._waiting: dict[int, asyncio.Future[Answer]] = {}
         self._accepted: dict[int, None] = {}
+        self._on_accepted: dict[int, Callable[[], None]] = {}
         self._acknowledged: dict[int, dict[int, None]] = {}
         port.handlers[ANSWER.number] = self._answered
 
-    async def request(self, target: int, verb: str, deadline: float = 5.0, **arguments: Any) -> Answer:
-        """Ask drone `target`; raises TimeoutError when nothing answers within `deadline` s."""
+    async def request(
+        self, target: int, verb: str, deadline: float = 5.0, on_accepted: Callable[[], None] = lambda: None,
+        **arguments: Any,
+    ) -> Answer:  # fmt: skip
+        """Ask drone `target`; raises TimeoutError when nothing answers within `deadline` s.
+
+        on_accepted: called once when it has said that it will do it.
+        """
         self._count += 1
         number = self._count
         future: asyncio.Future[Answer] = asyncio.get_running_loop().create_future()
         self._waiting[number] = future
+        self._on_accepted[number] = on_accepted
         clock = self.port.bus.clock
         ends = clock.now() + deadline
         try:
@@ -74,7 +84,7 @@ class Commander:
             text = f"drone {target}: no answer to {verb!r} within {deadline:g} s; is its agent running?"
             raise TimeoutError(text) from None
         finally:
-            del self._waiting[number]
+            del self._waiting[number], self._on_accepted[number]
             self._accepted.pop(number, None)
 
     async def emergency_stop(
@@ -116,7 +126,9 @@ class Commander:
         if future is None or future.done():
             return
         if kind == ACCEPTED:
-            self._accepted[number] = None
+            if number not in self._accepted:
+                self._accepted[number] = None
+                self._on_accepted[number]()
         else:
             future.set_result(Answer(source, kind, detail))
 

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from crazychoir.cli import (
+    dashboard,
     ending,
     identify,
     look,
@@ -17,6 +18,7 @@ from crazychoir.cli import (
     rigid_bodies,
     simulate,
     solve,
+    steer,
     task,
     virtual,
 )
@@ -44,11 +46,14 @@ app.command()(simulate.simulate)
 app.command()(plot.plot)
 app.command()(render.render)
 app.command()(identify.identify)
+app.command()(dashboard.dashboard)
 for command in (look.topics, look.echo, look.hz, look.status, look.impair, orders.stop):
     app.command()(command)
 for verb in orders.TEXTS:
     app.command(name=verb)(orders.order(verb, orders.LONGEST[verb]))
 
+app.command(name="go-to")(steer.go_to)
+app.command()(steer.fly)
 app.add_typer(param.app, name="param")
 app.add_typer(radio.app, name="radio")
 app.add_typer(task.app, name="task")

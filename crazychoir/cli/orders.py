@@ -43,7 +43,7 @@ def order(verb: str, seconds: float) -> Callable[..., None]:
             window.check("--drones", chosen or ())
             return await window.order(verb, chosen, wait)
 
-        _conclude({i: _row(said) for i, (_, said) in looking(swarm, work, as_json).items()}, as_json)
+        conclude(looking(swarm, work, as_json), as_json)
 
     command.__doc__ = f"{TEXTS[verb]} Exit code 0 only if all have done it."
     return command
@@ -66,6 +66,11 @@ def stop(
     words = "cleared" if clear else "motors off"
     rows = {i: {"answer": DONE, "says": words} if obeyed else _row(said) for i, (obeyed, said) in answers.items()}
     _conclude(rows, as_json)
+
+
+def conclude(answers: "Answers", as_json: bool) -> None:
+    """What each drone answers to a command that it was to do; exit code 0 only if all have done it."""
+    _conclude({i: _row(said) for i, (_, said) in answers.items()}, as_json)
 
 
 def _row(said: "tuple[str, str] | list[str] | str") -> dict[str, str]:

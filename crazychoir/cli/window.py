@@ -102,13 +102,17 @@ class Window:
         Who is not ready yet is asked again, for at most READY s. Says of each its answer and its words, as "refused"
         and the reason.
         """
-        return await self._ask(lambda i: self._order(i, verb, seconds), drones)
+        return await self._ask(lambda i: self._order(i, verb, seconds, {}), drones)
 
-    async def _order(self, i: int, verb: str, seconds: float) -> tuple[bool, Any]:
+    async def command(self, verb: str, told: Mapping[int, Mapping[str, Any]], seconds: float) -> Answers:
+        """`order` with arguments, by drone."""
+        return await self._ask(lambda i: self._order(i, verb, seconds, told[i]), told)
+
+    async def _order(self, i: int, verb: str, seconds: float, arguments: Mapping[str, Any]) -> tuple[bool, Any]:
         began, asks = self.clock.now(), self.clock.now() + min(seconds, READY)
         while True:
             try:
-                answer = await self.commander.request(i, verb, began + seconds - self.clock.now())
+                answer = await self.commander.request(i, verb, began + seconds - self.clock.now(), **arguments)
             except TimeoutError:
                 return False, (SILENT, f"no answer within {seconds:g} s; is its agent running?")
             if answer.kind == ACCEPTED:  # what was left for the last time that it was asked says nothing to who waited

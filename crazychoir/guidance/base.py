@@ -18,6 +18,7 @@ from crazychoir.planning.feasibility import Limits, check
 from crazychoir.planning.scaling import GETS_UP, Resumed
 from crazychoir.planning.trajectory import Trajectory
 from crazychoir.safety.modes import HELD, Mode
+from crazychoir.safety.pilot import Pilot
 from crazychoir.swarm.communicator import Communicator
 from crazychoir.swarm.graph import Graph
 from crazychoir.swarm.round import Round
@@ -80,6 +81,10 @@ class CFGuidance:
     async def asked(self, verb: str, arguments: dict[str, Any]) -> Any:
         """What an operator asks of this mission alone; returns the answer, or raises Refused."""
         raise Refused(f"drone {self.id}", f"this mission knows no command {verb!r}")
+
+    def led(self, path: Trajectory) -> str:
+        """An operator wants it to fly this path, as part of its mission; returns what it does, or raises Refused."""
+        raise Refused(f"drone {self.id}", "its mission flies it: hold it first")
 
     @property
     def id(self) -> int:
@@ -211,6 +216,8 @@ class CFGuidance:
         member.gate, member.report = gate, lambda: {"task": GATES[gate]}
         member.announce()
         while waits() and member.clock.now() < ends and not member.ended:
+            if pilot.commanded and pilot.remaining() > 0.0:
+                ends = member.clock.now() + seconds  # its operator is at work
             await self.sleep(SETTLE)
         member.gate, member.report = "", report
         self._may_fly()
@@ -276,7 +283,7 @@ class CFGuidance:
             do = "Make one of places: crazychoir.planning.minimum_snap.minimum_snap(places)."
             found = type(trajectory).__name__
             raise ConfigError(f"drone {self.id}: fly", found, "a trajectory: duration, sample(t), done(t)", do)
-        self._require_feasible(trajectory)
+        require_feasible(trajectory, self.member.pilot)
         pilot, clock, left, attempts = self.member.pilot, self.member.clock, trajectory, 0
         end, ends = trajectory.sample(trajectory.duration), clock.now() + trajectory.duration + PATIENCE
         while attempts < ATTEMPTS and clock.now() < ends:
@@ -304,18 +311,6 @@ class CFGuidance:
             await self._while(min(SETTLE, max(left, TICK)), Mode.FOLLOW)
             left = pilot.remaining()
         return t
-
-    def _require_feasible(self, trajectory: Trajectory) -> None:
-        pilot, flight = self.member.pilot, self.member.config.flight
-        platform = pilot.controls.platform
-        check(
-            trajectory,
-            Limits(
-                v_max=flight.speed_limit, a_max=flight.acceleration_limit, mass=platform.mass,
-                thrust_max=HEADROOM * platform.max_thrust, rate_max=platform.max_rate, low=pilot.fence.low,
-                high=pilot.fence.high,
-            ),
-        )  # fmt: skip
 
     async def land(self) -> None:
         """Come down and stop the motors; a drone that its operator holds waits in the air, at most PATIENCE s.
@@ -356,6 +351,19 @@ class CFGuidance:
             await self.sleep(min(SETTLE, max(left, 1e-3)))
         if pilot.mode not in flying:
             raise Interrupted(f"drone {self.id}: {pilot.mode.value}: {pilot.note}")
+
+
+def require_feasible(trajectory: Trajectory, pilot: Pilot) -> None:
+    """Raise ConfigError for a trajectory that leaves the fence, or that the drone cannot fly or [flight] forbids."""
+    flight, platform = pilot.limits, pilot.controls.platform
+    check(
+        trajectory,
+        Limits(
+            v_max=flight.speed_limit, a_max=flight.acceleration_limit, mass=platform.mass,
+            thrust_max=HEADROOM * platform.max_thrust, rate_max=platform.max_rate, low=pilot.fence.low,
+            high=pilot.fence.high,
+        ),
+    )  # fmt: skip
 
 
 def _number(value: object) -> float | None:

@@ -6,6 +6,7 @@ import numpy as np
 from msgspec import Meta
 
 from crazychoir.errors import ConfigError
+from crazychoir.guidance.base import require_feasible
 from crazychoir.guidance.feedback import CFDistributedFeedback
 from crazychoir.guidance.mission_options import Duration, HeightOption, Laps, Length, Period, Ramp, own
 from crazychoir.math3d import Mat, Vec
@@ -55,6 +56,14 @@ class Leader(CFDistributedFeedback):
         self.place, self.path, self.begin = np.asarray(place, dtype=float), path, begin
         self._started: float | None = None
 
+    def led(self, path: Trajectory) -> str:
+        """From where it is to be now, the path that its operator has drawn: leaders that get it fly side by side."""
+        if self.path is not None and self._started is not None:
+            self.place = shifted(self.path, self.place, self._since()).p
+        require_feasible(Moved(path, self.place), self.member.pilot)
+        self.path, self.begin, self._started = path, 0.0, None
+        return f"leads along it from {np.round(self.place, 2).tolist()}"
+
     def height(self) -> float:
         """Of its place."""
         return float(self.place[2]) - self.member.config.flight.ground
@@ -65,7 +74,27 @@ class Leader(CFDistributedFeedback):
             return None
         now = self.member.clock.now()
         self._started = now if self._started is None else self._started
-        return shifted(self.path, self.place, now - self._started - self.begin)
+        return shifted(self.path, self.place, self._since())
+
+    def _since(self) -> float:
+        """s of its path, negative before."""
+        assert self._started is not None  # noqa: S101 - callers have looked
+        return self.member.clock.now() - self._started - self.begin
+
+
+class Moved:
+    """A path, moved so that it begins at `place`."""
+
+    def __init__(self, path: Trajectory, place: Vec) -> None:
+        self.path, self.place, self.duration = path, place, path.duration
+
+    def sample(self, t: float) -> FullState:
+        """The reference t seconds after the start."""
+        return shifted(self.path, self.place, t)
+
+    def done(self, t: float) -> bool:
+        """Is the end reached at t?"""
+        return self.path.done(t)
 
 
 def shifted(path: Trajectory, place: Vec, t: float) -> FullState:

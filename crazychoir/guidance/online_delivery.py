@@ -157,7 +157,7 @@ class OnlinePDVRPGuidance(CFGuidance):
         return self._seen
 
     async def asked(self, verb: str, arguments: dict[str, Any]) -> Any:
-        """An operator adds a task, or cancels one; see TaskSource."""
+        """An operator adds a task, cancels one, or wants the list; see TaskSource."""
         return await self.source.asked(verb, arguments)
 
     def _may_end(self) -> bool:

@@ -111,6 +111,7 @@ class Orders:
         """Above the others as far as it hears of them, and those returning each at a level of its own."""
         drone, pilot = self.drone, self.drone.pilot
         self.abort("sent home on command")
+        pilot.commanded = False
         pilot.hover()
         self._others = self._others or _Others(drone.port, tuple(i for i in self.config.ids if i != drone.id))
         if hasattr(drone.guidance, "member"):

@@ -114,9 +114,12 @@ class TaskAssignmentGuidance(CFGuidance):
         return {"done": self.done, "tables": self.tables, "open": left, "way": self.way} | failed
 
     async def asked(self, verb: str, arguments: dict[str, Any]) -> Any:
-        """An operator adds a task, at its pickup, or cancels one; see TaskSource."""
+        """An operator adds a task, at its pickup, cancels one, or wants the list; see TaskSource."""
         place = {"delivery": arguments.get("pickup")} if verb == "task_add" else {}
-        return await self.source.asked(verb, {**arguments, **place})
+        said: dict[str, Any] = await self.source.asked(verb, {**arguments, **place})
+        if verb == "task_list":
+            return {"tasks": [task | {"delivery": None} for task in said["tasks"]]}
+        return said
 
     def _may_end(self) -> bool:
         return self._shares

@@ -81,16 +81,28 @@ class TaskSource:
     # Operators ------------------------------------------------------------------------------------------------
 
     async def asked(self, verb: str, arguments: dict[str, Any]) -> dict[str, Any]:
-        """An operator's task_add {"pickup", "delivery", "load", "robots"} or task_cancel {"id"}.
+        """An operator's task_add {"pickup", "delivery", "load", "robots"}, task_cancel {"id"}, or task_list.
 
-        Returns {"id"}, and with "note" what the operator should know, when more than half of the team know of it: so
-        no single drone takes it along when it is lost. Raises Refused, and then nothing has changed.
+        The list is that of `listed`. The others return {"id"}, and with "note" what the operator should know, when more
+        than half of the team know of it: so no single drone takes it along when it is lost. Raises Refused, and then
+        nothing has changed.
         """
+        if verb == "task_list":
+            return {"tasks": self.listed()}
         task = self._read(arguments) if verb == "task_add" else None
         await self._ready()
         j, note = self._cancel(arguments) if task is None else self._add(task)
         notes = [note, await self._told(self.news.say())]
         return {"id": j} | ({"note": "; ".join(filter(None, notes))} if any(notes) else {})
+
+    def listed(self) -> list[dict[str, Any]]:
+        """The tasks that are known here: id, pickup (where it lies now) and delivery m, load, fate, robot."""
+        standings, tasks = self.news.standings(), self.news.book.tasks
+        return [
+            {"id": j, "pickup": list(standing.pickup), "delivery": list(tasks[j].delivery), "load": tasks[j].load,
+             "fate": standing.fate.value, "robot": standing.robot}
+            for j, standing in standings.items()
+        ]  # fmt: skip
 
     async def _ready(self) -> None:
         """Wait until this robot knows what more than half of the team knew when it was started.

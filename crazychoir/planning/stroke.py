@@ -1,6 +1,7 @@
 """Hand-drawn strokes: read, checked, thinned, split at corners."""
 
 import math
+from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
 
@@ -9,7 +10,9 @@ import numpy.typing as npt
 
 from crazychoir.errors import ConfigError
 from crazychoir.math3d import Mat, Vec
-from crazychoir.planning.table import TableError, read_table
+from crazychoir.planning.table import TableError, parse_table, read_table
+
+COLUMNS = ("stroke", "t", "x", "y")
 
 THINNING = 0.25  # of the spacing: points that are closer say no more about the shape, only about the hand
 SHARP = math.radians(80.0)  # a turn within one spacing that is flown as a stop, not as a bend
@@ -20,7 +23,21 @@ def read_strokes(path: str | Path) -> list[Mat]:
 
     Errors: TableError naming file, line and column; also where a stroke comes back, or t goes back within one.
     """
-    table = read_table(path, ("stroke", "t", "x", "y"))
+    return _strokes(read_table(path, COLUMNS), path)
+
+
+def parse_strokes(text: str, path: str) -> list[Mat]:
+    """`read_strokes` of what a file contains; path: what errors call it."""
+    return _strokes(parse_table(text, path, COLUMNS), path)
+
+
+def csv_of(strokes: Sequence[Mat]) -> str:
+    """What `parse_strokes` reads: strokes (k, 3) rows t, x, y."""
+    rows = (f"{n},{t:.4f},{x:.5f},{y:.5f}" for n, stroke in enumerate(strokes) for t, x, y in stroke.tolist())
+    return "\n".join([",".join(COLUMNS), *rows]) + "\n"
+
+
+def _strokes(table: dict[str, Mat], path: str | Path) -> list[Mat]:
     ids, rows = table["stroke"], np.column_stack([table["t"], table["x"], table["y"]])
     starts = np.flatnonzero(np.diff(ids, prepend=np.nan))
     for k in starts.tolist():

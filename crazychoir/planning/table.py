@@ -10,6 +10,8 @@ import numpy as np
 from crazychoir.errors import ConfigError
 from crazychoir.math3d import Mat
 
+CSV = "a readable CSV file, UTF-8"
+
 
 class TableError(ConfigError):
     """A CSV file of numbers is wrong: file, line, column."""
@@ -22,7 +24,18 @@ def read_table(path: str | Path, required: Sequence[str], optional: Sequence[Seq
     each group of `optional` ones all or none. Empty lines and an empty last column are left out.
     Errors: TableError.
     """
-    lines = _lines(path)
+    try:
+        text = Path(path).read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        raise TableError(f"{path}", f"{error}", CSV) from error
+    return parse_table(text, path, required, optional)
+
+
+def parse_table(
+    text: str, path: str | Path, required: Sequence[str], optional: Sequence[Sequence[str]] = ()
+) -> dict[str, Mat]:
+    """`read_table` of what a file contains; path: what errors call it."""
+    lines = _lines(text, path)
     head = [name.strip().lstrip("# ").lower() for name in lines[0][1]]
     _check_head(path, lines[0][0], head, required, optional)
     rows = [_numbers(path, number, head, cells) for number, cells in lines[1:]]
@@ -32,14 +45,13 @@ def read_table(path: str | Path, required: Sequence[str], optional: Sequence[Seq
     return table | {"line": np.array([float(number) for number, _ in lines[1:]])}
 
 
-def _lines(path: str | Path) -> list[tuple[int, list[str]]]:
+def _lines(text: str, path: str | Path) -> list[tuple[int, list[str]]]:
     """(number of the line, its cells), without empty lines and trailing empty cells."""
     try:
-        with open(path, encoding="utf-8-sig", newline="") as file:
-            reader = csv.reader(file)
-            lines = [(reader.line_num, cells[:-1] if not cells[-1].strip() else cells) for cells in reader if cells]
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise TableError(f"{path}", f"{error}", "a readable CSV file, UTF-8") from error
+        reader = csv.reader(text.splitlines(keepends=True))
+        lines = [(reader.line_num, cells[:-1] if not cells[-1].strip() else cells) for cells in reader if cells]
+    except csv.Error as error:
+        raise TableError(f"{path}", f"{error}", CSV) from error
     if not lines:
         raise TableError(f"{path}", "an empty file", "a line with the names of the columns, then rows of numbers")
     return [(number, cells) for number, cells in lines if cells]

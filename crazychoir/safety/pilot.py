@@ -187,6 +187,8 @@ class Pilot(Actor):
         self.brought_down = ""
         """Why the safety table has first ended a flight by landing it; empty if it never did."""
         self.held = False
+        self.commanded = False
+        """Whether the flight that is planned is one of its operator's: guidance does not end it."""
         self.turning: Callable[[], bool] = lambda: False
         """Whether its firmware says that its motors turn, which lands it."""
         self.unfit: Callable[[], list[str]] = list
@@ -405,13 +407,16 @@ class Pilot(Actor):
         away = self.state.p - np.asarray(p)
         return float(np.linalg.norm(away[0:2] if self._planar else away))
 
-    def go_to(self, p: Point, yaw: float | None = None, duration: float = 0.0) -> float:
+    def go_to(
+        self, p: Point, yaw: float | None = None, duration: float = 0.0, commanded: bool = False
+    ) -> float:  # fmt: skip
         """Fly to p (3,) m, world, inside the fence; returns the time it will take.
 
         0: it may not, as it is not in the air, is held, waits for its operator's start, or brakes because the safety
         table says so. Missing references are no hindrance: this flight needs none.
+        commanded: it is its operator who wants it, which he may while guidance may not, see `steerable`.
         """
-        if not self.obeys:
+        if not (self.steerable if commanded else self.obeys):
             return 0.0
         self.guard.excuse("reference")
         if self.guard.acts:
@@ -424,25 +429,25 @@ class Pilot(Actor):
             seconds = self.flights.drive_to(start, goal, start.yaw if yaw is None else yaw, duration, now)
         else:
             seconds = self.flights.go_to(start, goal, start.yaw if yaw is None else yaw, duration, now)
-        self._flown, self._reference, self._obeyed = start, None, NOMINAL
+        self._flown, self._reference, self._obeyed, self.commanded = start, None, NOMINAL, commanded
         self._change(Event.FLY)
         self._beyond = bool(np.abs(wanted - goal).max() > 2.0 * EDGE)
         if self._beyond:
             self._say("goal", f"{wanted.round(2).tolist()} is outside the fence: flies to {goal.round(2).tolist()}")
         return seconds
 
-    def fly(self, trajectory: Trajectory) -> float:
+    def fly(self, trajectory: Trajectory, commanded: bool = False) -> float:
         """Fly a trajectory from its beginning, now, and hover at its end; returns the time it takes, 0 as `go_to`.
 
         Whoever calls has looked that it begins where the drone is, inside the fence and within its limits.
         """
-        if not self.obeys:
+        if not (self.steerable if commanded else self.obeys):
             return 0.0
         self.guard.excuse("reference")
         if self.guard.acts:
             return 0.0
         self._flown, self._reference, self._obeyed = trajectory.sample(0.0), None, NOMINAL
-        self._beyond = False
+        self._beyond, self.commanded = False, commanded
         self._change(Event.FLY)
         return self.flights.fly(trajectory, self.clock.now())
 
@@ -492,8 +497,11 @@ class Pilot(Actor):
             self._goto, self._goto_plan = asked, self.flights.plan
 
     def hover(self) -> None:
-        """Come to rest, at the shortest distance that the limits allow, and stay; one that does stays where it is."""
-        if self.mode in GUIDED:
+        """Come to rest, at the shortest distance that the limits allow, and stay; one that does stays where it is.
+
+        A flight that its operator has commanded goes on.
+        """
+        if self.mode in GUIDED and not self.commanded:
             self._rest()
 
     def _rest(self) -> None:
@@ -561,6 +569,11 @@ class Pilot(Actor):
         """Whether it flies where guidance wants: it is in the air, and neither held nor waits for its operator."""
         return self.mode in GUIDED and not (self.held or self.awaits_start)
 
+    @property
+    def steerable(self) -> bool:
+        """Whether it flies where its operator wants: it is in the air, and guidance waits for him."""
+        return self.mode in (HOVER, FOLLOW) and (self.held or self.awaits_start)
+
     # What its operator commands ---------------------------------------------------------------------------------
 
     def refuses(self, command: Event) -> str:
@@ -569,13 +582,13 @@ class Pilot(Actor):
 
     def start(self) -> None:
         """Its mission may fly it."""
-        self.awaits_start = False
+        self.awaits_start = self.commanded = False
 
     def hold(self, on: bool = True) -> None:
         """Stay where it is, whatever guidance wants, or go on. One that lands cannot be held."""
         if self.refuses(Event.HOLD if on else Event.GO):
             return
-        self.held = on
+        self.held, self.commanded = on, False
         if on and self.airborne:
             self._rest()
         elif not on and self.mode is HOVER and self._way is not None:
@@ -587,7 +600,7 @@ class Pilot(Actor):
             return
         inside = self.fence.nearest(np.array([*self.state.p[:2], level]), inset=EDGE)
         self._way = Homecoming(inside, home if self.started_at is None else self.started_at, inside[2])
-        self.held, self._reference = False, None
+        self.held, self.commanded, self._reference = False, False, None
         self._brake()
         self._change(Event.HOME)
 
@@ -873,7 +886,7 @@ class Pilot(Actor):
         if self.mode is not LAND:
             self.controls.trim.keep()
         self._flown = start = self._departure()
-        self._reference = self._way = None
+        self._reference, self._way, self.commanded = None, None, False
         self._change(Event.ARRIVED if self.mode is RETURN else Event.LAND)
         if not self._takes_off:
             return self.flights.brake(start, self.clock.now())

@@ -97,7 +97,9 @@ def test_an_editable_install_brings_the_missions_and_their_data(clone, tmp_path)
 def test_a_wheel_has_one_package_its_types_and_its_licence(wheel):
     names = zipfile.ZipFile(wheel).namelist()
     assert {name.split("/")[0] for name in names} == {"crazychoir", "crazychoir-0.1.0.dist-info"}
-    assert {"crazychoir/py.typed", "crazychoir/radio/virtual/names.txt"} <= set(names)
+    assert {"crazychoir/py.typed", "crazychoir/radio/virtual/names.txt", "crazychoir/dashboard/static/page.js"} <= set(
+        names
+    )
     assert "crazychoir-0.1.0.dist-info/licenses/LICENSE" in names
 
 

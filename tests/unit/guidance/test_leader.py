@@ -1,12 +1,21 @@
 """Leaders' paths before they fly, and graphs that are the same in the check and in the law."""
 
+import asyncio
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from crazychoir.agent import Agent
+from crazychoir.bus.commands import DONE, REFUSED, Commander
+from crazychoir.bus.local import OBSERVER
 from crazychoir.errors import ConfigError, Refused
+from crazychoir.guidance.feedback import LAW
 from crazychoir.guidance.mission import load
+from crazychoir.guidance.steering import path_message
+from crazychoir.planning.spline import spline
+from crazychoir.runtime.clock import run_virtual
+from crazychoir.swarm.config import SwarmConfig
 from crazychoir.types import State
 
 FORMATIONS = ("bearing_formation", "containment", "distance_formation")
@@ -95,3 +104,41 @@ def test_a_tick_that_one_drone_has_missed_changes_no_random_edge():
         if k % 7:  # a tick that drone 5 misses
             same.append(np.allclose(mine[0] != 0.0, ends[1].step(at[5], {4: at[4]}).a[0] != 0.0))
     assert all(same)
+
+
+def test_leaders_take_a_path_that_an_operator_has_drawn_into_their_mission(repository):
+    """Side by side from where they are; the formation follows, and a second path goes on from there."""
+    config = SwarmConfig.load(repository / "deploy" / "formation_drawn.toml")
+    config = config.replace(mission_options={"leaders": "still", "duration": 60.0})
+    mission = load(config.mission)
+    places = np.array([[5.0, 5.0, 2.0], [5.5, 5.0, 2.0], [5.5, 5.5, 2.0]])
+    path = path_message(spline([0.0, 4.0, 8.0], places, degree=7))
+    far = path_message(spline([0.0, 30.0], [[0.0, 0.0, 0.0], [0.0, 9.0, 0.0]], degree=7))
+
+    async def main(clock):
+        agent = Agent(clock, config, mission, config.ids)
+        commander = Commander(agent.bus.port(OBSERVER, 0xF1))
+        flight = asyncio.create_task(agent.run())
+        while any(drone.status().task != LAW for drone in agent.drones.values()):
+            await clock.sleep(0.1)
+        await clock.sleep(8.0)
+        seen = [{i: drone.pilot.state.p.copy() for i, drone in agent.drones.items()}]
+        for _ in range(2):
+            answers = [await commander.request(i, "fly", **path) for i in (0, 1)]
+            assert all(answer.kind == DONE and "leads along it" in answer.detail for answer in answers), answers
+            await clock.sleep(16.0)
+            seen.append({i: drone.pilot.state.p.copy() for i, drone in agent.drones.items()})
+        refused = [await commander.request(i, "fly", **one) for i, one in ((2, path), (0, far))]
+        assert [answer.kind for answer in refused] == [REFUSED, REFUSED]
+        assert "its mission flies it" in refused[0].detail
+        assert "fence" in refused[1].detail
+        for drone in agent.drones.values():
+            drone.pilot.land("enough")
+        agent.land_all("enough")
+        await flight
+        return seen
+
+    before, between, after = run_virtual(main)
+    for i in config.ids:
+        assert between[i] - before[i] == pytest.approx([0.5, 0.5, 0.0], abs=0.05), i
+        assert after[i] - before[i] == pytest.approx([1.0, 1.0, 0.0], abs=0.05), i

@@ -12,6 +12,9 @@ from crazychoir.bus.local import OBSERVER
 from crazychoir.guidance import base
 from crazychoir.guidance.base import CFGuidance
 from crazychoir.guidance.feedback import CFDistributedFeedback
+from crazychoir.guidance.steering import path_message
+from crazychoir.math3d import yaw_of
+from crazychoir.planning.spline import spline
 from crazychoir.runtime.clock import run_virtual
 from crazychoir.safety.modes import Mode
 from crazychoir.swarm.config import SwarmConfig
@@ -28,6 +31,15 @@ class Stay(CFDistributedFeedback):
 
     def step(self, me, heard):
         return Acceleration(-2.0 * me.v)
+
+
+class Rests(CFDistributedFeedback):
+    """Wants to hover, in each of its steps."""
+
+    duration = 30.0
+
+    def step(self, me, heard):
+        return None
 
 
 class There(CFGuidance):
@@ -236,3 +248,137 @@ def test_what_is_over_does_not_begin_again():
         await operator.order("land")
 
     assert play(Stay, scene)[0] == {"success": False, "reason": "landed on command"}
+
+
+# Flights on command ---------------------------------------------------------------------------------------------
+
+
+def way(*places, seconds=4.0):
+    """What a drone is told of a path through places."""
+    return path_message(spline(np.linspace(0.0, seconds, len(places)), np.array(places, dtype=float), degree=7))
+
+
+async def told(operator, verb, i, deadline=60.0, **arguments):
+    answer = await operator.commander.request(i, verb, deadline, **arguments)
+    return answer.kind, answer.detail
+
+
+def test_a_drone_that_waits_flies_where_its_operator_wants_and_then_its_mission():
+    async def scene(operator):
+        assert await told(operator, "go-to", 1, p=[1.0, 1.0, 0.6]) == (REFUSED, "it is on ground")
+        await operator.order("take-off")
+        assert await told(operator, "go-to", 1, p=[1.0, 1.0, 0.6], yaw=0.5) == (DONE, "there")
+        assert operator.pilot(1).state.p == pytest.approx([1.0, 1.0, 0.6], abs=0.03)
+        assert yaw_of(operator.pilot(1).state.q) == pytest.approx(0.5, abs=0.05)
+        message = way((1.0, 1.0, 0.6), (1.3, 1.5, 0.9), (1.0, 2.0, 0.6))
+        assert await told(operator, "fly", 1, **message) == (DONE, "flown")
+        assert operator.pilot(1).state.p == pytest.approx([1.0, 2.0, 0.6], abs=0.03)
+        assert operator.modes() == [Mode.HOVER] * 3
+        await operator.order("start")
+        await operator.clock.sleep(0.5)
+        kind, why = await told(operator, "go-to", 1, p=[1.0, 1.0, 0.6])
+        assert (kind, why) == (REFUSED, "its mission flies it: hold it first")
+
+    results = play(Stay, scene)
+    assert all(result["success"] for result in results.values()), results
+
+
+def test_a_drone_that_is_held_flies_on_command_and_goes_on_with_its_mission():
+    async def scene(operator):
+        await operator.order("take-off")
+        await operator.order("start")
+        await operator.clock.sleep(1.0)
+        assert (await told(operator, "fly", 0, **way((0, 0, 1.0), (0, 1, 1.0))))[1].startswith("its mission flies")
+        await operator.order("hold", 0)
+        assert await told(operator, "go-to", 0, p=[-1.0, -1.0, 1.0]) == (DONE, "there")
+        await operator.order("go", 0)
+        await operator.clock.sleep(10.0)
+        assert operator.pilot(0).state.p == pytest.approx([0.0, 1.5, 0.8], abs=0.05)
+        await operator.order("land")
+
+    play(There, scene)
+
+
+def test_a_law_that_wants_to_hover_does_not_end_a_flight_on_command():
+    async def scene(operator):
+        await operator.order("take-off")
+        await operator.order("start")
+        await operator.clock.sleep(1.0)
+        await operator.order("hold", 0)
+        assert await told(operator, "go-to", 0, p=[-1.0, 1.0, 0.8]) == (DONE, "there")
+        assert await told(operator, "fly", 0, **way((-1.0, 1.0, 0.8), (-1.0, 2.0, 0.8))) == (DONE, "flown")
+        await operator.order("land")
+
+    play(Rests, scene)
+
+
+def test_the_newer_command_counts_and_a_hold_ends_a_flight():
+    async def scene(operator):
+        await operator.order("take-off")
+        first = asyncio.create_task(told(operator, "go-to", 0, p=[0.0, 3.0, 0.6]))
+        await operator.clock.sleep(1.0)
+        assert await told(operator, "go-to", 0, p=[-1.0, 0.0, 0.6]) == (DONE, "there")
+        assert await first == (REFUSED, "it does what was commanded later")
+        flying = asyncio.create_task(told(operator, "fly", 0, **way((-1, 0, 0.6), (-1, 2, 0.6), seconds=8.0)))
+        await operator.clock.sleep(4.0)
+        await operator.order("hold", 0)
+        assert await flying == (REFUSED, "it was held on its way")
+        landing = asyncio.create_task(told(operator, "go-to", 0, p=[0.0, 3.0, 0.6]))
+        await operator.clock.sleep(0.5)
+        await operator.order("land")
+        assert (await landing)[0] == REFUSED
+        assert operator.modes() == [Mode.GROUND] * 3
+
+    play(There, scene)
+
+
+def test_what_cannot_be_flown_is_refused_before_anything_moves():
+    async def scene(operator):
+        await operator.order("take-off")
+        before = operator.pilot(0).state.p.copy()
+        fast, out = way((0, 0, 1), (0, 3, 1), seconds=0.5), way((0, 0, 1), (0, 9, 1), seconds=60.0)
+        for arguments, words in (
+            (fast, "Give it more time"), (out, "fence"), ({}, "coefficients"), (fast | {"durations": "x"}, "float"),
+        ):  # fmt: skip
+            kind, why = await told(operator, "fly", 0, **arguments)
+            assert (kind, words in why) == (REFUSED, True), why
+        for arguments in ({"p": [0.0, 1.0]}, {"p": [0.0, 1.0, float("nan")]}, {"p": [0, 0, 1], "speed": 3}, {}):
+            kind, why = await told(operator, "go-to", 0, **arguments)
+            assert (kind, "go-to" in why) == (REFUSED, True), why
+        await operator.clock.sleep(1.0)
+        assert operator.pilot(0).state.p == pytest.approx(before, abs=0.01)
+        await operator.order("land")
+
+    play(There, scene)
+
+
+def test_a_drone_says_what_each_of_its_links_has_lost():
+    async def scene(operator):
+        assert await told(operator, "links", 0) == (DONE, {})
+        await told(operator, "impair", 0, loss=0.5)
+        await operator.order("take-off")
+        kind, links = await told(operator, "links", 0)
+        assert (kind, sorted(links)) == (DONE, [1, 2])
+        for sent, lost in links.values():
+            assert sent > 30
+            assert 0.2 < lost / sent < 0.8
+        await operator.order("land")
+
+    play(There, scene)
+
+
+def test_a_flight_on_command_puts_off_the_end_of_waiting(monkeypatch):
+    monkeypatch.setattr(base, "PATIENCE", 6.0)
+
+    async def scene(operator):
+        await operator.order("take-off", 0)
+        for y in (2.0, 0.0, 2.0):
+            assert await told(operator, "go-to", 0, p=[0.0, y, 0.6], duration=4.0) == (DONE, "there")
+        assert operator.pilot(0).mode is Mode.HOVER
+        await operator.clock.sleep(5.0)
+        assert operator.pilot(0).mode is Mode.HOVER
+        await operator.clock.sleep(5.0)
+        assert operator.pilot(0).mode is Mode.GROUND
+        await operator.order("land")
+
+    play(There, scene)

@@ -76,6 +76,18 @@ async def test_an_added_task_has_an_id_that_no_other_robot_gives(clock):
 
 
 @virtual
+async def test_the_list_says_of_each_task_where_it_lies_and_what_has_become_of_it(clock):
+    bus = Bus(clock)
+    async with talking(source(bus, 1), source(bus, 0), source(bus, 2)) as (one, _, _):
+        await one.asked("task_add", WHERE)
+        await one.asked("task_cancel", {"id": ADDED + 1})
+        one.news.say(deeds=(Deed(0, "pickup", 1),))
+        first = {"id": 0, "pickup": [1.0, 0.0], "delivery": [2.0, 0.0], "load": 1.0, "fate": "aboard", "robot": 1}
+        second = WHERE | {"id": ADDED + 1, "load": 1.0, "fate": "cancelled", "robot": None}
+        assert await one.asked("task_list", {}) == {"tasks": [first, second]}
+
+
+@virtual
 async def test_what_is_accepted_is_known_to_more_than_half_of_the_team(clock):
     bus = Bus(clock)
     async with talking(source(bus, 1), source(bus, 0), source(bus, 2)) as (one, *others):

@@ -1,0 +1,92 @@
+"""Fly drones that wait for their operator, or are held: to a place, or along a drawing in a file."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from crazychoir.cli.look import JsonOption, SwarmOption, looking
+from crazychoir.cli.orders import conclude, numbers
+from crazychoir.cli.show import STDERR, fail
+from crazychoir.errors import ConfigError
+
+if TYPE_CHECKING:
+    from crazychoir.cli.window import Answers, Window
+
+LATE = 60.0
+"""s, beyond the time of a drawing, that drones get to be where it begins."""
+DronesOption = Annotated[str, typer.Option("--drones", help="Which, as 3,5-7.")]
+OffsetOption = Annotated[str, typer.Option(help="From one drone to the next, as 0,0.5,0 (m).")]
+
+
+def go_to(
+    place: Annotated[str, typer.Argument(help="Where to, as 1,0.5,1.2 (m).")],
+    drones: DronesOption,
+    offset: OffsetOption = "0,0.5,0",
+    yaw: Annotated[float | None, typer.Option(help="rad; else as it is.")] = None,
+    seconds: Annotated[float, typer.Option(help="How long it takes; 0: as fast as the limits allow.")] = 0.0,
+    swarm: SwarmOption = None,
+    wait: Annotated[float, typer.Option(help="s to wait until it is done.")] = 120.0,
+    as_json: JsonOption = False,
+) -> None:
+    """Fly to a place: drones that wait in the air for their start, or are held. Exit code 0 only if all are there."""
+    p, step, chosen = _metres("PLACE", place), _metres("--offset", offset), numbers(drones) or []
+    places = {i: [x + k * d for x, d in zip(p, step, strict=True)] for k, i in enumerate(chosen)}
+    told = {i: {"p": goal, "yaw": yaw, "duration": seconds} for i, goal in places.items()}
+    _command("go-to", told, wait, swarm, as_json)
+
+
+def fly(
+    file: Annotated[Path, typer.Argument(help="Strokes: CSV (stroke, t, x, y) or SVG.")],
+    drones: DronesOption,
+    offset: OffsetOption = "0,0.5,0",
+    height: Annotated[float | None, typer.Option(help="m; else that of take-offs.")] = None,
+    speed: Annotated[float, typer.Option(help="m/s at most.")] = 0.5,
+    slower: Annotated[float, typer.Option(help="Times as long as the limits ask for.")] = 1.0,
+    swarm: SwarmOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Fly along a drawing: drones that wait for their start, or are held; leaders in their formation, side by side."""
+    from crazychoir.dashboard.asks import Draw  # kernels: 1 s that --help does not need
+    from crazychoir.dashboard.sketch import loaded, messages, planned
+
+    step, chosen = _metres("--offset", offset), tuple(numbers(drones) or ())
+    told: dict[int, dict[str, Any]] = {}
+    spent = LATE
+
+    async def work(window: "Window") -> "Answers":
+        nonlocal spent
+        window.check("--drones", chosen)
+        config = window.config
+        rows = tuple(tuple(map(tuple, stroke)) for stroke in loaded(_text(file), str(file)))
+        level = config.flight.ground + config.flight.takeoff_height if height is None else height
+        plan = planned(Draw(rows, height=level, v_max=speed, slower=slower), config)  # type: ignore[arg-type]
+        told.update(messages(plan.path, chosen, step, config))
+        spent += plan.path.duration
+        STDERR.print(f"{plan.path.duration:.1f} s, at most {plan.speed:.2f} m/s, {plan.acceleration:.2f} m/s2")
+        return await window.command("fly", told, spent)
+
+    conclude(looking(swarm, work, as_json), as_json)
+
+
+def _command(verb: str, told: dict[int, dict[str, Any]], wait: float, swarm: str | None, as_json: bool) -> None:
+    async def work(window: "Window") -> "Answers":
+        window.check("--drones", told)
+        return await window.command(verb, told, wait)
+
+    conclude(looking(swarm, work, as_json), as_json)
+
+
+def _text(file: Path) -> str:
+    try:
+        return file.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError("FILE", str(file), "a CSV or SVG file that can be read", problem=str(error)) from error
+
+
+def _metres(option: str, text: str) -> tuple[float, float, float]:
+    try:
+        x, y, z = (float(word) for word in text.split(","))
+    except ValueError:
+        fail(ConfigError(option, text, "three numbers of m, as 1,0.5,1.2"), as_json=False)
+    return x, y, z

@@ -1,0 +1,68 @@
+"""Pieces of the page: labelled fields, buttons that ask, panels of tabs."""
+
+import contextlib
+from collections.abc import Iterator
+from html import escape
+from typing import Any
+
+from nicegui import ui
+
+
+def text(html: str) -> Any:
+    """HTML of ours; in a row, each of its elements is one of the row."""
+    return ui.html(html, sanitize=False).classes("loose")
+
+
+def field(name: str, label: str, value: float | str, unit: str = "", kind: str = "number", **more: float) -> str:
+    """An input with its label; a range shows its value."""
+    limits = " ".join(f'{key}="{number:g}"' for key, number in more.items())
+    shown = f'<output for="{name}"></output>' if kind == "range" else ""
+    unit = f" ({unit})" if unit else ""
+    return (
+        f'<span class="field"><label for="{name}">{escape(label)}{escape(unit)}</label>'
+        f'<input id="{name}" type="{kind}" value="{value}" {limits}>{shown}</span>'
+    )
+
+
+def choice(name: str, label: str, options: dict[str, str]) -> str:
+    """A list to choose from, with its label."""
+    rows = "".join(f'<option value="{value}">{escape(shown)}</option>' for value, shown in options.items())
+    return f'<span class="field"><label for="{name}">{escape(label)}</label><select id="{name}">{rows}</select></span>'
+
+
+def button(label: str, action: str, look: str = "", **more: Any) -> Any:
+    """A button that calls a function of static/page.js."""
+    made = ui.button(label, **more).props(f'no-caps {look} data-action="{action}"')
+    made.on("click", js_handler=f"() => window.choir.{action}")
+    return made
+
+
+@contextlib.contextmanager
+def row() -> Iterator[None]:
+    """Beside each other, as far as there is room."""
+    with ui.element("div").classes("row"):
+        yield
+
+
+@contextlib.contextmanager
+def card(kind: str, label: str) -> Iterator[None]:
+    """A region of the page."""
+    with ui.element("section").classes(f"card {kind}").props(f'aria-label="{label}"'):
+        yield
+
+
+@contextlib.contextmanager
+def panel(name: str) -> Iterator[None]:
+    """What the tab of that name shows."""
+    props = f'id="panel-{name}" role="tabpanel" aria-labelledby="tab-{name}" tabindex="0"'
+    with ui.element("div").classes("panel").props(props):
+        yield
+
+
+def tabs(names: dict[str, str]) -> None:
+    """The tabs, by the names of their panels."""
+    buttons = "".join(
+        f'<button role="tab" id="tab-{name}" aria-controls="panel-{name}">{label}</button>'
+        for name, label in names.items()
+    )
+    text(f'<div class="tabs" role="tablist" aria-label="controls">{buttons}</div>')

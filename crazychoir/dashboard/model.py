@@ -1,0 +1,174 @@
+"""What a page knows of a swarm: the newest of each topic of each drone, as the bus brings it."""
+
+import math
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from crazychoir.bus.local import Bus
+from crazychoir.bus.topics import LINK, LOG, REFERENCE, RESULT, STATE, STATUS, Topic
+from crazychoir.dashboard.watch import Watch
+from crazychoir.math3d import Vec
+from crazychoir.runtime.mailbox import Call
+from crazychoir.swarm.checks import limit_area
+from crazychoir.swarm.config import SwarmConfig
+from crazychoir.types import FullState, LinkStatus, State, Status
+
+RATE, SELDOM = 30.0, 10.0
+"""Hz, of states; of references."""
+WINDOW = 5.0
+"""s over which a share of lost messages is taken."""
+STALE = 2.0
+"""s without a status after which a drone counts as not heard."""
+COLUMNS = 17
+"""Of a row of a frame: p, v, q, w as in State, s since that was so, p of the reference."""
+AGE, WANTED = 13, slice(14, 17)
+KEPT = 240
+"""Points of a curve of costs."""
+
+
+@dataclass
+class Seen:
+    """One drone, as far as it was heard.
+
+    heard: s, when its last status came;  counts: t, sent, lost, of its last statuses.
+    """
+
+    status: Status | None = None
+    heard: float = -math.inf
+    link: LinkStatus | None = None
+    result: dict[str, Any] | None = None
+    counts: deque[tuple[float, int, int]] = field(default_factory=deque)
+
+    def lost(self) -> float:
+        """Share of its messages to other drones that the network has lost lately."""
+        if len(self.counts) < 2:
+            return 0.0
+        (_, sent, lost), (_, sent_now, lost_now) = self.counts[0], self.counts[-1]
+        return (lost_now - lost) / max(sent_now - sent, 1)
+
+
+class SwarmModel:
+    """Listens at `address` to all drones of a swarm file; what it knows costs them nothing but what they send."""
+
+    def __init__(self, bus: Bus, address: int, config: SwarmConfig, watch: Watch) -> None:
+        self.bus, self.address, self.config, self.watch = bus, address, config, watch
+        self.drones = {i: Seen() for i in config.ids}
+        self.costs: deque[tuple[float, int, float]] = deque(maxlen=KEPT)
+        """t s, round, and the mean cost of the plans of all drones that have one."""
+        self._rows = np.full((len(config.ids), COLUMNS), np.nan, dtype="<f4")
+        self._seen = np.full(len(config.ids), -np.inf)
+        self._wanted = np.full(len(config.ids), -np.inf)
+        for k, i in enumerate(config.ids):
+            self._read(STATE, i, partial(self._hear_state, k), RATE)
+            self._read(REFERENCE, i, partial(self._hear_reference, k), SELDOM)
+            self._read(STATUS, i, partial(self._hear_status, i))
+            self._read(LINK, i, partial(self._hear_link, i), 2.0)
+            self._read(RESULT, i, partial(self._hear_result, i))
+            self._read(LOG, i, partial(self._hear_log, i))
+
+    def _read(self, topic: Topic, i: int, function: Callable[[Any, float], None], rate: float = 0.0) -> None:
+        box = Call(self.bus.clock, function, f"page {topic.name} of {i}")
+        self.bus.subscribe(topic, self.config.source(topic, i), self.address, box, rate)
+
+    # Hearing --------------------------------------------------------------------------------------------------
+
+    def _hear_state(self, k: int, state: State, age: float) -> None:
+        self._rows[k, 0:13] = state.flat
+        self._seen[k] = self.bus.clock.now() - max(age, state.age)
+
+    def _hear_reference(self, k: int, reference: FullState, age: float) -> None:
+        self._rows[k, WANTED] = reference.p
+        self._wanted[k] = self.bus.clock.now() - age
+
+    def _hear_status(self, i: int, status: Status, age: float) -> None:
+        seen, now = self.drones[i], self.bus.clock.now()
+        before, seen.status, seen.heard = seen.status, status, now - age
+        if before is not None and status.sent < before.sent:  # its agent was started again
+            seen.counts.clear()
+        seen.counts.append((now, status.sent, status.lost))
+        while now - seen.counts[0][0] > WINDOW:
+            seen.counts.popleft()
+        if before is None or before.phase != status.phase:
+            self.watch.add(status.phase, "info", i)
+        if status.note and (before is None or before.note != status.note):
+            self.watch.told(i, status.note)
+        if math.isfinite(status.cost) and (before is None or before.round != status.round):
+            self._note_cost(now, status.round)
+
+    def _note_cost(self, now: float, k: int) -> None:
+        costs = [seen.status.cost for seen in self.drones.values() if seen.status is not None]
+        known = [cost for cost in costs if math.isfinite(cost)]
+        self.costs.append((round(now, 2), k, float(np.mean(known))))
+
+    def _hear_link(self, i: int, link: LinkStatus, age: float) -> None:
+        self.drones[i].link = link
+
+    def _hear_result(self, i: int, result: dict[str, Any], age: float) -> None:
+        self.drones[i].result = result
+        good = bool(result.get("success"))
+        self.watch.add(f"mission ended: {'success' if good else result.get('reason', 'no success')}",
+                       "info" if good else "error", i)  # fmt: skip
+
+    def _hear_log(self, i: int, line: str, age: float) -> None:
+        self.watch.told(i, line)
+
+    # Telling --------------------------------------------------------------------------------------------------
+
+    def position(self, i: int) -> Vec | None:
+        """(3,) m, world: where drone i was last, None if it was not heard."""
+        k = self.config.ids.index(i)
+        return None if self._seen[k] == -np.inf else self._rows[k, 0:3].astype(float)
+
+    def frame(self) -> bytes:
+        """Where all drones are: s by this clock (float64), then a row of COLUMNS float32 for each, little-endian.
+
+        NaN: not heard, or no reference.
+        """
+        now, rows = self.bus.clock.now(), self._rows
+        rows[:, AGE] = now - self._seen
+        rows[now - self._wanted > REFERENCE.max_age, WANTED] = np.nan
+        return np.float64(now).tobytes() + rows.tobytes()
+
+    def about(self) -> dict[str, Any]:
+        """What does not change: drones, edges, the room."""
+        config = self.config
+        low, high = limit_area(config)
+        return {
+            "swarm": config.name, "mission": config.mission, "ids": list(config.ids), "rate": RATE,
+            "edges": sorted({(min(arc), max(arc)) for arc in config.graph().arcs}),
+            "fence": [list(config.fence.min), list(config.fence.max)], "limit": [list(low), list(high)],
+            "ground": config.flight.ground, "columns": COLUMNS,
+            "leaders": [drone.id for drone in config.drones if drone.leader],
+            "speed_limit": config.flight.speed_limit, "acceleration_limit": config.flight.acceleration_limit,
+            "height": config.flight.ground + config.flight.takeoff_height,
+        }  # fmt: skip
+
+    def table(self) -> list[dict[str, Any]]:
+        """A row a drone: how it is, and how it is reached. What is not known is None."""
+        return [self._row(k, i) for k, i in enumerate(self.config.ids)]
+
+    def _row(self, k: int, i: int) -> dict[str, Any]:
+        seen, now = self.drones[i], self.bus.clock.now()
+        status, link = seen.status or Status(""), seen.link
+        row: dict[str, Any] = {
+            "id": i, "heard": now - seen.heard < STALE, "phase": status.phase, "task": status.task,
+            "round": status.round, "cost": _known(status.cost), "lost": round(seen.lost(), 3),
+            "process": status.process, "host": status.host, "note": status.note, "suspect": status.suspect,
+            "gone": status.gone, "age": _known(float(now - self._seen[k]), 2),
+        }  # fmt: skip
+        if link is not None:
+            row |= {
+                "link": link.state, "latency": _known(link.latency, 4), "answered": _known(link.answered, 3),
+                "rssi": _known(link.rssi, 0), "battery": _known(link.battery, 2),
+            }  # fmt: skip
+        return row
+
+
+def _known(value: float, digits: int = 3) -> float | None:
+    """Rounded; None for what is no number."""
+    return round(value, digits) if math.isfinite(value) else None

@@ -1,0 +1,132 @@
+"""What one page asks for, done: commands at the desk, drawings planned, files read and written."""
+
+import asyncio
+from collections.abc import Callable
+from typing import Any, ParamSpec, TypeVar
+
+import numpy as np
+
+from crazychoir.dashboard.asks import (
+    AddTask,
+    CancelTask,
+    Draw,
+    Fly,
+    GoTo,
+    Ids,
+    Impair,
+    Load,
+    Message,
+    Order,
+    Save,
+    Stop,
+)
+from crazychoir.dashboard.desk import Desk
+from crazychoir.dashboard.polls import TaskBoard
+from crazychoir.dashboard.sketch import Planned, loaded, messages, planned, saved
+from crazychoir.errors import ConfigError
+from crazychoir.swarm.config import SwarmConfig
+from crazychoir.swarm.graph import span
+from crazychoir.swarm.impairment import changes
+
+P = ParamSpec("P")
+T = TypeVar("T")
+SCOPE = 2
+"""Drones that name a link."""
+REACHES = 60.0
+"""s that a drone gets to be where a drawn path begins."""
+
+
+class Operator:
+    """One page's operator."""
+
+    def __init__(self, config: SwarmConfig, desk: Desk, board: TaskBoard) -> None:
+        self.config, self.desk, self.board = config, desk, board
+        self._plan: Planned | None = None
+        self._drawn = 0
+
+    async def asked(self, message: Message) -> dict[str, Any] | None:
+        """Do it; raises ConfigError, with why not."""
+        match message:
+            case Order(verb, drones):
+                self.desk.order(verb, self._those(drones))
+            case Stop(drones, clear):
+                self.desk.stop(self._those(drones), clear)
+            case GoTo():
+                self._go_to(message)
+            case Draw():
+                return await self._draw(message)
+            case Fly():
+                self._fly(message)
+            case Load(name, text):
+                return {"strokes": await _aside(loaded, text, name)}
+            case Save(strokes, kind):
+                return {"saved": saved([np.array(stroke) for stroke in strokes], kind), "kind": kind}
+            case Impair():
+                self._impair(message)
+            case AddTask(pickup, delivery, load):
+                words = f"{list(pickup)} to {list(delivery)}" if delivery else f"{list(pickup)}"
+                await self.board.ask("task_add", words, pickup=pickup, delivery=delivery, load=load)
+            case CancelTask(j):
+                await self.board.ask("task_cancel", str(j), id=j)
+        return None
+
+    def _impair(self, message: Impair) -> None:
+        """Every drone is told: each simulates the network of what it sends."""
+        drones = self._those(message.drones)
+        told: dict[str, Any] = {"clear": True} if message.clear else {}
+        given = {name: value for name in ("loss", "delay") if (value := getattr(message, name)) is not None}
+        words = [f"{name} {value:g}" for name, value in given.items()] + (["clear"] if message.clear else [])
+        if message.cut:
+            if drones is None:
+                raise ConfigError("cut off", "no drones", "the drones of one side")
+            told["partitions"] = [{"since": 0.0, "a": list(drones)}]
+            words.append("cut off")
+        elif drones is not None and len(drones) > SCOPE:
+            raise ConfigError("drones", f"{len(drones)} of them", "none for all links, one for its links, two for one")
+        elif drones is not None:
+            told |= {"drone": drones[0]} if len(drones) == 1 else {"edge": list(drones)}
+        words.append(span(drones) if drones else "all links")
+        self.desk.order("impair", words=", ".join(words), each=lambda i: told | changes(given))
+
+    def _go_to(self, message: GoTo) -> None:
+        places = {
+            i: [x + k * d for x, d in zip(message.p, message.offset, strict=True)]
+            for k, i in enumerate(self._checked(message.drones))
+        }
+        self.desk.order(
+            "go-to", places, words=f"{list(message.p)} m", each=lambda i: {"p": places[i], "yaw": message.yaw}
+        )
+
+    async def _draw(self, message: Draw) -> dict[str, Any] | None:
+        """Plan in a thread: the page of nobody waits for it. What was drawn since counts alone."""
+        self._plan, self._drawn = None, self._drawn + 1
+        number = self._drawn
+        plan = await _aside(planned, message, self.config)
+        if number != self._drawn:
+            return None
+        self._plan = plan
+        return {"plan": plan.shown()}
+
+    def _fly(self, message: Fly) -> None:
+        plan = self._plan
+        if plan is None:
+            raise ConfigError("fly", "nothing that was planned", "a drawing that was planned, and shown, before")
+        told = messages(plan.path, self._checked(message.drones), message.offset, self.config)
+        seconds = plan.path.duration + REACHES
+        words = f"{plan.path.duration:.1f} s"
+        self.desk.order("fly", told, seconds, words, each=lambda i: told[i])
+
+    def _those(self, drones: Ids | None) -> Ids | None:
+        return None if drones is None else self._checked(drones)
+
+    def _checked(self, drones: Ids) -> Ids:
+        """These drones, each once; each of which the swarm has."""
+        for i in drones:
+            if i not in self.config.ids:
+                raise ConfigError("drones", i, span(self.config.ids))
+        return tuple(dict.fromkeys(drones))
+
+
+async def _aside(work: Callable[P, T], *arguments: P.args, **named: P.kwargs) -> T:
+    """What computes for a while, in a thread."""
+    return await asyncio.to_thread(work, *arguments, **named)

@@ -1,0 +1,112 @@
+"""The page: what is where, and which button asks for what. The rest is in static/."""
+
+from collections.abc import Callable
+from functools import partial
+from html import escape
+from pathlib import Path
+from typing import Any
+
+import nicegui
+from nicegui import ui
+
+from crazychoir.dashboard import drawing_tab
+from crazychoir.dashboard.layout import button, card, choice, field, panel, row, tabs, text
+
+THREE = Path(nicegui.__file__).parent / "elements" / "scene" / "dist"
+"""The folder of NiceGUI's own three.js."""
+VERBS = {
+    "take-off": "Take off", "start": "Start", "hold": "Hold", "go": "Go on", "land": "Land", "home": "Fly home",
+}  # fmt: skip
+HEAD = """<link rel="stylesheet" href="/own/page.css"><script type="module">
+import { start } from "/own/page.js"; start();</script>"""
+
+
+class Page:
+    """The same for all browsers; about: what SwarmModel.about says."""
+
+    def __init__(self, about: dict[str, Any]) -> None:
+        self.about, self.swarm = about, str(about["swarm"])
+        self.panels: dict[str, tuple[str, Callable[[], None]]] = {
+            "fly": ("Fly", self._fly), "draw": ("Draw", partial(drawing_tab.build, about)), "tasks": ("Tasks", _tasks),
+            "network": ("Network", _network), "plots": ("Plots", self._plots), "log": ("Log", _log),
+        }  # fmt: skip
+
+    def build(self) -> None:
+        """One browser's page."""
+        ui.add_body_html(HEAD)
+        ui.colors(primary="#0b5cad", positive="#1a7f37", negative="#c0182b")
+        self._top()
+        with ui.element("main").classes("board"):
+            with card("view", "view of the room"):
+                text('<div id="scene"></div>')
+            with card("side", "controls"):
+                tabs({name: label for name, (label, _) in self.panels.items()})
+                for name, (_, build) in self.panels.items():
+                    with panel(name):
+                        build()
+            with card("all", "drones"):
+                text('<table id="drones"></table>')
+
+    def _top(self) -> None:
+        with ui.element("header").classes("top"):
+            text(f"<h1>{escape(self.swarm)} · {escape(Path(str(self.about['mission'])).stem)}</h1>")
+            text('<span id="connection" role="status">connecting</span>')
+            ui.element("span").classes("gap")
+            button("Light or dark", "turn()", "flat dense")
+            button("Clear stop", "clearStop()", "outline")
+            button("STOP ALL (space)", "stopAll()", color="negative").classes("stop")
+
+    def _fly(self) -> None:
+        text('<h2>Commands <span id="chosen" role="status"></span></h2>')
+        with row():
+            for verb, label in VERBS.items():
+                button(label, f"order('{verb}')")
+            button("Motors off", "stopChosen()", "outline", color="negative")
+        text("<h3>Go to a place</h3>")
+        with row():
+            text(
+                field("goal_x", "x", 0, "m", step=0.1) + field("goal_y", "y", 0, "m", step=0.1)
+                + field("goal_z", "z", self.about["height"], "m", step=0.1)
+                + field("apart_y", "y from drone to drone", 0.5, "m", step=0.1)
+            )  # fmt: skip
+            button("Go there", "goTo()")
+            text('<span class="field"><label for="pick">A click on the floor says where</label>'
+                 '<input id="pick" type="checkbox"></span>')  # fmt: skip
+        text('<h3>Receipts</h3><ul id="receipts" class="lines" aria-live="polite"></ul>')
+
+    def _plots(self) -> None:
+        ids = {str(i): f"drone {i}" for i in self.about["ids"]}
+        text(f'<h2>Plots</h2>{choice("plotted", "Of", ids)}<div id="plots"></div>')
+
+
+def _tasks() -> None:
+    text('<h2>Tasks</h2><p id="tasks-said" role="status"></p>')
+    with row():
+        text(
+            '<span class="field"><label for="placing">Clicks on the floor: pickup, then delivery</label>'
+            '<input id="placing" type="checkbox"></span>'
+            + choice("task_kind", "A task is", {"two": "pickup and delivery", "one": "done at one place"})
+            + field("pickup_x", "Pickup x", 0, "m", step=0.1) + field("pickup_y", "y", 0, "m", step=0.1)
+            + field("delivery_x", "Delivery x", 1, "m", step=0.1) + field("delivery_y", "y", 1, "m", step=0.1)
+            + field("load", "Load", 1, "", min=0, step=0.5)
+        )  # fmt: skip
+        button("Add task", "tasks.add()")
+    text('<ul id="tasks" class="lines"></ul>')
+
+
+def _network() -> None:
+    text('<h2>Simulated network</h2><p class="help">None chosen: all links. One drone: its links. Two: the link '
+         "between them.</p>")  # fmt: skip
+    with row():
+        text(
+            field("loss", "Loss", 0, "%", "range", min=0, max=100, step=1)
+            + field("delay", "Delay", 0, "ms", "range", min=0, max=500, step=5)
+        )
+    with row():
+        button("Cut the chosen off", "network.cut()", "outline")
+        button("Take everything back", "network.clear()", "outline")
+
+
+def _log() -> None:
+    levels = choice("level", "From level", {name: name for name in ("info", "warning", "error")})
+    text(f'<h2>Log</h2>{levels}<ul id="log" class="lines" role="log"></ul>')

@@ -1,0 +1,105 @@
+"""What no topic says, asked for now and then while somebody looks on: the tasks, and what each link has lost."""
+
+import math
+from collections import deque
+from typing import Any
+
+from crazychoir.bus.commands import DONE, REFUSED
+from crazychoir.dashboard.desk import Desk, Receipt
+from crazychoir.runtime.actor import Actor
+
+LINKS, TASKS = 8.0, 1.0
+"""Hz, of questions after the links of one drone, in turn; and after the tasks, of one drone."""
+LATER = 10.0
+"""s for which a swarm is not asked again that has no tasks."""
+PATIENCE = 0.8
+"""s for an answer to such a question."""
+WINDOW = 4.0
+"""s over which a share of lost messages is taken, at least; and as long as a whole turn takes."""
+MOST_ASKED = 3
+"""Drones that are asked to do what one must, one after the other, until one has not refused."""
+
+
+class Links(Actor):
+    """Share of messages that the network has lost lately, by edge (i, j), i < j, both ways together."""
+
+    name = "links"
+
+    def __init__(self, desk: Desk) -> None:
+        self.desk, self.ids = desk, desk.place.config.ids
+        self.watched = False
+        self.lost: dict[tuple[int, int], float] = {}
+        self._counts: dict[tuple[int, int], deque[tuple[float, int, int]]] = {}
+
+    async def run(self) -> None:
+        """One drone after the other."""
+        k, window = 0, max(WINDOW, 2.0 * len(self.ids) / LINKS)
+        async for _ in self.desk.place.clock.ticks(LINKS):
+            if not self.watched:
+                continue
+            i = self.ids[k % len(self.ids)]
+            k += 1
+            answer = await _answer(self.desk, i, "links")
+            for j, (sent, lost) in (answer or {}).items():
+                self._note(i, j, sent, lost, window)
+
+    def _note(self, i: int, j: int, sent: int, lost: int, window: float) -> None:
+        now, counts = self.desk.place.clock.now(), self._counts.setdefault((i, j), deque())
+        if counts and sent < counts[-1][1]:  # its agent was started again
+            counts.clear()
+        counts.append((now, sent, lost))
+        while len(counts) > 2 and now - counts[0][0] > window:
+            counts.popleft()
+        both = [self._counts[pair] for pair in ((i, j), (j, i)) if pair in self._counts]
+        sent = sum(of[-1][1] - of[0][1] for of in both)
+        self.lost[min(i, j), max(i, j)] = sum(of[-1][2] - of[0][2] for of in both) / max(sent, 1)
+
+
+class TaskBoard(Actor):
+    """The tasks of a mission that has some, and the way to add and cancel them."""
+
+    name = "tasks"
+
+    def __init__(self, desk: Desk) -> None:
+        self.desk, self.ids = desk, desk.place.config.ids
+        self.watched = False
+        self.tasks: list[dict[str, Any]] | None = None
+        """As TaskSource lists them; None for a mission without."""
+        self._k, self._again = 0, -math.inf
+
+    async def run(self) -> None:
+        """Ask one drone, the next one if it does not answer."""
+        async for _ in self.desk.place.clock.ticks(TASKS):
+            if self.watched and self.desk.place.clock.now() >= self._again:
+                await self.look()
+
+    async def look(self) -> None:
+        """Ask for the list."""
+        answer = await _answer(self.desk, self.ids[self._k % len(self.ids)], "task_list")
+        if answer is None:
+            self._k += 1
+            if self._k % len(self.ids) == 0:
+                self._again = self.desk.place.clock.now() + LATER
+        else:
+            self.tasks = answer["tasks"]
+
+    async def ask(self, verb: str, words: str, **arguments: Any) -> Receipt:
+        """Ask one drone, then others if it refuses; who does not answer may have done it: nobody else is asked then."""
+        first = self._k % len(self.ids)
+        for i in [*self.ids[first:], *self.ids[:first]][:MOST_ASKED]:
+            receipt = self.desk.order(verb, [i], words=words, each=lambda i: arguments)
+            await self.desk.settled(receipt)
+            if receipt.answers[i][0] != REFUSED:
+                break
+        self._again = -math.inf
+        await self.look()
+        return receipt
+
+
+async def _answer(desk: Desk, i: int, verb: str) -> Any:
+    """What drone i says; None if it refuses, or says nothing."""
+    try:
+        answer = await desk.place.commander.request(i, verb, PATIENCE)
+    except TimeoutError:
+        return None
+    return answer.detail if answer.kind == DONE else None

@@ -1,0 +1,178 @@
+"""The page's server: NiceGUI on the loop and the clock of everything else, behind the gate."""
+
+import asyncio
+import contextlib
+import ipaddress
+import socket
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+import uvicorn
+from fastapi import FastAPI, WebSocket, WebSocketDisconnect
+from nicegui import ui
+from starlette.staticfiles import StaticFiles
+
+from crazychoir.bus.local import Bus
+from crazychoir.dashboard.desk import Desk, Place
+from crazychoir.dashboard.gate import LOOPBACK, MOST_BODY, Gate
+from crazychoir.dashboard.model import SwarmModel
+from crazychoir.dashboard.operator import Operator
+from crazychoir.dashboard.page import THREE, Page
+from crazychoir.dashboard.polls import Links, TaskBoard
+from crazychoir.dashboard.stream import Stream
+from crazychoir.dashboard.watch import Watch
+from crazychoir.errors import ConfigError
+from crazychoir.runtime.supervisor import Supervisor
+
+PORT, PORTS = 8765, 20
+"""Of a page for which none is named: the first of so many that is free."""
+STATIC = Path(__file__).with_name("static")
+GRACE = 1
+"""s that open connections get at the end."""
+
+
+class Link(Protocol):
+    """What this needs of the network."""
+
+    bus: Bus
+
+
+class Outlook(Place, Protocol):
+    """A place on the network from which one looks on and commands."""
+
+    address: int
+
+    @property
+    def link(self) -> Link:
+        """The way to it."""
+        ...
+
+
+@dataclass(frozen=True)
+class Served:
+    """Where and to whom a page is served.
+
+    port: None for the first free one of PORTS;  password: what is wanted to come in;  certificate, key: PEM files.
+    """
+
+    host: str = "127.0.0.1"
+    port: int | None = None
+    password: str | None = None
+    certificate: Path | None = None
+    key: Path | None = None
+
+    def __post_init__(self) -> None:
+        if self.password is not None and len(self.password) < 8:
+            raise ConfigError("password", f"{len(self.password)} characters", "8 or more")
+        if not self.loopback and self.password is None:
+            do = "Name --password-file FILE, or leave --host out and use `ssh -L` to come from elsewhere."
+            raise ConfigError("--host", self.host, "a password, where others than this machine can come in", do)
+        for option, path in (("--certificate", self.certificate), ("--key", self.key)):
+            if path is not None and not path.is_file():
+                raise ConfigError(option, str(path), "a PEM file that is there")
+        if (self.certificate is None) != (self.key is None):
+            raise ConfigError("--certificate", "without --key, or --key without it", "both, or none")
+
+    @property
+    def loopback(self) -> bool:
+        """Whether only this machine can come in."""
+        try:
+            return self.host == "localhost" or ipaddress.ip_address(self.host).is_loopback
+        except ValueError:
+            return False
+
+    def bound(self) -> socket.socket:
+        """Listening; raises ConfigError for an address that is not ours, or a port that is taken."""
+        ports = [self.port] if self.port is not None else range(PORT, PORT + PORTS)
+        for port in ports:
+            try:
+                family = socket.AF_INET6 if ":" in self.host else socket.AF_INET
+                return socket.create_server((self.host, port), family=family)
+            except OSError as error:
+                problem = error.strerror or str(error)
+        where = f"{self.host}:{self.port}" if self.port is not None else f"{self.host}:{PORT} to {PORT + PORTS - 1}"
+        raise ConfigError("--port", where, "an address of this machine and a free port", problem=problem)
+
+
+async def serve(place: Outlook, served: Served, say: Callable[[str], None]) -> None:
+    """The page of a swarm, until a signal ends it."""
+    bus, clock, config = place.link.bus, place.clock, place.config
+    watch = Watch(clock)
+    model, desk = SwarmModel(bus, place.address, config, watch), Desk(place, watch)
+    links, board = Links(desk), TaskBoard(desk)
+    stream = Stream(model, desk, watch, links, board)
+    listening = served.bound()
+    port = listening.getsockname()[1]
+    scheme = "http" if served.certificate is None else "https"
+    hosts = tuple(f"{name}:{port}" for name in LOOPBACK) if served.loopback else None
+    app = _app(stream, lambda: Operator(config, desk, board), Page(model.about()))
+    gate = Gate(app, clock, hosts, served.password, tls=scheme == "https")
+    server = uvicorn.Server(uvicorn.Config(
+        gate, log_level="warning", lifespan="on", ws_max_size=MOST_BODY, ws_per_message_deflate=False, ws_max_queue=8,
+        timeout_graceful_shutdown=GRACE, server_header=False,
+        ssl_certfile=served.certificate, ssl_keyfile=served.key,
+    ))  # fmt: skip
+    shown = f"[{served.host}]" if ":" in served.host else served.host
+    say(f"page of swarm {config.name}: {scheme}://{shown}:{port}; Ctrl-C ends it, and the swarm flies on")
+    streaming = asyncio.create_task(Supervisor(clock, "page").run([stream, links, board]))
+    try:
+        await server.serve(sockets=[listening])
+    finally:
+        desk.close()
+        streaming.cancel()
+        await asyncio.wait([streaming])
+        listening.close()
+
+
+class _Line:
+    """A WebSocket whose end is a ConnectionError, however it is found out; see Socket."""
+
+    def __init__(self, websocket: WebSocket) -> None:
+        self.websocket = websocket
+
+    async def send_bytes(self, data: bytes) -> None:
+        """One binary message."""
+        with _ending():
+            await self.websocket.send_bytes(data)
+
+    async def send_text(self, data: str) -> None:
+        """One text."""
+        with _ending():
+            await self.websocket.send_text(data)
+
+    async def receive_text(self) -> str:
+        """The next text."""
+        with _ending():
+            text: str = await self.websocket.receive_text()
+            return text
+
+    async def close(self, code: int, reason: str | None = None) -> None:
+        """End it."""
+        with _ending():
+            await self.websocket.close(code, reason)
+
+
+@contextlib.contextmanager
+def _ending() -> Iterator[None]:
+    try:
+        yield
+    except (WebSocketDisconnect, RuntimeError, KeyError) as error:  # after the end; a KeyError: of bytes for a text
+        raise ConnectionError(str(error)) from error
+
+
+def _app(stream: Stream, operator: Callable[[], Operator], page: Page) -> FastAPI:
+    app = FastAPI(openapi_url=None, docs_url=None, redoc_url=None)
+
+    async def line(websocket: WebSocket) -> None:
+        await websocket.accept()
+        await stream.serve(_Line(websocket), operator())
+
+    app.add_api_websocket_route("/line", line)
+    app.mount("/own", StaticFiles(directory=STATIC))
+    app.mount("/three", StaticFiles(directory=THREE))
+    ui.page("/", title=f"{page.swarm} · crazychoir")(page.build)
+    ui.run_with(app, binding_refresh_interval=None, show_welcome_message=False, dark=None, reconnect_timeout=5.0,
+                tailwind=False, cache_control_directives="no-cache")  # fmt: skip
+    return app

@@ -1,0 +1,117 @@
+"""A hand's strokes made into a flight: smoothed and timed by planning/, looked at against limits and fence, shifted."""
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from crazychoir.dashboard.asks import Draw, Place
+from crazychoir.errors import ConfigError
+from crazychoir.guidance.steering import path_message
+from crazychoir.math3d import Mat
+from crazychoir.planning.drawing import Pen, drawing
+from crazychoir.planning.feasibility import Limits, check, peaks, references
+from crazychoir.planning.piecewise import Piecewise
+from crazychoir.planning.stroke import csv_of, parse_strokes
+from crazychoir.planning.svg import parse_svg, svg_of
+from crazychoir.swarm.config import SwarmConfig
+from crazychoir.swarm.tables import Collision
+
+YAW_RATE = 2.0
+"""rad/s, of a path along whose direction a drone looks."""
+SHOWN = 400
+"""Places of a path on the page."""
+PACE = 0.02
+"""s between two places of a stroke that says no times."""
+
+
+@dataclass(frozen=True)
+class Planned:
+    """A flight as it will be flown, before it is shifted.
+
+    deviation: m, the largest distance of the flown lines from the drawn ones;  speed: m/s, acceleration: m/s2: largest.
+    """
+
+    path: Piecewise
+    deviation: float
+    speed: float
+    acceleration: float
+
+    def shown(self) -> dict[str, Any]:
+        """For the page: places, and its speed and acceleration at equal times."""
+        t = np.linspace(0.0, self.path.duration, SHOWN)
+        x = self.path.samples(t)
+        return {
+            "points": x[:, 0:3].round(3).tolist(), "duration": round(self.path.duration, 2),
+            "deviation": round(self.deviation, 4), "speed": round(self.speed, 3),
+            "acceleration": round(self.acceleration, 3), "speeds": np.linalg.norm(x[:, 3:6], axis=1).round(3).tolist(),
+            "accelerations": np.linalg.norm(x[:, 6:9], axis=1).round(3).tolist(),
+        }  # fmt: skip
+
+
+def planned(draw: Draw, config: SwarmConfig) -> Planned:
+    """The flight along the strokes, in `slower` times the time that its limits ask for; raises ConfigError."""
+    flight, fence = config.flight, config.fence
+    v_max, a_max = min(draw.v_max, flight.speed_limit), min(draw.a_max, flight.acceleration_limit)
+    limits = Limits(v_max=v_max, a_max=a_max, yaw_rate_max=YAW_RATE, low=fence.min, high=fence.max)
+    pen = Pen(height=draw.height, lift=draw.lift, yaw=draw.yaw, timing=draw.timing, smoothing=draw.smoothing)
+    made = drawing([np.array(stroke) for stroke in draw.strokes], pen, limits)
+    path = made.path.slowed(draw.slower)
+    check(path, limits)
+    most = peaks(path)
+    return Planned(path, made.deviation, most["speed"], most["acceleration"])
+
+
+def shifted(path: Piecewise, by: Place) -> Piecewise:
+    """The same flight elsewhere; by: m."""
+    coefficients = path.coefficients.copy()
+    coefficients[0:, 0:3, 0] += np.array(by)
+    return Piecewise(coefficients, path.durations)
+
+
+def messages(path: Piecewise, drones: tuple[int, ...], offset: Place, config: SwarmConfig) -> dict[int, dict[str, Any]]:
+    """What each drone is told: the k-th flies it k times `offset` m away; raises ConfigError if that leaves the fence.
+
+    Refused, too, where two would fly so near that one had to give way to the other all the time; leaders of a formation
+    fly it side by side from where they are.
+    """
+    led = all(config.drone(i).leader for i in drones)
+    if len(drones) > 1 and not led and config.collision.method != "off" and _near(offset, config.collision):
+        (a, _, c), margin = config.collision.semi_axes, config.collision.margin
+        allowed = f"{2.0 * a + margin:g} m aside, or {2.0 * c:g} m above, from one drone to the next"
+        raise ConfigError("offset", list(offset), allowed, "Set it, or send the path to one drone.")
+    limits, told = Limits(low=config.fence.min, high=config.fence.max), {}
+    for k, i in enumerate(drones):
+        x, y, z = (k * axis for axis in offset)
+        moved = shifted(path, (x, y, z))
+        limits.check_places(references(moved)[1][:, 0:3], f"path of drone {i}")
+        told[i] = path_message(moved)
+    return told
+
+
+def _near(offset: Place, collision: Collision) -> bool:
+    """Whether two so far from each other are nearer than the collision filter lets them be."""
+    (a, _, c), (x, y, z) = collision.semi_axes, offset
+    return math.hypot(math.hypot(x, y) / (2.0 * a + collision.margin), z / (2.0 * c)) < 1.0
+
+
+def loaded(text: str, name: str) -> list[list[list[float]]]:
+    """The strokes of a CSV or SVG text, rows t s, x, y m; raises ConfigError."""
+    if name.lower().endswith(".svg"):
+        return [_timed(stroke).round(4).tolist() for stroke in parse_svg(text, name)]
+    if name.lower().endswith(".csv"):
+        return [stroke.round(4).tolist() for stroke in parse_strokes(text, name)]
+    raise ConfigError("file", name, "a name that ends in .csv or .svg")
+
+
+def saved(strokes: list[Mat], kind: str) -> str:
+    """The strokes as a CSV or SVG text."""
+    timed = [_timed(stroke) for stroke in strokes]
+    return svg_of(timed) if kind == "svg" else csv_of(timed)
+
+
+def _timed(stroke: Mat) -> Mat:
+    if stroke.shape[1] == 3:
+        return stroke
+    return np.column_stack([PACE * np.arange(len(stroke)), stroke])

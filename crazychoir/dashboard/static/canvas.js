@@ -1,0 +1,58 @@
+// Curves on a canvas, and numbers of fields.
+import { colour } from "./line.js";
+
+export const number = (id) => Number(document.getElementById(id).value);
+
+// A clean canvas in the resolution of the screen; null while it is not seen.
+export function prepared(canvas) {
+  const { clientWidth: w, clientHeight: h } = canvas, ratio = window.devicePixelRatio || 1;
+  if (!w || !h) return null;
+  if (canvas.width !== Math.round(w * ratio)) canvas.width = Math.round(w * ratio);
+  if (canvas.height !== Math.round(h * ratio)) canvas.height = Math.round(h * ratio);
+  const pen = canvas.getContext("2d");
+  pen.setTransform(ratio, 0, 0, ratio, 0, 0);
+  pen.clearRect(0, 0, w, h);
+  pen.font = "11px system-ui";
+  return pen;
+}
+
+// Curves over equal steps of `seconds`: {name, values, tint, dashed}.
+export function curves(canvas, list, seconds = 0) {
+  const pen = prepared(canvas);
+  if (!pen) return;
+  const { clientWidth: w, clientHeight: h } = canvas, left = 50, top = 16, foot = 16;
+  const known = list.flatMap(({ values }) => values.filter(Number.isFinite));
+  if (!known.length) return;
+  let low = Math.min(0, ...known), high = Math.max(...known, low + 1e-3);
+  if (Math.min(...known) > 0.5 * high) low = Math.min(...known);
+  const y = (value) => top + (h - top - foot) * (1 - (value - low) / (high - low));
+  pen.strokeStyle = colour("--rule");
+  pen.fillStyle = colour("--faint");
+  pen.lineWidth = 1;
+  for (const value of [low, (low + high) / 2, high]) {
+    pen.beginPath();
+    pen.moveTo(left, y(value));
+    pen.lineTo(w, y(value));
+    pen.stroke();
+    pen.fillText(Number(value.toPrecision(2)), 2, y(value) + 4);
+  }
+  pen.fillText(`${seconds.toFixed(1)} s`, w - 40, h - 3);
+  let x = left;
+  for (const { name, values, tint, dashed } of list) {
+    pen.strokeStyle = pen.fillStyle = colour(tint);
+    pen.setLineDash(dashed ? [4, 3] : []);
+    pen.lineWidth = 1.5;
+    pen.beginPath();
+    let drawn = false;
+    values.forEach((value, k) => {
+      if (!Number.isFinite(value)) return (drawn = false);
+      const at = left + ((w - left) * k) / Math.max(values.length - 1, 1);
+      drawn ? pen.lineTo(at, y(value)) : pen.moveTo(at, y(value));
+      drawn = true;
+    });
+    pen.stroke();
+    pen.setLineDash([]);
+    pen.fillText(name, x, 11);
+    x += pen.measureText(name).width + 12;
+  }
+}

@@ -1,0 +1,156 @@
+// Strokes by hand, in metres; what planning makes of them, over them; and whom it is sent to.
+import { ask, chosen, colour, on, row, seen, selected, tell } from "./line.js";
+import { showPath } from "./scene.js";
+import { curves, number, prepared } from "./canvas.js";
+
+const find = (id) => document.getElementById(id);
+const SETTINGS = ["height", "lift", "smoothing", "v_max", "a_max", "slower"];
+let strokes = [], current = null, plan = null, began = 0, waiting = 0, canvas, scale = 100, middle = [0, 0];
+
+const toPixel = ([x, y]) => [canvas.clientWidth / 2 + scale * (x - middle[0]), canvas.clientHeight / 2 - scale * (y - middle[1])];
+const toMetres = (px, py) => [(px - canvas.clientWidth / 2) / scale + middle[0], middle[1] - (py - canvas.clientHeight / 2) / scale];
+const rounded = (x) => Math.round(1e4 * x) / 1e4;
+
+function fit() {
+  if (!seen.about) return;
+  const [low, high] = seen.about.fence;
+  middle = [0, 1].map((c) => (low[c] + high[c]) / 2);
+  const least = Math.min(canvas.clientWidth / (high[0] - low[0]), canvas.clientHeight / (high[1] - low[1]));
+  scale = Math.max(least, Math.min(canvas.clientWidth, canvas.clientHeight) / number("area")) || 100;
+  paint();
+}
+
+function polyline(pen, points, tint, width) {
+  pen.strokeStyle = tint;
+  pen.lineWidth = width;
+  pen.beginPath();
+  points.forEach((point, k) => (k ? pen.lineTo(...toPixel(point)) : pen.moveTo(...toPixel(point))));
+  pen.stroke();
+}
+
+function paint() {
+  const pen = prepared(canvas);
+  if (!pen || !seen.about) return;
+  const [low, high] = seen.about.fence;
+  for (let x = Math.ceil(low[0]); x <= high[0]; x++) polyline(pen, [[x, low[1]], [x, high[1]]], colour(x ? "--rule" : "--faint"), 1);
+  for (let y = Math.ceil(low[1]); y <= high[1]; y++) polyline(pen, [[low[0], y], [high[0], y]], colour(y ? "--rule" : "--faint"), 1);
+  if (plan) polyline(pen, plan.points, colour("--good"), 4);
+  for (const stroke of current ? [...strokes, current] : strokes) polyline(pen, stroke.map((row) => row.slice(1)), colour("--ink"), 1.5);
+  pen.fillStyle = colour("--accent");
+  seen.about.ids.forEach((i, k) => {
+    const at = seen.rows && [seen.rows[k * seen.about.columns], seen.rows[k * seen.about.columns + 1]];
+    if (!at || !Number.isFinite(at[0])) return;
+    const [x, y] = toPixel(at);
+    pen.fillStyle = colour(selected.has(i) ? "--warn" : "--accent");
+    pen.fillRect(x - 3, y - 3, 6, 6);
+    pen.fillText(i, x + 5, y - 5);
+  });
+}
+
+function point(event) {
+  const area = canvas.getBoundingClientRect();
+  const [x, y] = toMetres(event.clientX - area.left, event.clientY - area.top);
+  return [rounded((event.timeStamp - began) / 1000), rounded(x), rounded(y)];
+}
+
+function pointers() {
+  canvas.addEventListener("pointerdown", (event) => {
+    canvas.setPointerCapture(event.pointerId);
+    if (!strokes.length) began = event.timeStamp;
+    current = [point(event)];
+    event.preventDefault();
+  });
+  canvas.addEventListener("pointermove", (event) => {
+    if (!current) return;
+    for (const one of event.getCoalescedEvents?.().length ? event.getCoalescedEvents() : [event]) current.push(point(one));
+    paint();
+  });
+  const end = () => {
+    if (!current) return;
+    strokes.push(current);
+    current = null;
+    changed();
+  };
+  canvas.addEventListener("pointerup", end);
+  canvas.addEventListener("pointercancel", end);
+}
+
+function said(text) {
+  find("plan").textContent = text;
+}
+
+function changed() {
+  plan = null;
+  showPath([]);
+  curves(find("profile"), []);
+  paint();
+  clearTimeout(waiting);
+  if (!strokes.length) return said("Nothing is drawn.");
+  said("Planning ...");
+  waiting = setTimeout(() => {
+    const yaw = find("yaw").value;
+    const settings = Object.fromEntries(SETTINGS.map((name) => [name, number(name)]));
+    ask({ ask: "draw", strokes, ...settings, yaw: yaw === "along" ? yaw : Number(yaw), timing: find("timing").value });
+  }, 150);
+}
+
+const NEAR = 0.4, BELOW = 0.7;
+
+// Who is in the way where it is now; it will be given way to, and the path is not flown to its end.
+function inTheWay(points) {
+  const others = seen.about.ids.filter((i) => !selected.has(i) && [...(row(i) ?? [])].slice(0, 3).every(Number.isFinite));
+  const near = (p, [x, y, z]) => Math.hypot(Math.hypot(p[0] - x, p[1] - y) / NEAR, (p[2] - z) / BELOW) < 1;
+  return others.filter((i) => row(i)[2] > seen.about.ground + 0.1 && points.some((point) => near(row(i), point)));
+}
+
+function planned(made) {
+  plan = made;
+  showPath(made.points);
+  const others = inTheWay(made.points);
+  const warning = others.length ? `. In the way, where they are now: drone ${others.join(", ")}` : "";
+  said(`${made.duration} s, at most ${made.speed} m/s and ${made.acceleration} m/s², at most ${Math.round(1000 * made.deviation)} mm beside what was drawn${warning}`);
+  curves(find("profile"), [
+    { name: "speed, m/s", values: made.speeds, tint: "--accent" }, { name: "acceleration, m/s²", values: made.accelerations, tint: "--warn" },
+  ], made.duration);
+  paint();
+}
+
+function download({ saved, kind }) {
+  const link = document.createElement("a");
+  link.href = URL.createObjectURL(new Blob([saved], { type: kind === "svg" ? "image/svg+xml" : "text/csv" }));
+  link.download = `drawing.${kind}`;
+  link.click();
+  URL.revokeObjectURL(link.href);
+}
+
+export const sketch = {
+  undo: () => { strokes.pop(); changed(); },
+  clear: () => { strokes = []; changed(); },
+  save: (kind) => (strokes.length ? ask({ ask: "save", strokes, kind }) : said("Nothing is drawn.")),
+  strokes: () => strokes,
+  fly: () => {
+    if (!chosen()) return tell("refused", "fly: choose the drones that are to fly it, in the table");
+    if (!plan) return tell("refused", "fly: nothing is planned");
+    ask({ ask: "fly", drones: chosen(), offset: ["offset_x", "offset_y", "offset_z"].map(number) });
+  },
+};
+
+export function start() {
+  canvas = find("sketch");
+  pointers();
+  new ResizeObserver(fit).observe(canvas);
+  find("area").addEventListener("change", fit);
+  for (const name of [...SETTINGS, "yaw", "timing"]) find(name).addEventListener("change", changed);
+  find("file").addEventListener("change", async ({ target }) => {
+    const [file] = target.files;
+    if (file) ask({ ask: "load", name: file.name, text: await file.text() });
+    target.value = "";
+  });
+  on("about", fit);
+  on("plan", planned);
+  on("strokes", (loaded) => { strokes = loaded; changed(); });
+  on("saved", (saved) => download(saved));
+  on("refused", (why) => strokes.length && !plan && said(why));
+  on("drones", () => canvas.clientWidth && paint());
+  on("theme", paint);
+}

@@ -1,0 +1,107 @@
+// The page, put together. Space stops all, wherever the focus is but in a text.
+import { ask, chosen, connect, on, seen, select, tell } from "./line.js";
+import { number } from "./canvas.js";
+import * as draw from "./draw.js";
+import * as plots from "./plots.js";
+import * as scene from "./scene.js";
+import * as table from "./table.js";
+import * as tasks from "./tasks.js";
+
+const find = (id) => document.getElementById(id);
+
+function tabs() {
+  const all = [...document.querySelectorAll('[role="tab"]')];
+  const show = (tab) => {
+    for (const one of all) {
+      const chosen = one === tab;
+      one.setAttribute("aria-selected", chosen);
+      one.tabIndex = chosen ? 0 : -1;
+      find(one.getAttribute("aria-controls")).hidden = !chosen;
+    }
+  };
+  all.forEach((tab, k) => {
+    tab.addEventListener("click", () => show(tab));
+    tab.addEventListener("keydown", ({ key }) => {
+      const step = { ArrowRight: 1, ArrowLeft: -1 }[key];
+      if (!step) return;
+      const next = all[(k + step + all.length) % all.length];
+      next.focus();
+      show(next);
+    });
+  });
+  show(all[0]);
+}
+
+const TEXTS = ["text", "search", "password", "email", "url"];
+const writes = (element) => element.isContentEditable || element.tagName === "TEXTAREA" || TEXTS.includes(element.type);
+
+// What buttons call.
+const choir = {
+  order: (verb) => ask({ ask: "order", verb, drones: chosen() }),
+  stopAll: () => ask({ ask: "stop" }),
+  stopChosen: () => (chosen() ? ask({ ask: "stop", drones: chosen() }) : tell("refused", "motors off: choose drones, or stop all")),
+  clearStop: () => confirm("Let drones take off again?") && ask({ ask: "stop", clear: true }),
+  goTo: () => {
+    if (!chosen()) return tell("refused", "go to: choose drones in the table");
+    ask({ ask: "go-to", drones: chosen(), p: ["goal_x", "goal_y", "goal_z"].map(number), offset: [0, number("apart_y"), 0] });
+  },
+  turn: () => Quasar.Dark.toggle(),
+  network: {
+    cut: () => (chosen() ? ask({ ask: "impair", drones: chosen(), cut: true }) : tell("refused", "cut off: choose drones")),
+    clear: () => ask({ ask: "impair", clear: true }),
+  },
+  sketch: draw.sketch,
+  tasks: tasks.tasks,
+  ask, chosen, seen, select,
+};
+
+function sliders() {
+  for (const range of document.querySelectorAll('input[type="range"]')) {
+    const shown = document.querySelector(`output[for="${range.id}"]`);
+    const show = () => (shown.textContent = range.value);
+    range.addEventListener("input", show);
+    show();
+  }
+  for (const [id, unit] of [["loss", 100], ["delay", 1000]]) {
+    find(id).addEventListener("change", () => ask({ ask: "impair", [id]: number(id) / unit, drones: chosen() }));
+  }
+}
+
+function keys() {
+  const isStop = (event) => event.code === "Space" && !writes(event.target);
+  window.addEventListener("keydown", (event) => {
+    if (!isStop(event)) return;
+    event.preventDefault();
+    event.stopImmediatePropagation();
+    if (!event.repeat) choir.stopAll();
+  }, true);
+  window.addEventListener("keyup", (event) => isStop(event) && event.preventDefault(), true);
+}
+
+function theme() {
+  const told = () => requestAnimationFrame(() => tell("theme"));
+  new MutationObserver(told).observe(document.body, { attributeFilter: ["class"] });
+}
+
+// The page's widgets are made after this file is read.
+export function start() {
+  if (find("drones")) begin();
+  else setTimeout(start, 20);
+}
+
+function begin() {
+  window.choir = choir;
+  tabs();
+  keys();
+  sliders();
+  theme();
+  table.start({ table: find("drones"), said: find("receipts"), lines: find("log"), level: find("level"), caption: find("chosen") });
+  on("connected", (there) => {
+    find("connection").textContent = there ? "connected" : "NOT CONNECTED: this page shows nothing new, and cannot stop anything";
+    find("connection").dataset.there = there;
+  });
+  on("links", (lost) => (seen.links = lost));
+  for (const part of [draw, plots, tasks]) part.start();
+  scene.start(find("scene"));
+  connect();
+}

@@ -1,0 +1,242 @@
+// The room in three dimensions: drones, trails, references, graph, tasks, fence, and the path that is drawn.
+import { THREE, OrbitControls } from "/three/index.js";
+import { colour, on, seen, selected, tell } from "./line.js";
+
+const TRAIL = 120, TRAIL_S = 0.1, ARM = 0.13, LABELS = 40;
+let renderer, camera, controls, scene, host, drones, references, trails, edges, path, tasks, room;
+let labels = [], links = [], waiting = 0, trailed = 0, drawn = -1, looked = false, tasked = "null";
+
+const at = (rows, k, c) => rows[k * seen.about.columns + c];
+const lines = (material) => unbounded(new THREE.LineSegments(new THREE.BufferGeometry(), material));
+
+// Always drawn: its places change, and some are NaN, so nothing may be computed of its bounds.
+function unbounded(object) {
+  object.frustumCulled = false;
+  object.geometry.boundingSphere = new THREE.Sphere();
+  return object;
+}
+
+function body() {
+  const boxes = [[2 * ARM, 0.03, 0.03, 0], [2 * ARM, 0.03, 0.03, Math.PI / 2], [0.09, 0.06, 0.06, Math.PI / 4]];
+  const parts = boxes.map(([x, y, z, turn]) => new THREE.BoxGeometry(x, y, z).rotateZ(turn + Math.PI / 4).toNonIndexed());
+  const merged = new THREE.BufferGeometry();
+  for (const name of ["position", "normal"]) {
+    const data = parts.flatMap((part) => [...part.getAttribute(name).array]);
+    merged.setAttribute(name, new THREE.Float32BufferAttribute(data, 3));
+  }
+  return merged;
+}
+
+function label(text, size = 0.28) {
+  const canvas = document.createElement("canvas");
+  canvas.width = canvas.height = 64;
+  const pen = canvas.getContext("2d");
+  pen.font = `bold ${Math.min(40, 100 / text.length)}px system-ui`;
+  pen.textAlign = "center";
+  pen.fillStyle = colour("--ink");
+  pen.fillText(text, 32, 46);
+  const sprite = new THREE.Sprite(new THREE.SpriteMaterial({ map: new THREE.CanvasTexture(canvas), depthTest: false }));
+  sprite.scale.set(size, size, 1);
+  return sprite;
+}
+
+function box(low, high, tint) {
+  const size = high.map((x, c) => x - low[c]);
+  const shape = new THREE.EdgesGeometry(new THREE.BoxGeometry(...size));
+  const frame = new THREE.LineSegments(shape, new THREE.LineBasicMaterial({ color: tint }));
+  frame.position.set(...low.map((x, c) => x + size[c] / 2));
+  return frame;
+}
+
+function build(about) {
+  scene.clear();
+  labels = [];
+  tasked = "null";
+  trailed = 0;
+  const n = about.ids.length;
+  const [low, high] = about.fence;
+  scene.add(new THREE.HemisphereLight(0xffffff, 0x8899aa, 4));
+  room = new THREE.Group();
+  const reach = Math.max(high[0] - low[0], high[1] - low[1]);
+  const grid = new THREE.GridHelper(2 * Math.ceil(reach / 2), 2 * Math.ceil(reach / 2), colour("--ink"), colour("--rule"));
+  grid.rotation.x = Math.PI / 2;
+  grid.position.set(Math.round((low[0] + high[0]) / 2), Math.round((low[1] + high[1]) / 2), about.ground);
+  room.add(grid, box(low, high, colour("--accent")), box(about.limit[0], about.limit[1], colour("--bad")));
+  scene.add(room);
+  drones = new THREE.InstancedMesh(body(), new THREE.MeshLambertMaterial(), n);
+  scene.add(unbounded(drones));
+  references = unbounded(new THREE.Points(new THREE.BufferGeometry(), new THREE.PointsMaterial({ size: 0.06, color: colour("--warn") })));
+  references.geometry.setAttribute("position", new THREE.BufferAttribute(new Float32Array(3 * n), 3));
+  trails = lines(new THREE.LineBasicMaterial({ color: colour("--accent"), transparent: true, opacity: 0.5 }));
+  trails.geometry.setAttribute("position", new THREE.BufferAttribute(new Float32Array(6 * n * TRAIL), 3));
+  edges = lines(new THREE.LineBasicMaterial({ vertexColors: true }));
+  edges.geometry.setAttribute("position", new THREE.BufferAttribute(new Float32Array(6 * about.edges.length), 3));
+  edges.geometry.setAttribute("color", new THREE.BufferAttribute(new Float32Array(6 * about.edges.length), 3));
+  path = lines(new THREE.LineBasicMaterial({ color: colour("--good") }));
+  const place = new Map(about.ids.map((i, k) => [i, k]));
+  links = about.edges.map(([i, j]) => ({ ends: [place.get(i), place.get(j)], name: `${i}-${j}` }));
+  tasks = new THREE.Group();
+  scene.add(references, trails, edges, path, tasks);
+  if (n <= LABELS) {
+    labels = about.ids.map((i) => label(String(i)));
+    scene.add(...labels);
+  }
+  looked = false;
+}
+
+// From where all drones are seen well: once, when they are first heard.
+function look(about, rows) {
+  const spots = about.ids.map((i, k) => [at(rows, k, 0), at(rows, k, 1)]).filter((spot) => spot.every(Number.isFinite));
+  if (!spots.length) return;
+  const low = [0, 1].map((c) => Math.min(...spots.map((spot) => spot[c])));
+  const high = [0, 1].map((c) => Math.max(...spots.map((spot) => spot[c])));
+  const x = (low[0] + high[0]) / 2, y = (low[1] + high[1]) / 2;
+  const reach = Math.max(3.5, 1.2 * Math.hypot(high[0] - low[0], high[1] - low[1]));
+  camera.position.set(x, y - reach, about.ground + 0.3 + 0.8 * reach);
+  controls.target.set(x, y, about.ground + 0.4);
+  controls.update();
+  looked = spots.length === about.ids.length;
+}
+
+function tint(i, k, rows) {
+  const drone = seen.drones[k];
+  if (!drone?.heard || !(at(rows, k, 13) < 1)) return colour("--faint");
+  if (drone.phase === "stopped" || drone.gone.length) return colour("--bad");
+  return colour(selected.has(i) ? "--warn" : drone.phase === "on ground" ? "--rest" : "--accent");
+}
+
+const matrix = new THREE.Matrix4(), turn = new THREE.Quaternion(), where = new THREE.Vector3(), paint = new THREE.Color();
+const unit = new THREE.Vector3(1, 1, 1), none = new THREE.Matrix4().makeScale(0, 0, 0);
+
+// Drawn when the browser draws, so that a slow one draws less often instead of later and later.
+function soon() {
+  if (!waiting) waiting = requestAnimationFrame(() => { waiting = 0; show(seen); });
+}
+
+function show({ about, rows }) {
+  if (!about || !rows) return;
+  if (!looked) look(about, rows);
+  const repaint = seen.received % 10 === 1;
+  about.ids.forEach((i, k) => {
+    where.set(at(rows, k, 0), at(rows, k, 1), at(rows, k, 2));
+    const there = Number.isFinite(where.x);
+    turn.set(at(rows, k, 6), at(rows, k, 7), at(rows, k, 8), at(rows, k, 9));
+    drones.setMatrixAt(k, there ? matrix.compose(where, turn, unit) : none);
+    if (repaint) drones.setColorAt(k, paint.set(tint(i, k, rows)));
+    if (labels[k]) labels[k].position.set(where.x, where.y, where.z + 0.2);
+    if (labels[k]) labels[k].visible = there;
+    references.geometry.attributes.position.setXYZ(k, at(rows, k, 14), at(rows, k, 15), at(rows, k, 16));
+  });
+  drones.instanceMatrix.needsUpdate = true;
+  if (drones.instanceColor) drones.instanceColor.needsUpdate = true;
+  references.geometry.attributes.position.needsUpdate = true;
+  if (seen.at - drawn >= TRAIL_S || seen.at < drawn) trail(about, rows);
+  connectEdges(rows);
+  renderer.render(scene, camera);
+}
+
+// Rings of segments, from where a drone was when the last one was added.
+const last = new Map();
+
+function trail(about, rows) {
+  drawn = seen.at;
+  const points = trails.geometry.attributes.position, slot = trailed++ % TRAIL;
+  about.ids.forEach((i, k) => {
+    const now = [at(rows, k, 0), at(rows, k, 1), at(rows, k, 2)];
+    const before = last.get(i) ?? now;
+    const ends = now.every(Number.isFinite) ? [...before, ...now] : new Array(6).fill(NaN);
+    points.array.set(ends, 6 * (k * TRAIL + slot));
+    last.set(i, now);
+  });
+  points.needsUpdate = true;
+}
+
+function connectEdges(rows) {
+  const { position, color } = edges.geometry.attributes;
+  links.forEach(({ ends, name }, e) => {
+    const known = seen.links?.[name];
+    const lost = known ?? (seen.drones.length ? (seen.drones[ends[0]].lost + seen.drones[ends[1]].lost) / 2 : 0);
+    paint.setHSL(0.33 * (1 - Math.min(1, 1.5 * lost)), 0.75, 0.45);
+    ends.forEach((k, end) => {
+      position.setXYZ(2 * e + end, at(rows, k, 0), at(rows, k, 1), at(rows, k, 2));
+      color.setXYZ(2 * e + end, paint.r, paint.g, paint.b);
+    });
+  });
+  position.needsUpdate = color.needsUpdate = true;
+}
+
+export function showPath(points) {
+  const ends = points.slice(1).flatMap((point, k) => [...points[k], ...point]);
+  path.geometry.dispose();
+  path.geometry = new THREE.BufferGeometry();
+  path.geometry.setAttribute("position", new THREE.Float32BufferAttribute(ends, 3));
+  unbounded(path);
+}
+
+const TINTS = { open: "--warn", aboard: "--accent", delivered: "--good", done: "--good", cancelled: "--faint", lost: "--bad" };
+
+function showTasks(list) {
+  const text = JSON.stringify(list);
+  if (text === tasked) return;
+  tasked = text;
+  tasks.clear();
+  if (!list) return;
+  const z = seen.about.ground + 0.02;
+  for (const task of list) {
+    const spots = task.delivery ? [task.pickup, task.delivery] : [task.pickup];
+    const material = new THREE.MeshBasicMaterial({ color: colour(TINTS[task.fate] ?? "--warn") });
+    spots.forEach((spot, end) => {
+      const shape = end ? new THREE.BoxGeometry(0.14, 0.14, 0.02) : new THREE.CylinderGeometry(0.08, 0.08, 0.02).rotateX(Math.PI / 2);
+      const mark = new THREE.Mesh(shape, material);
+      mark.position.set(...spot, z);
+      const name = label(String(task.id), 0.35);
+      name.position.set(spot[0], spot[1], z + 0.15);
+      tasks.add(mark, ...(list.length <= LABELS ? [name] : []));
+    });
+    if (spots.length > 1) {
+      const shape = new THREE.BufferGeometry().setFromPoints(spots.map((spot) => new THREE.Vector3(...spot, z)));
+      tasks.add(new THREE.Line(shape, new THREE.LineBasicMaterial({ color: material.color })));
+    }
+  }
+}
+
+function floor(event) {
+  const area = renderer.domElement.getBoundingClientRect();
+  const x = (2 * (event.clientX - area.left)) / area.width - 1, y = 1 - (2 * (event.clientY - area.top)) / area.height;
+  const ray = new THREE.Raycaster();
+  ray.setFromCamera(new THREE.Vector2(x, y), camera);
+  const hit = ray.ray.intersectPlane(new THREE.Plane(new THREE.Vector3(0, 0, 1), -seen.about.ground), new THREE.Vector3());
+  return hit && [Math.round(100 * hit.x) / 100, Math.round(100 * hit.y) / 100];
+}
+
+export function start(element) {
+  host = element;
+  renderer = new THREE.WebGLRenderer({ antialias: true, alpha: true });
+  renderer.domElement.setAttribute("role", "img");
+  renderer.domElement.setAttribute("aria-label", "The room from above and aside: drones, trails, fence, tasks. The table says the same in words.");
+  host.append(renderer.domElement);
+  scene = new THREE.Scene();
+  camera = new THREE.PerspectiveCamera(50, 1, 0.05, 500);
+  camera.up.set(0, 0, 1);
+  controls = new OrbitControls(camera, renderer.domElement);
+  controls.addEventListener("change", soon);
+  let pressed = null;
+  renderer.domElement.addEventListener("pointerdown", (event) => (pressed = [event.clientX, event.clientY]));
+  renderer.domElement.addEventListener("pointerup", (event) => {
+    const still = pressed && Math.hypot(event.clientX - pressed[0], event.clientY - pressed[1]) < 5;
+    const spot = still && seen.about && floor(event);
+    if (spot) tell("floor", spot);
+  });
+  new ResizeObserver(() => {
+    const { clientWidth, clientHeight } = host;
+    if (!clientWidth || !clientHeight) return;
+    renderer.setSize(clientWidth, clientHeight);
+    camera.aspect = clientWidth / clientHeight;
+    camera.updateProjectionMatrix();
+    soon();
+  }).observe(host);
+  on("about", build);
+  on("frame", soon);
+  on("tasks", showTasks);
+  on("theme", () => seen.about && build(seen.about));
+}

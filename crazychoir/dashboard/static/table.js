@@ -1,0 +1,117 @@
+// The drones in words: a table with a box to choose each; receipts of commands; the log.
+import { chosen, on, seen, select, selected } from "./line.js";
+
+const COLUMNS = [
+  ["drone", (d) => d.id], ["phase", (d) => (d.heard ? d.phase : "not heard")], ["task", (d) => d.task],
+  ["battery", (d) => unit(d.battery, "V")], ["latency", (d) => (d.latency == null ? "" : `${Math.round(1000 * d.latency)} ms`)],
+  ["lost", (d) => `${Math.round(100 * d.lost)} %`], ["rssi", (d) => unit(d.rssi, "dBm")],
+  ["pose age", (d) => unit(d.age, "s")], ["round", (d) => d.round], ["cost", (d) => d.cost ?? ""],
+  ["runs at", (d) => `${d.host} ${d.process}`], ["note", (d) => d.note],
+];
+const unit = (value, name) => (value == null ? "" : `${value} ${name}`);
+const rows = new Map();
+let body;
+
+export function make(tag, attributes = {}, ...children) {
+  const element = document.createElement(tag);
+  for (const [name, value] of Object.entries(attributes)) element.setAttribute(name, value);
+  element.append(...children);
+  return element;
+}
+
+function set(element, text) {
+  const value = String(text ?? "");
+  if (element.textContent !== value) element.textContent = value;
+}
+
+function build(table, about) {
+  const all = make("input", { type: "checkbox", "aria-label": "all drones" });
+  all.addEventListener("change", () => select(all.checked ? about.ids : []));
+  const head = make("tr", {}, make("th", { scope: "col" }, all), ...COLUMNS.map(([name]) => make("th", { scope: "col" }, name)));
+  body = make("tbody");
+  rows.clear();
+  for (const i of about.ids) {
+    const box = make("input", { type: "checkbox", "aria-label": `drone ${i}` });
+    box.addEventListener("change", () => select(box.checked ? [...selected, i] : [...selected].filter((j) => j !== i)));
+    const cells = COLUMNS.map(([name], c) => make(c ? "td" : "th", c ? { "data-of": name } : { scope: "row" }));
+    const row = make("tr", { "data-drone": i }, make("td", {}, box), ...cells);
+    rows.set(i, { row, box, cells });
+    body.append(row);
+  }
+  table.replaceChildren(make("caption", {}, "Drones; choose those that commands are for, none for all"), make("thead", {}, head), body);
+}
+
+function fill(drones) {
+  for (const drone of drones) {
+    const { row, cells } = rows.get(drone.id) ?? {};
+    if (!row) continue;
+    row.dataset.phase = drone.heard ? drone.phase : "not heard";
+    COLUMNS.forEach(([, text], c) => set(cells[c], text(drone)));
+  }
+}
+
+function words(receipt) {
+  const groups = {};
+  for (const [i, [kind, said]] of Object.entries(receipt.answers)) {
+    const text = typeof said === "string" ? said : said.id == null ? "" : `task ${said.id}${said.note ? `: ${said.note}` : ""}`;
+    const long = text.length > 90 ? `${text.slice(0, 87)}...` : text;
+    (groups[kind + (long ? `: ${long}` : "")] ??= []).push(i);
+  }
+  return Object.entries(groups).map(([said, ids]) => `${ids.length > 8 ? `${ids.length} drones` : ids.join(", ")} ${said}`).join("; ");
+}
+
+const states = (receipt) => Object.values(receipt.answers).map(([kind]) => kind);
+
+function outcome(receipt) {
+  const kinds = states(receipt);
+  if (kinds.every((kind) => kind === "done")) return "done";
+  if (kinds.some((kind) => kind === "refused" || kind === "silent")) return "bad";
+  return "open";
+}
+
+function receipts(list, changed) {
+  for (const receipt of changed) {
+    const id = `receipt-${receipt.number}`;
+    const text = `${receipt.verb} ${receipt.words} → ${words(receipt)}`.replace("  ", " ");
+    let item = document.getElementById(id);
+    if (!item) {
+      item = make("li", { id });
+      list.prepend(item);
+    }
+    item.dataset.outcome = outcome(receipt);
+    set(item, `${item.dataset.outcome === "done" ? "✓" : item.dataset.outcome === "bad" ? "✗" : "…"} ${text}`);
+  }
+  while (list.children.length > 30) list.lastChild.remove();
+}
+
+const LEVELS = ["info", "warning", "error"];
+
+function log(list, level, lines) {
+  for (const line of lines) {
+    const who = line.drone == null ? "" : `drone ${line.drone}: `;
+    const item = make("li", { "data-level": line.level }, `${line.t.toFixed(1)} ${line.level} ${who}${line.text}`);
+    item.hidden = LEVELS.indexOf(line.level) < LEVELS.indexOf(level.value);
+    list.prepend(item);
+  }
+  while (list.children.length > 500) list.lastChild.remove();
+}
+
+export function start({ table, said, lines, level, caption }) {
+  on("about", (about) => build(table, about));
+  on("drones", fill);
+  on("receipts", (changed) => receipts(said, changed));
+  on("log", (list) => log(lines, level, list));
+  on("connected", (there) => there && (lines.replaceChildren(), said.replaceChildren()));
+  on("refused", (why) => said.prepend(make("li", { "data-outcome": "bad" }, `✗ ${why}`)));
+  on("selected", (ids) => {
+    for (const [i, { box, row }] of rows) {
+      box.checked = selected.has(i);
+      row.toggleAttribute("data-selected", box.checked);
+    }
+    set(caption, ids ? `for drone ${ids.length > 12 ? `s: ${ids.length} of them` : ids.join(", ")}` : "for all drones");
+  });
+  level.addEventListener("change", () => {
+    for (const item of lines.children) item.hidden = LEVELS.indexOf(item.dataset.level) < LEVELS.indexOf(level.value);
+  });
+  set(caption, chosen() ?? "for all drones");
+}

@@ -1,0 +1,63 @@
+// Tasks: added by clicks on the floor or by numbers, listed, cancelled; and goals that are clicked.
+import { number } from "./canvas.js";
+import { ask, on } from "./line.js";
+import { make } from "./table.js";
+
+const find = (id) => document.getElementById(id);
+const set = (id, value) => (find(id).value = value);
+let pickup = null, shown = "";
+
+export const tasks = {
+  add: () => {
+    const delivery = find("task_kind").value === "one" ? null : [number("delivery_x"), number("delivery_y")];
+    return ask({ ask: "add-task", pickup: [number("pickup_x"), number("pickup_y")], delivery, load: number("load") });
+  },
+};
+
+function clicked([x, y]) {
+  if (find("pick").checked) {
+    set("goal_x", x);
+    set("goal_y", y);
+  }
+  if (!find("placing").checked) return;
+  if (!pickup) {
+    pickup = [x, y];
+    set("pickup_x", x);
+    set("pickup_y", y);
+    if (find("task_kind").value === "two") return said(`pickup at ${x}, ${y} m: now click where it is to be`);
+  } else {
+    set("delivery_x", x);
+    set("delivery_y", y);
+  }
+  pickup = null;
+  tasks.add();
+}
+
+function said(text) {
+  if (find("tasks-said").textContent !== text) find("tasks-said").textContent = text;
+}
+
+function list(known) {
+  if (!known) return said("This mission has no tasks that could be added.");
+  const text = JSON.stringify(known);
+  if (text === shown) return;
+  shown = text;
+  const open = known.filter(({ fate }) => fate === "open" || fate === "aboard").length;
+  if (!pickup) said(`${known.length} tasks, ${open} to do`);
+  find("tasks").replaceChildren(...known.map((task) => {
+    const ways = [task.pickup, task.delivery].filter(Boolean).map((spot) => spot.map((x) => x.toFixed(2)).join(", ")).join(" → ");
+    const who = task.robot == null ? "" : ` drone ${task.robot}`;
+    const item = make("li", { "data-task": task.id }, `task ${task.id}: ${ways} m, load ${task.load}: ${task.fate}${who} `);
+    if (task.fate === "open") {
+      const cancel = make("button", { "aria-label": `cancel task ${task.id}` }, "cancel");
+      cancel.addEventListener("click", () => ask({ ask: "cancel-task", id: task.id }));
+      item.append(cancel);
+    }
+    return item;
+  }));
+}
+
+export function start() {
+  on("floor", clicked);
+  on("tasks", list);
+}

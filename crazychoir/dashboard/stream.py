@@ -1,0 +1,170 @@
+"""The line to each page: a frame RATE times a second, news as they come; and what the page asks for."""
+
+import asyncio
+import logging
+from collections import deque
+from dataclasses import asdict
+from typing import Any, Protocol
+
+import msgspec
+
+from crazychoir.dashboard.asks import Message, read
+from crazychoir.dashboard.desk import Desk
+from crazychoir.dashboard.model import RATE, SwarmModel
+from crazychoir.dashboard.polls import Links, TaskBoard
+from crazychoir.dashboard.watch import Watch
+from crazychoir.errors import CrazyChoirError
+from crazychoir.runtime.actor import Actor
+
+log = logging.getLogger(__name__)
+TABLES = 2.0
+"""Hz, of the table of drones."""
+MOST_PAGES = 32
+MOST_ASKED = 60
+"""Messages of one page in PER_SECONDS s, beyond which it is closed."""
+PER_SECONDS = 2.0
+POLICY, TOO_MANY = 1008, 1013
+"""Codes of a WebSocket's end: it has broken a rule; try again later."""
+
+
+class Socket(Protocol):
+    """What this needs of a WebSocket that was accepted; all raise ConnectionError when the page is gone."""
+
+    async def send_bytes(self, data: bytes) -> None:
+        """One binary message."""
+        ...
+
+    async def send_text(self, data: str) -> None:
+        """One text."""
+        ...
+
+    async def receive_text(self) -> str:
+        """The next text."""
+        ...
+
+    async def close(self, code: int, reason: str | None = None) -> None:
+        """End it."""
+        ...
+
+
+class Answering(Protocol):
+    """Who does what a page asks for."""
+
+    async def asked(self, message: Message) -> dict[str, Any] | None:
+        """Do it; returns what this page alone should know, raises CrazyChoirError with why not."""
+        ...
+
+
+class Stream(Actor):
+    """All pages that look on. Who reads slowly gets fewer frames, and no other page waits for it."""
+
+    name = "stream"
+
+    def __init__(self, model: SwarmModel, desk: Desk, watch: Watch, links: Links, board: TaskBoard) -> None:
+        self.links, self.board = links, board
+        self.model, self.desk, self.watch, self.clock = model, desk, watch, model.bus.clock
+        self.pages = 0
+        self.frame, self.table = b"", b""
+        self.tables = 0  # how many there were
+        self._tick: asyncio.Future[None] = self.clock.future()
+
+    async def run(self) -> None:
+        """Make each frame once for all pages."""
+        every, count = round(RATE / TABLES), 0
+        async for _ in self.clock.ticks(RATE):
+            self.links.watched = self.board.watched = self.pages > 0
+            if not self.pages:
+                continue
+            self.frame = self.model.frame()
+            if count % every == 0:
+                self.table, self.tables = msgspec.json.encode(self.news()), self.tables + 1
+            count += 1
+            self.wake()
+
+    def wake(self) -> None:
+        """Let every page look for something new."""
+        tick, self._tick = self._tick, self.clock.future()
+        tick.set_result(None)
+
+    def news(self) -> dict[str, Any]:
+        """What changes slowly."""
+        links = {f"{i}-{j}": round(lost, 3) for (i, j), lost in self.links.lost.items()}
+        return {
+            "drones": self.model.table(), "costs": list(self.model.costs)[-1:], "links": links,
+            "tasks": self.board.tasks,
+        }  # fmt: skip
+
+    async def serve(self, socket: Socket, answering: Answering) -> None:
+        """One page, until it is gone."""
+        if self.pages >= MOST_PAGES:
+            await socket.close(TOO_MANY, f"{MOST_PAGES} pages look on already")
+            return
+        self.pages += 1
+        telling = asyncio.create_task(self._tell(socket))
+        hearing = asyncio.create_task(self._hear(socket, answering))
+        try:
+            await asyncio.wait([telling, hearing], return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            self.pages -= 1
+            for task in (telling, hearing):
+                task.cancel()
+            await asyncio.gather(telling, hearing, return_exceptions=True)
+        for task in (telling, hearing):
+            error = None if task.cancelled() else task.exception()
+            if error is not None and not _gone(error):
+                raise error
+
+    async def _tell(self, socket: Socket) -> None:
+        about = self.model.about() | {"costs": list(self.model.costs)}
+        await socket.send_text(_text({"about": about}))
+        told, line, version, frame = 0, 0, 0, b""
+        while True:
+            await asyncio.shield(self._tick)
+            if self.frame is not frame:
+                frame = self.frame
+                await socket.send_bytes(frame)
+            if self.desk.version > version:
+                receipts, version = self.desk.after(version), self.desk.version
+                await socket.send_text(_text({"receipts": [asdict(receipt) for receipt in receipts]}))
+            if self.watch.count > line:
+                lines, line = self.watch.after(line), self.watch.count
+                await socket.send_text(_text({"log": [asdict(one) for one in lines]}))
+            if self.tables != told:
+                told = self.tables
+                await socket.send_text(self.table.decode())
+
+    async def _hear(self, socket: Socket, answering: Answering) -> None:
+        """Nothing that is asked waits for what was asked before: a stop may come while a drawing is planned."""
+        times: deque[float] = deque(maxlen=MOST_ASKED)
+        async with asyncio.TaskGroup() as group:
+            while True:
+                text = await socket.receive_text()
+                now = self.clock.now()
+                if len(times) == MOST_ASKED and now - times[0] < PER_SECONDS:
+                    await socket.close(POLICY, f"more than {MOST_ASKED} messages in {PER_SECONDS:g} s")
+                    raise ConnectionError("closed")
+                times.append(now)
+                group.create_task(self._reply(socket, text, answering))
+
+    async def _reply(self, socket: Socket, text: str, answering: Answering) -> None:
+        reply = await self._replied(text, answering)
+        if reply is not None:
+            await socket.send_text(_text(reply))
+
+    async def _replied(self, text: str, answering: Answering) -> dict[str, Any] | None:
+        try:
+            return await answering.asked(read(text))
+        except (msgspec.ValidationError, msgspec.DecodeError, CrazyChoirError) as error:
+            self.watch.add(f"not done: {error}", "warning")
+            return {"refused": str(error)}
+
+
+def _gone(error: BaseException) -> bool:
+    """Whether it says no more than that the page is gone."""
+    if isinstance(error, BaseExceptionGroup):
+        return all(map(_gone, error.exceptions))
+    return isinstance(error, ConnectionError)
+
+
+def _text(value: Any) -> str:
+    return msgspec.json.encode(value, enc_hook=str).decode()

@@ -1,0 +1,226 @@
+"""The page in a real browser, used as an operator would; what he sees is checked in the swarm, too."""
+
+import asyncio
+import contextlib
+import shutil
+
+import numpy as np
+import pytest
+from system.agents import flying, until
+
+for package in ("nicegui", "playwright"):
+    pytest.importorskip(package, reason="the page in a browser needs: pip install 'crazychoir[dashboard,test]'")
+
+from playwright.async_api import async_playwright  # noqa: E402 - see above
+from system.pages import dashboard, looking_on, six  # noqa: E402
+
+CHROMIUM = shutil.which("chromium")
+FLAGS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+PHONE = {"width": 390, "height": 844}
+pytestmark = [
+    pytest.mark.system,
+    pytest.mark.real_time,
+    pytest.mark.timeout(300),
+    pytest.mark.skipif(CHROMIUM is None, reason="no chromium: apt-get install chromium"),
+]
+
+
+@contextlib.asynccontextmanager
+async def browser(address, shots, **options):
+    """A page in the browser, without an error on its console; its pictures are kept in a folder."""
+    async with async_playwright() as playwright:
+        chromium = await playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
+        page = await chromium.new_page(**{"viewport": {"width": 1400, "height": 900}, **options})
+        page.set_default_timeout(30_000)
+        errors = []
+        page.on("pageerror", lambda error: errors.append(str(error)))
+        page.on("console", lambda line: errors.append(line.text) if line.type == "error" else None)
+        page.on("requestfailed", lambda request: errors.append(request.url))
+        page.on("request", lambda request: None if address[5:] in request.url else errors.append(request.url))
+        page.shot = lambda name: page.screenshot(path=shots / f"{name}.png")
+        await page.goto(address)
+        await page.wait_for_function("window.choir?.seen.received > 5 && choir.seen.drones.length")
+        yield page
+        await chromium.close()
+        assert [error for error in errors if not error.startswith(("data:", "blob:"))] == []
+
+
+async def receipt(page, text, seconds=60.0):
+    """The newest receipt, when it says so."""
+    await page.wait_for_function(
+        "text => document.querySelector('#receipts li')?.textContent.includes(text)", arg=text, timeout=1000 * seconds
+    )
+    return await page.inner_text("#receipts li >> nth=0")
+
+
+async def draw_word(page):
+    """`hi`, by mouse, in the middle of the canvas."""
+    box = await page.locator("#sketch").bounding_box()
+    x0, y0 = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    h_line = [(-70, -50), (-70, 40)]
+    h_arch = [(-70, 5), (-60, -12), (-45, -15), (-30, -5), (-28, 15), (-28, 40)]
+    for stroke in (h_line, h_arch, [(20, -15), (20, 40)], [(20, -45), (23, -45)]):
+        await page.mouse.move(x0 + stroke[0][0], y0 + stroke[0][1])
+        await page.mouse.down()
+        for x, y in stroke[1:]:
+            await page.mouse.move(x0 + x, y0 + y, steps=8)
+        await page.mouse.up()
+
+
+def lost(team, since):
+    """Share of messages that was lost since these statuses."""
+    pairs = list(zip(team.newest(), since, strict=True))
+    return sum(b["lost"] - a["lost"] for b, a in pairs) / max(sum(b["sent"] - a["sent"] for b, a in pairs), 1)
+
+
+async def test_six_take_off_and_one_flies_a_word_that_was_drawn_and_space_stops_all(tmp_path, compiled):
+    async with flying(six(), tmp_path) as team:
+        program, address = await dashboard(team.path)
+        try:
+            async with browser(address, tmp_path) as page, looking_on(address) as seen:
+                await page.click("text=Take off")
+                assert "done: hovering" in await receipt(page, "hovering")
+                await page.shot("1_taken_off")
+                assert {status["phase"] for status in team.newest()} == {"hovering"}
+
+                await page.click("#tab-draw")
+                await page.fill("#height", "1.6")
+                await draw_word(page)
+                await page.wait_for_function("document.querySelector('#plan').textContent.includes('m/s²')")
+                await page.shot("2_smoothed")
+                assert "In the way" not in await page.inner_text("#plan")
+                assert len(await page.evaluate("choir.sketch.strokes()")) == 4
+                slower = float((await page.inner_text("#plan")).split()[0])
+                await page.fill("#slower", "1.5")
+                await page.dispatch_event("#slower", "change")
+                text = f"{1.5 * slower:.1f}"[:-2]
+                await page.wait_for_function("t => document.querySelector('#plan').textContent.startsWith(t)", arg=text)
+                await page.fill("#slower", "1")
+                await page.dispatch_event("#slower", "change")
+                await page.wait_for_function(
+                    "t => document.querySelector('#plan').textContent.startsWith(t)", arg=f"{slower:g}"
+                )
+
+                await page.check('input[aria-label="drone 4"]')
+                await page.click("text=Fly it with the chosen drones")
+                way = []
+                while not any(r["verb"] == "fly" and r["answers"]["4"][0] == "done" for r in seen.receipts.values()):
+                    way.append(seen.rows[4, 0:3].copy())
+                    assert len(way) < 1200, seen.receipts
+                    if len(way) == 200:
+                        await page.evaluate("document.querySelector('#panel-draw').scrollTop = 60")
+                        await page.shot("3_flying")
+                    await asyncio.sleep(0.05)
+                await page.click("#tab-fly")
+                assert "4 done: flown" in await receipt(page, "flown")
+                await page.shot("4_flown")
+                strokes = await page.evaluate("choir.sketch.strokes()")
+                drawn = np.array([[x, y, 1.6] for stroke in strokes for _, x, y in stroke])
+                away = np.linalg.norm(drawn[:, None] - np.array(way)[None], axis=2).min(axis=1)
+                assert away.max() < 0.15, f"{away.max():.2f} m beside what was drawn"
+
+                await page.uncheck('input[aria-label="drone 4"]')
+                before = team.newest()
+                await page.click("#tab-network")
+                await page.fill("#loss", "30")
+                await page.dispatch_event("#loss", "change")
+                await until(lambda: lost(team, before) > 0.2, 30.0, lambda: f"{lost(team, before)}")
+                await page.wait_for_function(
+                    "choir.seen.drones.every(drone => drone.lost > 0.2 && drone.lost < 0.4)", timeout=30_000
+                )
+                await page.click("#tab-fly")
+                assert "impair loss 0.3" in await receipt(page, "impair")
+                await page.shot("5_loss")
+
+                await page.focus("#goal_x")
+                await page.keyboard.press("Space")
+                assert "emergency stop" in await receipt(page, "motors off")
+                await page.wait_for_function("choir.seen.drones.every(drone => drone.phase === 'stopped')")
+                assert {status["phase"] for status in team.newest()} == {"stopped"}
+                await page.focus('input[aria-label="drone 2"]')
+                await page.keyboard.press("Space")
+                assert not await page.is_checked('input[aria-label="drone 2"]'), "space does nothing else"
+                stops = page.locator("#receipts li:has-text('emergency stop')")
+                await stops.nth(1).wait_for()
+                await page.shot("6_stopped")
+        finally:
+            await program.kill()
+
+
+async def test_a_task_is_added_by_clicks_on_the_floor_while_they_fly(tmp_path, compiled):
+    tables = {
+        "mission_options": {"tasks": 6, "later": 0, "until": 60.0}, "fence": {"min": [-3, -3, 0], "max": [7, 7, 3]},
+    }  # fmt: skip
+    async with flying(six("online_delivery", **tables), tmp_path) as team:
+        program, address = await dashboard(team.path)
+        try:
+            async with browser(address, tmp_path, color_scheme="dark") as page:
+                await page.wait_for_function(
+                    "choir.seen.drones.every(drone => drone.task.includes('start'))", timeout=60_000
+                )
+                await page.click("text=Start")
+                assert "its mission goes on" in await receipt(page, "goes on")
+                await page.click("#tab-tasks")
+                await page.wait_for_selector("#tasks li")
+                await page.check("#placing")
+                box = await page.locator("#scene canvas").bounding_box()
+                for share in (0.4, 0.6):
+                    await page.mouse.click(box["x"] + share * box["width"], box["y"] + 0.6 * box["height"])
+                    await asyncio.sleep(0.3)
+                await page.wait_for_selector('[data-task^="1000"]', timeout=30_000)
+                await page.shot("7_task")
+                listed = await page.inner_text('[data-task^="1000"]')
+                assert "load 1: open" in listed
+                await page.wait_for_function(
+                    "choir.seen.drones.some(drone => drone.task.includes('1 aboard'))", timeout=60_000
+                )
+                await page.shot("8_delivering")
+                for name, metres in {"pickup_x": 6, "pickup_y": 6, "delivery_x": -2, "delivery_y": 6}.items():
+                    await page.fill(f"#{name}", str(metres))
+                await page.click("text=Add task")
+                last = "#tasks li:has-text('6.00, 6.00 → -2.00, 6.00 m')"
+                await page.click(f"{last} button")
+                await page.wait_for_selector(f"{last}:has-text('cancelled')")
+        finally:
+            await program.kill()
+
+
+async def test_it_fits_a_phone_is_labelled_and_its_colours_can_be_told_apart(tmp_path, compiled):
+    async with flying(six(processes=1), tmp_path) as team:
+        program, address = await dashboard(team.path)
+        try:
+            for scheme in ("light", "dark"):
+                async with browser(address, tmp_path, viewport=PHONE, color_scheme=scheme, has_touch=True) as page:
+                    for tab in ("fly", "draw", "tasks", "network", "plots", "log"):
+                        await page.click(f"#tab-{tab}")
+                        assert await page.evaluate("document.documentElement.scrollWidth") <= PHONE["width"], tab
+                        assert await page.locator(f"#panel-{tab}").is_visible()
+                    await page.click("#tab-fly")
+                    await page.shot(f"phone_{scheme}")
+                    nameless = await page.evaluate(NAMELESS)
+                    assert nameless == []
+                    assert await page.evaluate(CONTRASTS) == []
+        finally:
+            await program.kill()
+
+
+NAMELESS = """
+[...document.querySelectorAll("button, input, select, canvas, [role=img]")].filter((one) => {
+  const label = one.getAttribute("aria-label") || one.labels?.length || one.textContent.trim();
+  return !label;
+}).map((one) => one.outerHTML)
+"""
+CONTRASTS = """
+(() => {
+  const style = getComputedStyle(document.body), read = (name) => style.getPropertyValue(name).trim();
+  const light = (hex) => {
+    const full = hex.length === 4 ? [...hex.slice(1)].map((c) => c + c).join("") : hex.slice(1);
+    const [r, g, b] = [0, 2, 4].map((k) => parseInt(full.slice(k, k + 2), 16) / 255)
+      .map((c) => (c <= 0.04045 ? c / 12.92 : ((c + 0.055) / 1.055) ** 2.4));
+    return 0.2126 * r + 0.7152 * g + 0.0722 * b;
+  };
+  const contrast = (a, b) => (Math.max(a, b) + 0.05) / (Math.min(a, b) + 0.05);
+  return ["--ink", "--faint", "--accent", "--good", "--warn", "--bad", "--rest"].filter((name) =>
+    contrast(light(read(name)), light(read("--card"))) < 4.5);
+})()
+"""

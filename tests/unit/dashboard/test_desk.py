@@ -1,0 +1,141 @@
+from virtual_time import virtual
+
+from crazychoir.bus.commands import ACCEPTED, DONE, NOT_READY, REFUSED, Commander, CommandServer
+from crazychoir.bus.local import OBSERVER, Bus
+from crazychoir.bus.topics import REQUEST
+from crazychoir.dashboard.desk import ACKNOWLEDGED, KEPT, SENT, SILENT, STOP, Desk
+from crazychoir.dashboard.watch import Watch
+from crazychoir.errors import Refused
+from crazychoir.swarm.config import SwarmConfig
+
+
+class Swarm:
+    """Three drones: 0 does what it is told after 1 s, 1 refuses, 2 hears nothing."""
+
+    def __init__(self, clock):
+        self.clock = clock
+        drones = [{"id": i, "home": [1.0 * i, 0.0, 0.0]} for i in range(3)]
+        self.config = SwarmConfig.of({"name": "a", "drones": drones})
+        bus = self.bus = Bus(clock)
+        self.obeyed, self.stopped = [], []
+        for i in (0, 1):
+            CommandServer(bus.port(i), self.executor(i), lambda on, i=i: self.stopped.append((i, on)))
+        self.commander = Commander(bus.port(OBSERVER))
+        self.watch = Watch(clock)
+        self.desk = Desk(self, self.watch)
+
+    def executor(self, i):
+        async def execute(verb, arguments):
+            if i == 1:
+                raise Refused("drone 1", "it is on the ground")
+            await self.clock.sleep(1.0)
+            self.obeyed.append((verb, arguments))
+            return "hovering"
+
+        return execute
+
+
+@virtual
+async def test_a_receipt_tells_who_has_acknowledged_who_has_done_it_who_refuses_and_who_is_silent(clock):
+    swarm = Swarm(clock)
+    receipt = swarm.desk.order("take-off", seconds=5.0)
+    assert {kind for kind, _ in receipt.answers.values()} == {SENT}
+    await clock.sleep(0.2)
+    assert receipt.answers == {0: (ACCEPTED, ""), 1: (REFUSED, "it is on the ground"), 2: (SENT, "")}
+    await clock.sleep(1.0)
+    assert receipt.answers[0] == (DONE, "hovering")
+    await clock.sleep(ACKNOWLEDGED - 1.2 + 0.1)
+    assert receipt.answers[2] == (SENT, "not acknowledged within 2 s; resent")
+    assert receipt.open
+    await swarm.desk.settled(receipt)
+    assert clock.now() >= 5.0
+    assert receipt.answers[2][0] == SILENT
+    assert not receipt.done()
+    assert [(line.drone, line.level) for line in swarm.watch.after(0)] == [(1, "warning"), (2, "warning")]
+
+
+@virtual
+async def test_only_those_that_are_meant_are_asked_each_with_its_own_arguments(clock):
+    swarm = Swarm(clock)
+    receipt = swarm.desk.order("go-to", [0], each=lambda i: {"p": [i, 1.0, 2.0]}, words="[0, 1, 2] m")
+    await swarm.desk.settled(receipt)
+    assert swarm.obeyed == [("go-to", {"p": [0, 1.0, 2.0]})]
+    assert receipt.done()
+    assert (receipt.verb, receipt.words) == ("go-to", "[0, 1, 2] m")
+
+
+@virtual
+async def test_what_is_accepted_and_not_done_in_time_is_said(clock):
+    swarm = Swarm(clock)
+    receipt = swarm.desk.order("land", [0], seconds=0.5)
+    await swarm.desk.settled(receipt)
+    assert receipt.answers == {0: (REFUSED, "not done within 0.5 s")}
+
+
+@virtual
+async def test_who_is_not_ready_yet_is_asked_again(clock):
+    swarm = Swarm(clock)
+    execute = swarm.executor(0)
+
+    async def later(verb, arguments):
+        if clock.now() < 4.0:
+            raise Refused("drone 0", f"{NOT_READY}: waiting for the others")
+        return await execute(verb, arguments)
+
+    CommandServer(swarm.bus.ports[0], later, print)
+    receipt = await swarm.desk.settled(swarm.desk.order("take-off", [0]))
+    assert receipt.answers == {0: (DONE, "hovering")}
+    assert 5.0 <= clock.now() < 5.5
+    CommandServer(swarm.bus.ports[0], swarm.executor(1), print)
+    assert (await swarm.desk.settled(swarm.desk.order("take-off", [0]))).answers[0][0] == REFUSED
+    assert clock.now() < 6.0
+
+
+@virtual
+async def test_a_stop_is_heard_by_all_that_are_there_and_the_silent_are_named(clock):
+    swarm = Swarm(clock)
+    receipt = swarm.desk.stop()
+    await clock.sleep(0.2)
+    assert swarm.stopped == [(0, True), (1, True)]
+    assert receipt.answers == {0: (DONE, "motors off"), 1: (DONE, "motors off"), 2: (SENT, "")}
+    assert swarm.bus.stopped
+    await swarm.desk.settled(receipt)
+    assert receipt.answers[2] == (SILENT, f"no acknowledgement within {STOP:g} s")
+    cleared = await swarm.desk.settled(swarm.desk.stop([0, 1], clear=True))
+    assert cleared.done()
+    assert not swarm.bus.stopped
+
+
+@virtual
+async def test_a_stop_of_one_drone_does_not_keep_the_others_on_the_ground(clock):
+    swarm = Swarm(clock)
+    await swarm.desk.settled(swarm.desk.stop([1]))
+    assert swarm.stopped == [(1, True)]
+    assert not swarm.bus.stopped
+
+
+@virtual
+async def test_a_page_is_told_what_has_changed_since_it_was_told_last(clock):
+    swarm = Swarm(clock)
+    first = swarm.desk.order("land", [0])
+    told = swarm.desk.version
+    assert swarm.desk.after(0) == [first]
+    assert swarm.desk.after(told) == []
+    second = swarm.desk.order("hold", [0])
+    assert swarm.desk.after(told) == [second]
+    await swarm.desk.settled(first)
+    assert swarm.desk.after(told) == [first, second]
+    for _ in range(KEPT):
+        swarm.desk.order("go", [0])
+    assert len(swarm.desk.after(0)) == KEPT
+    swarm.desk.close()
+
+
+@virtual
+async def test_that_a_drone_accepts_is_told_once_however_often_it_says_so(clock):
+    swarm, told = Swarm(clock), []
+    port = swarm.bus.ports[0]
+    handle = port.handlers[REQUEST.number]
+    port.handlers[REQUEST.number] = lambda *message: (handle(*message), handle(*message))
+    await swarm.commander.request(0, "land", 5.0, lambda: told.append(clock.now()))
+    assert len(told) == 1

@@ -1,0 +1,140 @@
+import math
+
+import numpy as np
+from virtual_time import virtual
+
+from crazychoir.bus.local import OBSERVER, Bus
+from crazychoir.bus.topics import LINK, LOG, REFERENCE, RESULT, STATE, STATUS
+from crazychoir.dashboard.model import AGE, COLUMNS, STALE, WANTED, WINDOW, SwarmModel
+from crazychoir.dashboard.watch import KEPT, Watch
+from crazychoir.swarm.config import SwarmConfig
+from crazychoir.types import FullState, LinkStatus, State, Status
+
+
+class Seen:
+    """Two drones on a bus, and the model of who looks on."""
+
+    def __init__(self, clock):
+        self.clock, self.bus, self.watch = clock, Bus(clock), Watch(clock)
+        drones = [{"id": 3, "home": [0, 0, 0]}, {"id": 7, "home": [1.0, 0, 0], "leader": True}]
+        self.config = SwarmConfig.of({"name": "a", "drones": drones, "edges": [[3, 7]]})
+        self.ports = {i: self.bus.port(i) for i in (3, 7)}
+        self.bus.port(OBSERVER)
+        self.model = SwarmModel(self.bus, OBSERVER, self.config, self.watch)
+
+    def frame(self):
+        data = self.model.frame()
+        (t,) = np.frombuffer(data, "<f8", 1)
+        return float(t), np.frombuffer(data, "<f4", offset=8).reshape(2, COLUMNS)
+
+    def row(self, i):
+        return next(row for row in self.model.table() if row["id"] == i)
+
+    def lines(self):
+        return [(line.drone, line.level, line.text) for line in self.watch.after(0)]
+
+
+@virtual
+async def test_a_frame_has_a_row_a_drone_and_nan_for_what_was_not_heard(clock):
+    seen = Seen(clock)
+    await clock.sleep(1.0)
+    seen.ports[7].publish(STATE, State(np.arange(13.0), age=0.02))
+    seen.ports[7].publish(REFERENCE, FullState.at((1.0, 2.0, 3.0)))
+    await clock.sleep(0.1)
+    t, rows = seen.frame()
+    assert t == clock.now()
+    assert np.isnan(rows[0, :AGE]).all()
+    assert rows[0, AGE] == np.inf
+    assert rows[1, :AGE].tolist() == list(range(13))
+    assert math.isclose(rows[1, AGE], 0.12, abs_tol=1e-6)
+    assert rows[1, WANTED].tolist() == [1.0, 2.0, 3.0]
+    assert seen.model.position(3) is None
+    assert seen.model.position(7).tolist() == [0.0, 1.0, 2.0]
+    await clock.sleep(REFERENCE.max_age)
+    assert np.isnan(seen.frame()[1][1, WANTED]).all(), "a reference that is not renewed is none"
+
+
+@virtual
+async def test_states_come_at_most_thirty_times_a_second(clock):
+    seen, heard = Seen(clock), []
+    seen.model._rows = type("Rows", (), {"__setitem__": lambda self, key, value: heard.append(clock.now())})()
+    async for _ in clock.ticks(100.0):
+        if clock.now() >= 2.0:
+            break
+        seen.ports[3].publish(STATE, State.at((0, 0, 1)))
+    assert 58 <= len(heard) <= 61
+
+
+@virtual
+async def test_the_share_of_lost_messages_is_that_of_the_last_seconds(clock):
+    seen = Seen(clock)
+    for k in range(40):
+        lost = max(0, k - 19) * 30
+        seen.ports[3].publish(STATUS, Status("mission", sent=100 * k, lost=lost))
+        await clock.sleep(0.25)
+    assert WINDOW == 5.0
+    assert seen.row(3)["lost"] == 0.3
+    seen.ports[3].publish(STATUS, Status("on ground", sent=5, lost=0))
+    await clock.sleep(0.1)
+    assert seen.row(3)["lost"] == 0.0, "its agent was started again"
+
+
+@virtual
+async def test_a_row_of_the_table_says_what_is_known_and_who_is_not_heard(clock):
+    seen = Seen(clock)
+    seen.ports[3].publish(STATUS, Status("hovering", "waits", cost=1.5, round=4, process="p", host="h", note="low"))
+    await clock.sleep(0.5)  # a seldom value waits for its drone's turn
+    seen.ports[3].publish(LINK, LinkStatus("up", latency=0.0071, rssi=-61.0, battery=3.912))
+    await clock.sleep(0.1)
+    row = seen.row(3)
+    expected = {"phase": "hovering", "task": "waits", "cost": 1.5, "round": 4, "process": "p", "host": "h",
+                "note": "low", "heard": True, "link": "up", "latency": 0.0071, "rssi": -61.0, "battery": 3.91,
+                "age": None, "answered": None}  # fmt: skip
+    assert {key: row[key] for key in expected} == expected
+    assert seen.row(7)["heard"] is False
+    await clock.sleep(STALE)
+    assert seen.row(3)["heard"] is False
+
+
+@virtual
+async def test_the_log_has_phases_notes_lines_and_results_with_levels(clock):
+    seen, port = Seen(clock), None
+    port = seen.ports[3]
+    for status in (Status("on ground"), Status("on ground"), Status("taking off", note="braking"), Status("hovering")):
+        port.publish(STATUS, status)
+        await clock.sleep(0.25)
+    port.publish(LOG, "drone 3: guidance failed: no idea")
+    port.publish(RESULT, {"success": False, "reason": "no idea"})
+    await clock.sleep(0.1)
+    assert seen.lines() == [
+        (3, "info", "on ground"), (3, "info", "taking off"), (3, "warning", "braking"), (3, "info", "hovering"),
+        (3, "error", "guidance failed: no idea"), (3, "error", "mission ended: no idea"),
+    ]  # fmt: skip
+
+
+@virtual
+async def test_costs_are_noted_by_rounds(clock):
+    seen = Seen(clock)
+    for k, cost in ((1, 9.0), (1, 9.0), (2, 7.0)):
+        for i in (3, 7):
+            seen.ports[i].publish(STATUS, Status("mission", round=k, cost=cost + i))
+        await clock.sleep(0.25)
+    assert [row[1:] for row in seen.model.costs] == [(1, 12.0), (1, 14.0), (2, 13.0), (2, 12.0)]
+
+
+@virtual
+async def test_what_does_not_change_is_told_in_plain_values(clock):
+    about = Seen(clock).model.about()
+    assert (about["ids"], about["edges"], about["leaders"]) == ([3, 7], [(3, 7)], [7])
+    assert about["fence"] == [[-4.0, -4.0, 0.0], [4.0, 4.0, 3.0]]
+    assert about["limit"] == [[-4.5, -4.5, -0.5], [4.5, 4.5, 3.5]]
+    assert about["height"] == 1.0
+
+
+@virtual
+async def test_a_log_keeps_its_newest_lines(clock):
+    watch = Watch(clock)
+    for k in range(KEPT + 5):
+        watch.add(str(k))
+    assert [line.text for line in watch.after(KEPT + 3)] == [str(KEPT + 3), str(KEPT + 4)]
+    assert len(watch.after(0)) == KEPT

@@ -1,0 +1,106 @@
+import numpy as np
+import pytest
+from msgspec import structs
+
+from crazychoir.dashboard.asks import Draw
+from crazychoir.dashboard.sketch import loaded, messages, planned, saved, shifted
+from crazychoir.errors import ConfigError
+from crazychoir.planning.feasibility import Limits, keeps
+from crazychoir.planning.piecewise import Piecewise
+from crazychoir.swarm.config import SwarmConfig
+
+WAVE = tuple((0.02 * k, 0.02 * k, 0.3 * float(np.sin(0.1 * k))) for k in range(100))
+DOWN = tuple((2.0 + 0.02 * k, 1.0, 1.0 - 0.02 * k) for k in range(50))
+
+
+def config_of(**tables):
+    drones = [{"id": i, "home": [1.0 * i, 0.0, 0.0], "leader": i < 2} for i in range(4)]
+    return SwarmConfig.of({"name": "a", "drones": drones, **tables})
+
+
+def test_strokes_become_a_flight_within_the_limits_that_were_set():
+    draw = Draw((WAVE, DOWN), height=1.2, lift=0.3, v_max=0.4, a_max=0.8)
+    plan = planned(draw, config_of())
+    assert keeps(plan.path, Limits(v_max=0.4, a_max=0.8))
+    assert 0.3 < plan.speed <= 0.4
+    assert plan.deviation < 0.05
+    assert plan.path.sample(0.0).p == pytest.approx([0.0, 0.0, 1.2])
+    shown = plan.shown()
+    assert len(shown["points"]) == len(shown["speeds"]) == 400
+    assert max(shown["speeds"]) == pytest.approx(shown["speed"], abs=0.01)
+    assert max(point[2] for point in shown["points"]) == pytest.approx(1.5, abs=0.01)
+
+
+def test_more_time_makes_it_slower_and_the_swarm_s_own_limits_count():
+    draw = Draw((WAVE,), v_max=5.0, a_max=9.0)
+    plan = planned(draw, config_of())
+    assert plan.speed <= 1.0
+    slow = planned(structs.replace(draw, slower=2.0), config_of())
+    assert slow.path.duration == pytest.approx(2.0 * plan.path.duration)
+    assert slow.speed == pytest.approx(0.5 * plan.speed, rel=0.02)
+
+
+def test_a_drawing_that_leaves_the_fence_or_is_no_line_is_refused():
+    with pytest.raises(ConfigError, match="fence"):
+        planned(Draw((WAVE,), height=9.0), config_of())
+    with pytest.raises(ConfigError, match="at least one line"):
+        planned(Draw((((0.0, 1.0, 1.0),),)), config_of())
+
+
+def test_each_drone_flies_it_beside_the_one_before():
+    config = config_of()
+    path = planned(Draw((WAVE,)), config).path
+    told = messages(path, (3, 1), (0.0, 0.5, 0.2), config)
+    assert list(told) == [3, 1]
+    paths = [Piecewise(one["coefficients"], one["durations"]) for one in told.values()]
+    away = paths[1].sample(3.0).flat - paths[0].sample(3.0).flat
+    assert away == pytest.approx([0.0, 0.5, 0.2, *[0.0] * 11])
+    with pytest.raises(ConfigError, match="fence"):
+        messages(path, (3, 1), (0.0, 3.9, 0.0), config)
+
+
+@pytest.mark.parametrize(
+    ("offset", "good"),
+    [((0.0, 0.0, 0.0), False), ((0.3, 0.0, 0.0), False), ((0.0, 0.33, 0.0), True), ((0, 0, 0.61), True),
+     ((0.2, 0.2, 0.3), True), ((0.1, 0.1, 0.3), False)],
+)  # fmt: skip
+def test_drones_that_would_fly_into_each_other_are_not_sent(offset, good):
+    config = config_of()
+    path = planned(Draw((WAVE,)), config).path
+    if good:
+        assert len(messages(path, (2, 3), offset, config)) == 2
+    else:
+        with pytest.raises(ConfigError, match=r"offset: .*0\.32 m aside, or 0\.6 m above"):
+            messages(path, (2, 3), offset, config)
+    assert len(messages(path, (0, 1), offset, config)) == 2, "leaders fly it from where they are"
+    assert len(messages(path, (2, 3), offset, config_of(collision={"method": "off"}))) == 2
+
+
+def test_strokes_are_saved_and_loaded():
+    drawn = [np.array(WAVE), np.array(DOWN)]
+    for kind, timed in (("csv", True), ("svg", False)):
+        read = loaded(saved(drawn, kind), f"Word.{kind.upper()}")
+        for stroke, again in zip(drawn, read, strict=True):
+            columns = slice(0 if timed else 1, 3)
+            assert np.array(again)[:, columns] == pytest.approx(stroke[:, columns], abs=2e-4)
+            assert (np.diff(np.array(again)[:, 0]) > 0.0).all()
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "words"),
+    [("a.txt", "", "ends in .csv or .svg"), ("a.csv", "stroke,t,x\n", "no column y"), ("a.csv", "", "empty"),
+     ("a.csv", "stroke,t,x,y\n1,0,nan,2\n", "finite"), ("a.svg", "<svg>", "no line")],
+)  # fmt: skip
+def test_files_that_are_none_are_refused_by_name(name, text, words):
+    with pytest.raises(ConfigError, match=words) as raised:
+        loaded(text, name)
+    assert name in str(raised.value)
+
+
+def test_a_path_is_moved_as_a_whole():
+    path = planned(Draw((WAVE, DOWN)), config_of()).path
+    away = shifted(path, (1.0, -2.0, 0.5)).samples(np.linspace(0, path.duration, 50)) - path.samples(
+        np.linspace(0, path.duration, 50)
+    )
+    assert np.allclose(away[:, 0:3], [1.0, -2.0, 0.5])
+    assert np.allclose(away[:, 3:], 0.0)

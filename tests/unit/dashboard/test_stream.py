@@ -1,0 +1,315 @@
+import asyncio
+import json
+
+import numpy as np
+import pytest
+from virtual_time import virtual
+
+from crazychoir.bus.commands import Commander, CommandServer
+from crazychoir.bus.local import OBSERVER, Bus
+from crazychoir.bus.topics import STATE
+from crazychoir.dashboard import operator
+from crazychoir.dashboard.desk import Desk
+from crazychoir.dashboard.model import RATE, SwarmModel
+from crazychoir.dashboard.operator import Operator
+from crazychoir.dashboard.polls import LATER, Links, TaskBoard
+from crazychoir.dashboard.stream import MOST_ASKED, MOST_PAGES, POLICY, TOO_MANY, Stream
+from crazychoir.dashboard.watch import Watch
+from crazychoir.errors import Refused
+from crazychoir.swarm.config import SwarmConfig
+from crazychoir.types import State
+
+
+class Socket:
+    """A page: what it was sent; slow: s that each message takes."""
+
+    def __init__(self, clock, slow=0.0):
+        self.clock, self.slow = clock, slow
+        self.frames, self.texts, self.closed = [], [], None
+        self.asks = asyncio.Queue()
+
+    async def send_bytes(self, data):
+        await self.clock.sleep(self.slow)
+        self.frames.append((self.clock.now(), data))
+
+    async def send_text(self, data):
+        self.texts.append(json.loads(data))
+
+    async def receive_text(self):
+        asked = await self.asks.get()
+        if asked is None:
+            raise ConnectionError
+        return asked if isinstance(asked, str) else json.dumps(asked)
+
+    async def close(self, code, reason=None):
+        self.closed = code
+
+    def told(self, kind):
+        return [text[kind] for text in self.texts if kind in text]
+
+
+class Server:
+    """Three drones: each does what it is told; drone 0 refuses tasks; and the server of their page."""
+
+    def __init__(self, clock):
+        self.clock, self.obeyed = clock, []
+        drones = [{"id": i, "home": [1.0 * i, 0.0, 0.0]} for i in range(3)]
+        self.config = SwarmConfig.of({"name": "a", "drones": drones, "edges": [[0, 1], [1, 2]]})
+        self.bus = Bus(clock)
+        self.sent = 0
+        for i in range(3):
+            CommandServer(self.bus.port(i), lambda verb, arguments, i=i: self.execute(i, verb, arguments), print)
+        self.commander, self.watch = Commander(self.bus.port(OBSERVER)), Watch(clock)
+        self.desk = Desk(self, self.watch)
+        self.links, self.board = Links(self.desk), TaskBoard(self.desk)
+        model = SwarmModel(self.bus, OBSERVER, self.config, self.watch)
+        self.stream = Stream(model, self.desk, self.watch, self.links, self.board)
+        self.actors = [asyncio.create_task(one.run()) for one in (self.stream, self.links, self.board)]
+
+    async def execute(self, i, verb, arguments):
+        self.obeyed.append((i, verb, arguments))
+        if verb == "links":
+            self.sent += 10
+            return {1: [self.sent, 3 * self.sent // 10]} if i == 0 else {}
+        if i == 0 and verb.startswith("task"):
+            raise Refused("drone 0", "this drone flies no more; ask another one")
+        return {"tasks": [{"id": 4}]} if verb == "task_list" else {"id": 4}
+
+    def those(self, *verbs):
+        return [one for one in self.obeyed if one[1] in verbs]
+
+    def page(self, **options):
+        socket = Socket(self.clock, **options)
+        operator = Operator(self.config, self.desk, self.board)
+        socket.serving = asyncio.create_task(self.stream.serve(socket, operator))
+        return socket
+
+    async def end(self):
+        self.desk.close()
+        for task in self.actors:
+            task.cancel()
+        await asyncio.gather(*self.actors, return_exceptions=True)
+
+
+@virtual
+async def test_each_page_gets_thirty_frames_a_second_and_a_slow_one_fewer_and_nobody_waits_for_it(clock):
+    server = Server(clock)
+    quick, slow = server.page(), server.page(slow=0.5)
+    server.bus.ports[1].publish(STATE, State.at((1.0, 2.0, 3.0)))
+    await clock.sleep(2.0)
+    assert abs(len(quick.frames) - 2.0 * RATE) <= 2
+    assert 3 <= len(slow.frames) <= 5
+    assert np.frombuffer(quick.frames[-1][1], "<f4", offset=8)[17:20].tolist() == [1.0, 2.0, 3.0]
+    assert clock.now() - slow.frames[-1][0] < 0.6, "the newest, not the next"
+    assert quick.told("about")[0]["ids"] == [0, 1, 2]
+    assert len(quick.told("drones")) == 4
+    await server.end()
+
+
+@virtual
+async def test_nobody_is_asked_anything_while_nobody_looks_on(clock):
+    server = Server(clock)
+    await clock.sleep(3.0)
+    assert server.obeyed == []
+    page = server.page()
+    await clock.sleep(3.0)
+    assert server.those("links")
+    page.asks.put_nowait(None)
+    await page.serving
+    await clock.sleep(0.2)
+    server.obeyed.clear()
+    frame = server.stream.frame
+    await clock.sleep(2.0)
+    assert server.obeyed == []
+    assert server.stream.frame is frame, "nor is any frame made"
+    await server.end()
+
+
+@virtual
+async def test_a_command_of_one_page_shows_on_every_page_and_on_those_that_come_later(clock):
+    server = Server(clock)
+    one, other = server.page(), server.page()
+    await clock.sleep(0.5)
+    one.asks.put_nowait({"ask": "order", "verb": "hold", "drones": [2, 2]})
+    await clock.sleep(0.5)
+    assert server.those("hold") == [(2, "hold", {})]
+    late = server.page()
+    await clock.sleep(0.2)
+    for page in (one, other, late):
+        (receipt,) = page.told("receipts")[-1]
+        assert (receipt["verb"], receipt["answers"]) == ("hold", {"2": ["done", {"id": 4}]})
+    await server.end()
+
+
+@virtual
+async def test_what_is_malformed_or_wrong_is_refused_and_the_page_stays(clock):
+    server = Server(clock)
+    page = server.page()
+    bad = ["{", "[]", '{"ask":"explode"}', '{"ask":"order","verb":"land","drones":[7]}', '{"ask":"go-to","drones":[1]}',
+           '{"ask":"draw","strokes":[[[0,0,1e9]]]}', '{"ask":"fly","drones":[1]}', '{"ask":"impair","loss":1.5}',
+           '{"ask":"load","name":"a.svg","text":""}', '{"ask":"impair","drones":[0,1,2],"loss":0.1}',
+           '{"ask":"draw","strokes":' + "[" * 3000]  # fmt: skip
+    for text in bad:
+        page.asks.put_nowait(text)
+    await clock.sleep(1.0)
+    assert len(page.told("refused")) == len(bad)
+    assert not server.those("land", "go-to", "fly", "impair")
+    page.asks.put_nowait({"ask": "order", "verb": "land"})
+    await clock.sleep(0.5)
+    assert len(server.those("land")) == 3
+    assert page.closed is None
+    await server.end()
+
+
+@virtual
+async def test_a_stop_waits_for_nothing_that_was_asked_before(clock):
+    server = Server(clock)
+    page = server.page()
+    await clock.sleep(1.5)
+    execute = server.execute
+
+    async def slow(i, verb, arguments):
+        if verb == "task_add":
+            await clock.sleep(4.0)
+        return await execute(i, verb, arguments)
+
+    server.execute = slow
+    page.asks.put_nowait({"ask": "add-task", "pickup": [1.0, 2.0]})
+    await clock.sleep(0.1)
+    page.asks.put_nowait({"ask": "stop"})
+    await clock.sleep(0.3)
+    assert server.bus.stopped
+    (receipt,) = [one for told in page.told("receipts") for one in told if one["verb"] == "emergency stop"][-1:]
+    assert {kind for kind, _ in receipt["answers"].values()} == {"done"}
+    assert not server.those("task_add")
+    await clock.sleep(5.0)
+    assert server.those("task_add")
+    await server.end()
+
+
+@virtual
+async def test_of_two_drawings_the_newer_counts_whichever_is_planned_first(clock):
+    server = Server(clock)
+    page = server.page()
+
+    async def aside(work, message, config):
+        await clock.sleep(2.0 if message.height == 0.5 else 1.0)
+        return work(message, config)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(operator, "_aside", aside)
+        for height in (0.5, 0.7):
+            page.asks.put_nowait({"ask": "draw", "strokes": [[[0, 0, 0], [1, 1, 0]]], "height": height})
+        await clock.sleep(3.0)
+    assert [plan["points"][-1] for plan in page.told("plan")] == [[1.0, 0.0, 0.7]]
+    await server.end()
+
+
+@virtual
+async def test_a_page_that_asks_without_end_is_closed(clock):
+    server = Server(clock)
+    page = server.page()
+    await clock.sleep(0.1)
+    for _ in range(MOST_ASKED + 1):
+        page.asks.put_nowait("{")
+    await clock.sleep(0.5)
+    assert page.closed == POLICY
+    assert server.stream.pages == 0
+    pages = [server.page() for _ in range(MOST_PAGES + 1)]
+    await clock.sleep(0.5)
+    assert [page.closed for page in pages] == [None] * MOST_PAGES + [TOO_MANY]
+    await server.end()
+
+
+@virtual
+async def test_links_are_asked_in_turn_and_show_what_was_lost_lately(clock):
+    server = Server(clock)
+    page = server.page()
+    await clock.sleep(4.0)
+    assert page.told("links")[-1] == {"0-1": 0.3}
+    await server.end()
+
+
+@virtual
+async def test_tasks_are_listed_and_who_refuses_one_leaves_it_to_the_next(clock):
+    server = Server(clock)
+    page = server.page()
+    await clock.sleep(3.0)
+    assert page.told("tasks")[-1] == [{"id": 4}]
+    page.asks.put_nowait({"ask": "add-task", "pickup": [1.0, 2.0], "delivery": [0.0, 1.0], "load": 2.0})
+    page.asks.put_nowait({"ask": "cancel-task", "id": 4})
+    await clock.sleep(1.0)
+    asked = {"pickup": [1.0, 2.0], "delivery": [0.0, 1.0], "load": 2.0}
+    assert server.those("task_add") == [(1, "task_add", asked)], "drone 0 is known to refuse"
+    assert server.those("task_cancel") == [(1, "task_cancel", {"id": 4})]
+    await server.end()
+
+
+@virtual
+async def test_a_mission_without_tasks_is_asked_seldom(clock):
+    server = Server(clock)
+
+    async def refuse(i, verb, arguments):
+        server.obeyed.append((i, verb, arguments))
+        raise Refused("drone", "this mission knows no command 'task_list'")
+
+    server.execute = refuse
+    page = server.page()
+    await clock.sleep(3.0 + LATER - 1.0)
+    assert len(server.those("task_list")) == 3
+    assert page.told("tasks")[-1] is None
+    await server.end()
+
+
+@virtual
+async def test_the_network_is_changed_for_all_links_for_one_drone_s_or_for_one(clock):
+    server = Server(clock)
+    page = server.page()
+    for words in ({"loss": 0.3}, {"loss": 0.5, "delay": 0.1, "drones": [1]}, {"loss": 0, "drones": [2, 0]},
+                  {"cut": True, "drones": [0]}, {"clear": True}):  # fmt: skip
+        page.asks.put_nowait({"ask": "impair", **words})
+    await clock.sleep(0.5)
+    told = [arguments for i, verb, arguments in server.those("impair") if i == 0]
+    assert [{key: value for key, value in one.items() if value is not None} for one in told] == [
+        {"loss": 0.3}, {"loss": 0.5, "delay": 0.1, "drone": 1}, {"loss": 0.0, "edge": [2, 0]},
+        {"partitions": [{"since": 0.0, "a": [0]}]}, {"clear": True},
+    ]  # fmt: skip
+    assert len(server.those("impair")) == 15, "every drone is told"
+    await server.end()
+
+
+@virtual
+async def test_a_goal_is_for_the_first_and_the_others_keep_their_distance(clock):
+    server = Server(clock)
+    page = server.page()
+    page.asks.put_nowait({"ask": "go-to", "drones": [2, 0], "p": [1, 1, 1], "offset": [0, 0.5, 0]})
+    await clock.sleep(0.5)
+    assert server.those("go-to") == [
+        (2, "go-to", {"p": [1.0, 1.0, 1.0], "yaw": None}), (0, "go-to", {"p": [1.0, 1.5, 1.0], "yaw": None}),
+    ]  # fmt: skip
+    await server.end()
+
+
+@virtual
+async def test_what_was_planned_and_shown_is_flown(clock):
+    server = Server(clock)
+    page, other = server.page(), server.page()
+    stroke = [[round(0.05 * k, 4), round(0.02 * k, 4), 0.0] for k in range(50)]
+    page.asks.put_nowait({"ask": "draw", "strokes": [stroke], "height": 0.8})
+    await clock.sleep(0.5)
+    (plan,) = page.told("plan")
+    assert plan["points"][-1] == [0.98, 0.0, 0.8]
+    other.asks.put_nowait({"ask": "fly", "drones": [1]})
+    page.asks.put_nowait({"ask": "fly", "drones": [1]})
+    await clock.sleep(0.5)
+    assert other.told("refused"), "the plan of another page"
+    ((i, _, arguments),) = server.those("fly")
+    assert i == 1
+    assert abs(arguments["durations"].sum() - plan["duration"]) < 0.01
+    page.asks.put_nowait({"ask": "save", "strokes": [stroke], "kind": "svg"})
+    await clock.sleep(0.2)
+    (text,) = page.told("saved")
+    page.asks.put_nowait({"ask": "load", "name": "a.svg", "text": text})
+    await clock.sleep(0.2)
+    assert [row[1:] for row in page.told("strokes")[0][0]] == [row[1:] for row in stroke]
+    await server.end()
