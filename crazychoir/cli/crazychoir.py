@@ -14,6 +14,7 @@ from crazychoir.cli import (
     plot,
     radio,
     render,
+    rerun,
     rigid_bodies,
     simulate,
     solve,
@@ -43,6 +44,7 @@ app.command()(solve.solve)
 app.command()(simulate.simulate)
 app.command()(plot.plot)
 app.command()(render.render)
+app.command()(rerun.rerun)
 app.command()(identify.identify)
 for command in (look.topics, look.echo, look.hz, look.status, look.impair, orders.stop):
     app.command()(command)
@@ -113,7 +115,7 @@ def run(
                 for text in warned:
                     progress.say(text)
                 config = config if fast or only is not None else apart(config, processes)
-                with recording_file(record, config, virtual=fast) as file:
+                with recording_file(record, config, mission, virtual=fast) as file:
                     if fast:
                         result = fly_fast(config, mission, progress, file)
                     else:

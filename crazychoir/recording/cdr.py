@@ -47,6 +47,13 @@ def schema(name: str, definitions: Definitions) -> str:
     return "\n".join(parts)
 
 
+def definitions_of(name: str, text: str) -> Definitions:
+    """What such a text defines: the message of this name, and those that it is made of."""
+    first, *others = text.split(f"{RULE}\nMSG: ")
+    pairs = (part.split("\n", 1) for part in others)
+    return {name: first, **{other: own for other, own in pairs}}
+
+
 def leaves(name: str, definitions: Definitions, path: str = "") -> Iterator[Leaf]:
     """The fields of a message and of the messages in it, in the order of their bytes."""
     for kind, brackets, count, field in _fields(definitions[name]):
@@ -99,6 +106,37 @@ class Layout:
     def numbers(self, message: bytes) -> tuple[Any, ...]:
         """The values before the first field whose length differs, without constants."""
         return self._front.unpack_from(message)
+
+
+def unpacked(fields: Sequence[Leaf], message: bytes) -> dict[str, Any]:
+    """The values of a message by the paths of its fields, arrays and sequences as lists.
+
+    Raises struct.error, IndexError or UnicodeDecodeError for one that is cut off or of other fields.
+    """
+    found: dict[str, Any] = {}
+    at = len(HEAD)
+    for leaf in fields:
+        count = leaf.count
+        if count is None:
+            count, at = _read(message, at, "uint32")
+        values = []
+        for _ in range(count):
+            value, at = _read(message, at, leaf.type)
+            values.append(value)
+        found[leaf.path] = values[0] if leaf.count == 1 else values
+    return found
+
+
+def _read(message: bytes, at: int, kind: str) -> tuple[Any, int]:
+    """The value at a place or after its padding, and where it ends."""
+    width = _width(kind)
+    at += -(at - len(HEAD)) % width
+    if kind != "string":
+        return struct.unpack_from(f"<{NUMBERS[kind]}", message, at)[0], at + width
+    end = at + width + int(struct.unpack_from("<I", message, at)[0])
+    if end > len(message):
+        raise IndexError(f"a text up to byte {end} in a message of {len(message)}")
+    return message[at + width : end - 1].decode(), end
 
 
 def _append(message: bytearray, leaf: Leaf, value: Any) -> None:

@@ -1,6 +1,6 @@
 """One MCAP file as it grows: what was written is whole chunks, so that it can be read whatever ends the program.
 
-    magic, header, metadata, attachment (the swarm file), chunk, chunk, ..., index, footer, magic
+    magic, header, metadata, attachments (swarm file, mission), chunk, chunk, ..., metadata, index, footer, magic
 
 A process that is killed leaves all chunks that it has written: they are the operating system's by then. A machine that
 loses its power leaves those that are on the disk: in real time, all but those of the last second or two.
@@ -22,7 +22,9 @@ from crazychoir.runtime.clock import SECOND
 
 ABOUT = "crazychoir"
 """Name of the record that says what was flown."""
-SWARM_FILE = "swarm.json"
+OUTCOME = "crazychoir outcome"
+"""Name of the record that says what came of it."""
+SWARM_FILE, MISSION_FILE = "swarm.json", "mission.py"
 SUFFIX = ".mcap"
 
 
@@ -77,11 +79,12 @@ class RecordingFile:
     """A new file at `path`; raises ConfigError where there is one, or where none can be.
 
     about: what was flown, as texts;  swarm: the swarm file;  durable: on the disk within a second or two, which a
-    thread should wait for. Later nothing raises: `error` says what ended the recording, and the file keeps what it has.
+    thread should wait for;  mission: the text of its file. Later nothing raises: `error` says what ended the recording,
+    and the file keeps what it has.
     `write` and `close` may be called from any thread.
     """
 
-    def __init__(self, path: Path, about: Mapping[str, str], swarm: str, durable: bool) -> None:
+    def __init__(self, path: Path, about: Mapping[str, str], swarm: str, durable: bool, mission: str = "") -> None:
         self.path, self.durable = path, durable
         self.written = 0
         """Messages in the file."""
@@ -95,6 +98,8 @@ class RecordingFile:
         self._writer.start(profile="ros2", library=f"crazychoir {about['version']}")
         self._writer.add_metadata(ABOUT, dict(about))
         self._writer.add_attachment(0, 0, SWARM_FILE, "application/json", swarm.encode())
+        if mission:
+            self._writer.add_attachment(0, 0, MISSION_FILE, "text/x-python", mission.encode())
         if not self._put(sync=durable):
             self.close()
             raise ConfigError("--record", str(path), "a disk with room", problem=self.error)
@@ -109,12 +114,14 @@ class RecordingFile:
             except Exception as error:  # noqa: BLE001 - whatever it is, it is said, and the flight goes on
                 self.error = f"{type(error).__name__}: {error}"
 
-    def close(self) -> None:
-        """End the file with its index; one without a message goes."""
+    def close(self, outcome: Mapping[str, str] | None = None) -> None:
+        """End the file with what came of it, and with its index; one without a message goes."""
         with self._turn:
             if self._fd < 0:
                 return
             if self.written and not self.error:
+                if outcome:
+                    self._writer.add_metadata(OUTCOME, dict(outcome))
                 self._writer.finish()
                 self._put(sync=self.durable)
             os.close(self._fd)

@@ -21,6 +21,19 @@ from crazychoir.swarm.config import SwarmConfig
 
 pytestmark = pytest.mark.system
 MISSION = "bearing_formation"
+RISING = """
+import numpy as np
+from crazychoir import Acceleration, CFDistributedFeedback
+
+class Rising(CFDistributedFeedback):
+    duration = 1.0
+
+    def step(self, me, heard):
+        return Acceleration(np.array([0.0, 0.0, {gain} - me.v[2]]))
+
+def guidance(i, config):
+    return Rising()
+"""
 
 
 @pytest.fixture(scope="module")
@@ -78,6 +91,46 @@ def test_the_figures_are_those_of_the_run(recorded):
     assert figures["min_separation_m"] == pytest.approx(result["min_separation_m"], abs=0.005)
     for i, length in result["flown_m"].items():
         assert figures["drones"][int(i)]["flown_m"] == pytest.approx(length, abs=1e-3)
+
+
+def test_a_rerun_is_the_same_flight(here, recorded, tmp_path):
+    path, result = recorded
+    again = tmp_path / "again.mcap"
+    said = here("crazychoir", "rerun", path, "--record", again, "--json")
+    assert said.code == 0, said.err
+    assert said.json["success"]
+    assert said.json["digest"] == said.json["recorded_digest"] == result["digest"]
+    assert (said.json["seed"], said.json["others"], said.json["first_difference"]) == (3, {}, None)
+    assert again.read_bytes() == path.read_bytes()
+
+
+def test_a_rerun_of_a_changed_mission_says_where_it_first_differs(here, tmp_path):
+    law = tmp_path / "law.py"
+    law.write_text(RISING.format(gain=0.5))
+    path = tmp_path / "a.mcap"
+    assert here("crazychoir", "run", law, "--drones", 2, "--fast", "--record", path).code == 0
+    assert here("crazychoir", "rerun", path, "--json").json["success"]
+    law.write_text(RISING.format(gain=0.6))
+    said = here("crazychoir", "rerun", path, "--json")
+    assert said.code == 1, said.err
+    assert said.json["digest"] != said.json["recorded_digest"]
+    assert list(said.json["others"]) == ["mission"]
+    assert "in /drone0/" in said.json["first_difference"]
+    table = here("crazychoir", "rerun", path)
+    assert table.code == 1
+    for words in ("not the same", "they differ first", said.json["recorded_digest"]):
+        assert words in table.out
+    assert "law.py is another now" in table.err
+
+
+def test_a_rerun_of_a_cut_off_recording(here, recorded, tmp_path):
+    path = tmp_path / "cut.mcap"
+    content = recorded[0].read_bytes()
+    path.write_bytes(content[: len(content) // 2])
+    said = here("crazychoir", "rerun", path, "--json")
+    assert said.code == 0, said.err
+    assert (said.json["complete"], said.json["recorded_digest"]) == (False, None)
+    assert "as far as it goes" in said.err
 
 
 def test_plot_says_and_draws(here, recorded, tmp_path, monkeypatch):
@@ -140,6 +193,11 @@ def test_a_cut_off_recording_is_plotted_with_a_warning(here, recorded, tmp_path)
     assert "was cut off" in said.err
     assert 0.2 < said.json["seconds"] / recorded[1]["simulated_s"] < 0.8
     assert (tmp_path / "cut" / "top.png").exists()
+
+
+@pytest.mark.real_time
+def test_real_time_is_not_flown_again(here, formation):
+    here("crazychoir", "rerun", formation[1]).refuses("a flight in real time", "--fast --record")
 
 
 @pytest.mark.real_time
