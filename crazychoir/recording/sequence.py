@@ -1,6 +1,6 @@
 """The messages of a recording in the order in which they came, each by what the file itself says of it."""
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -52,8 +52,8 @@ class Told:
         return unpacked(self.source.fields, self.data)
 
 
-def told(path: Path) -> Iterator[Told]:
-    """The messages of all whole chunks; raises ConfigError for a file that is no recording."""
+def told(path: Path, topics: Collection[str] | None = None) -> Iterator[Told]:
+    """The messages of all whole chunks, or those of some topics; raises ConfigError for a file that is no recording."""
     with opened(path) as content:
         schemas: dict[int, Schema] = {}
         sources: dict[int, Source] = {}
@@ -68,7 +68,9 @@ def told(path: Path) -> Iterator[Told]:
                 match kind:
                     case Opcode.MESSAGE:
                         channel, _, came_ns, born_ns = MESSAGE.unpack_from(record)
-                        yield Told(sources[channel], came_ns, born_ns, record[MESSAGE.size :])
+                        source = sources[channel]
+                        if topics is None or source.topic in topics:
+                            yield Told(source, came_ns, born_ns, record[MESSAGE.size :])
                     case Opcode.SCHEMA:
                         schema = Schema.read(stream(record))
                         schemas[schema.id] = schema

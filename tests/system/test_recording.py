@@ -140,8 +140,8 @@ def test_plot_says_and_draws(here, recorded, tmp_path, monkeypatch):
     assert said.json["complete"]
     assert said.json["about"]["mission"] == MISSION
     assert all(Path(file).stat().st_size for file in said.json["files"])
-    assert len(list((tmp_path / "made").iterdir())) == len(said.json["files"]) == 14
-    monkeypatch.setattr(plots, "draw", lambda flight, folder: list(folder.glob("*.png")))  # they are there already
+    assert len(list((tmp_path / "made").iterdir())) == len(said.json["files"]) == 24
+    monkeypatch.setattr(plots, "draw", lambda pictures, folder: list(folder.glob("*.png")))  # they are there already
     table = here("crazychoir", "plot", path, "--out", tmp_path / "made")
     assert table.code == 0
     assert table.err == ""
