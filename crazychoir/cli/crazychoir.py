@@ -13,7 +13,9 @@ from crazychoir.cli import (
     param,
     plot,
     radio,
+    record,
     render,
+    replay,
     rerun,
     rigid_bodies,
     simulate,
@@ -45,6 +47,8 @@ app.command()(simulate.simulate)
 app.command()(plot.plot)
 app.command()(render.render)
 app.command()(rerun.rerun)
+app.command()(record.record)
+app.command()(replay.replay)
 app.command()(identify.identify)
 for command in (look.topics, look.echo, look.hz, look.status, look.impair, orders.stop):
     app.command()(command)

@@ -24,13 +24,17 @@ def recording_file(
     if path is None:
         yield None
         return
-    file = RecordingFile(path, about(config, virtual), config.dumps(), not virtual, text_of(mission))
-    with contextlib.closing(file):
+    with contextlib.closing(new_recording(path, config, mission, virtual)) as file:
         yield file
 
 
-def text_of(mission: Mission) -> str:
-    """The text of a mission's file."""
+def new_recording(path: Path, config: SwarmConfig, mission: Mission | None, virtual: bool) -> RecordingFile:
+    """A new file for a flight of this swarm; raises ConfigError."""
+    return RecordingFile(path, about(config, virtual), config.dumps(), not virtual, text_of(mission))
+
+
+def text_of(mission: Mission | None) -> str:
+    """The text of a mission's file; empty without one."""
     path = Path(getattr(mission, "__file__", None) or "")
     return path.read_text(errors="replace") if path.is_file() else ""
 

@@ -39,7 +39,7 @@ class Recorded:
 
 
 class Recorder(Actor):
-    """Records every observable topic of the drones `ids`.
+    """Records observable topics of the drones `ids`, all if not said otherwise.
 
     observer: an address on a bus without drones, which asks for everything over the network; None on the bus of the
     drones themselves: then each drone reads its own topics, which no other drone and no count of messages notices.
@@ -51,7 +51,7 @@ class Recorder(Actor):
     def __init__(
         self, bus: Bus, ids: Sequence[int], file: RecordingFile, observer: int | None = None,
         source: Callable[[Topic, int], int] = lambda topic, i: i,
-        outcome: Callable[[], Mapping[str, str]] = dict,
+        outcome: Callable[[], Mapping[str, str]] = dict, topics: Sequence[str] = OBSERVABLE,
     ) -> None:  # fmt: skip
         self.bus, self.clock, self.file = bus, bus.clock, file
         self.lost, self._outcome = 0, outcome
@@ -60,7 +60,7 @@ class Recorder(Actor):
         self._bytes = 0
         self._said = False
         for i in ids:
-            for topic in map(BY_NAME.__getitem__, OBSERVABLE):
+            for topic in map(BY_NAME.__getitem__, topics):
                 take = partial(self._take, i, topic)
                 bus.subscribe(topic, source(topic, i), i if observer is None else observer, Call(self.clock, take))
         if observer is None:

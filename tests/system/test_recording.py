@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from ros2_decoders import by_mcap_ros2, by_rosbags
 from system.agents import BRISK
+from system.commands import PROGRAMS, call
 
 from crazychoir.bus.topics import OBSERVABLE
 from crazychoir.guidance.mission import load
@@ -193,6 +194,33 @@ def test_a_cut_off_recording_is_plotted_with_a_warning(here, recorded, tmp_path)
     assert "was cut off" in said.err
     assert 0.2 < said.json["seconds"] / recorded[1]["simulated_s"] < 0.8
     assert (tmp_path / "cut" / "top.png").exists()
+
+
+@pytest.mark.real_time
+def test_a_replay_is_seen_as_a_swarm_and_recorded_anew(recorded, tmp_path):
+    """Two processes over Zenoh: what the one says again, the other records, with the same values."""
+    replaying = [*PROGRAMS["crazychoir"], "replay", str(recorded[0]), "--speed", "4", "--wait", "6", "--json"]
+    with subprocess.Popen(replaying, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        swarm = process.stderr.readline().split("--swarm ")[1].strip()
+        new = tmp_path / "new.mcap"
+        said = call("crazychoir", "record", new, "--topics", "state,result", "--swarm", swarm, "--json")
+        told = json.loads(process.stdout.read())
+    assert said.code == 0, said.err
+    assert told["success"]
+    assert told["seconds"] == pytest.approx(recorded[1]["simulated_s"], abs=0.3)
+    first, again = (read(path, ("state", "result")) for path in (recorded[0], new))
+    assert (again.complete, again.drones, said.json["lost"]) == (True, [0, 1, 2, 3], 0)
+    for i in again.drones:
+        one, other = first.of(i, "state").numbers, again.of(i, "state").numbers
+        nearest = np.abs(other[:, None, :3] - one[None, :, :3]).max(axis=2).min(axis=1)
+        assert len(other) > 0.2 * len(one), "100 Hz, four times faster: the newest count"
+        assert nearest.max() < 1e-9
+
+
+def test_what_cannot_be_recorded_or_replayed_is_said(here, tmp_path):
+    said = here("crazychoir", "record", tmp_path / "a.mcap", "--topics", "state,nothing")
+    said.refuses("--topics", "nothing", "pose")
+    here("crazychoir", "replay", tmp_path / "none.mcap").refuses("none.mcap", "No such file")
 
 
 @pytest.mark.real_time
