@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from crazychoir.cli import (
+    convert,
     ending,
     identify,
     look,
@@ -47,6 +48,7 @@ app.command()(simulate.simulate)
 app.command()(plot.plot)
 app.command()(render.render)
 app.command()(rerun.rerun)
+app.command()(convert.convert)
 app.command()(record.record)
 app.command()(replay.replay)
 app.command()(identify.identify)

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from crazychoir.runtime.clock import Clock
     from crazychoir.swarm.config import SwarmConfig
 
+LOOK, SETTLE = 0.1, 1.0
+"""s between two looks at who is there, and for who has come to say what it wants."""
 LINGER = 1.0
 """s for which the swarm stays after the last message."""
 
@@ -27,7 +29,7 @@ def replay(
     step: Annotated[
         float | None, typer.Option(min=0.001, help="Go on by so many s at each Enter; a number and Enter: by that.")
     ] = None,
-    wait: Annotated[float, typer.Option(min=0.0, help="s before it begins, for those who want to see all.")] = 2.0,
+    wait: Annotated[float, typer.Option(min=0.0, help="Begins when somebody looks, or after so many s.")] = 2.0,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object, nothing else.")] = False,
 ) -> None:
     """Say a recorded flight again: status, echo, hz and record see it as they see a swarm that flies."""
@@ -90,7 +92,10 @@ async def _replay(
     )  # fmt: skip
     replayer = Replayer(bus, file, speed, None if step is None else _asked(step), config.source)
     async with attached(link):
-        await clock.sleep(wait)
+        latest = clock.now() + wait
+        while not link.peers and clock.now() < latest:
+            await clock.sleep(LOOK)
+        await clock.sleep(min(wait, SETTLE))
         await replayer.run()
         await clock.sleep(LINGER)
     return {"messages": replayer.said, "seconds": replayer.at}

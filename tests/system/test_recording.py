@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from ros2_decoders import by_mcap_ros2, by_rosbags
+from rosbags.rosbag2 import Reader
 from system.agents import BRISK
 from system.commands import PROGRAMS, call
 
@@ -199,7 +200,7 @@ def test_a_cut_off_recording_is_plotted_with_a_warning(here, recorded, tmp_path)
 @pytest.mark.real_time
 def test_a_replay_is_seen_as_a_swarm_and_recorded_anew(recorded, tmp_path):
     """Two processes over Zenoh: what the one says again, the other records, with the same values."""
-    replaying = [*PROGRAMS["crazychoir"], "replay", str(recorded[0]), "--speed", "4", "--wait", "6", "--json"]
+    replaying = [*PROGRAMS["crazychoir"], "replay", str(recorded[0]), "--speed", "4", "--wait", "60", "--json"]
     with subprocess.Popen(replaying, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         swarm = process.stderr.readline().split("--swarm ")[1].strip()
         new = tmp_path / "new.mcap"
@@ -221,6 +222,17 @@ def test_what_cannot_be_recorded_or_replayed_is_said(here, tmp_path):
     said = here("crazychoir", "record", tmp_path / "a.mcap", "--topics", "state,nothing")
     said.refuses("--topics", "nothing", "pose")
     here("crazychoir", "replay", tmp_path / "none.mcap").refuses("none.mcap", "No such file")
+
+
+def test_a_flight_as_a_bag_of_ros(here, recorded, tmp_path):
+    said = here("crazychoir", "convert", recorded[0], "--rosbag2", tmp_path / "bag", "--json")
+    assert said.code == 0, said.err
+    assert said.json["topics"]["/tf"]["type"] == "tf2_msgs/msg/TFMessage"
+    with Reader(tmp_path / "bag") as reader:
+        assert reader.message_count == said.json["messages"] > recorded[1]["recording"]["messages"]
+    here("crazychoir", "convert", recorded[0], "--rosbag2", tmp_path / "bag").refuses("--rosbag2", "File exists")
+    here("crazychoir", "convert", tmp_path / "none.mcap", "--rosbag2", tmp_path / "new").refuses("none.mcap")
+    assert not (tmp_path / "new").exists()
 
 
 @pytest.mark.real_time
