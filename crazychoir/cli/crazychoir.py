@@ -19,6 +19,7 @@ from crazychoir.cli import (
     replay,
     rerun,
     rigid_bodies,
+    ros,
     simulate,
     solve,
     task,
@@ -49,6 +50,7 @@ app.command()(plot.plot)
 app.command()(render.render)
 app.command()(rerun.rerun)
 app.command()(convert.convert)
+app.command()(ros.ros)
 app.command()(record.record)
 app.command()(replay.replay)
 app.command()(identify.identify)
