@@ -1,6 +1,7 @@
 """crazychoir ros: a swarm that flies, for RViz and other programs of ROS 2 that use rmw_zenoh. Experimental."""
 
 from collections import deque
+from functools import partial
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -32,9 +33,13 @@ def ros(
         from crazychoir.bus.zenoh import Outside
 
         states: dict[int, State] = {}
+
+        def hear(i: int, state: State, age: float) -> None:
+            states[i] = state
+
         ids = await window.find()
         for i in ids:
-            window.read(STATE, i, lambda value, age, i=i: states.__setitem__(i, value), rate)
+            window.read(STATE, i, partial(hear, i), rate)
         with Outside(connect) as outside:
             bridge = Bridge(outside, domain, ids)
             ends = window.clock.now() + seconds

@@ -68,7 +68,7 @@ class Publisher:
             import xxhash
         except ImportError as error:
             raise ConfigError("crazychoir ros", str(error), "xxhash", "pip install 'crazychoir[ros2]'.") from error
-        number = xxhash.xxh3_128_intdigest(self.token.encode())
+        number: int = xxhash.xxh3_128_intdigest(self.token.encode())
         return number.to_bytes(GID, "little")
 
     def attachment(self, number: int, born_ns: int) -> bytes:

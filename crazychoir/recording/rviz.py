@@ -76,7 +76,7 @@ def markers(states: Mapping[int, State], born_ns: int) -> bytes:
 def _marker(i: int, space: str, kind: int, p: Vec, size: float, text: str, born_ns: int) -> tuple[object, ...]:
     place = (*p.tolist(), 0.0, 0.0, 0.0, 1.0)
     looks = (size, size, size, (0.0, 0.447, 0.698, 1.0), 1, 0, False)
-    nothing = ([], [], "", 0, 0, "", "", [], [])
+    nothing: tuple[object, ...] = ([], [], "", 0, 0, "", "", [], [])
     return (*_header(born_ns), space, i, kind, 0, *place, *looks, *nothing, text, "", "", [], False)
 
 
