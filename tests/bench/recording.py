@@ -1,8 +1,9 @@
 """How many messages a second a recorder takes, and at what CPU: `recording.py [drones] [Hz] [seconds]`.
 
 Drones say their states on one bus, in real time, each in its turn, and a recorder writes them: nothing may be lost.
-Prints one JSON object: messages said, written and lost, and CPU s of the process a second, with what the drones cost
-alone, on the same bus, where nobody records.
+Prints one JSON object: messages said, written and lost, and CPU s of the process for each second of flight, with what
+the drones cost alone, on the same bus, where nobody records. Where the wall time is longer than the seconds that were
+asked for, the machine was too slow or too busy, and the drones have said less a second.
 """
 
 import asyncio
@@ -42,7 +43,7 @@ async def said(clock: Clock, bus: Bus, drones: int, rate: float, seconds: float)
 
 
 def run(drones: int, rate: float, seconds: float, path: Path | None) -> dict[str, Any]:
-    """CPU s a second, and what was recorded into `path`; None: nobody records."""
+    """CPU s a second of flight, and what was recorded into `path`; None: nobody records."""
 
     async def main(clock: Clock) -> dict[str, Any]:
         bus = Bus(clock)
@@ -58,7 +59,7 @@ def run(drones: int, rate: float, seconds: float, path: Path | None) -> dict[str
         await running
         wall, used = time.perf_counter() - began, time.process_time() - cpu
         told = recorder.result() if recorder else {}
-        return {"said": count, "wall_s": wall, "cpu": used / wall, **told}
+        return {"said": count, "wall_s": wall, "cpu": used * drones * rate / count, **told}
 
     return run_wall(main)
 
