@@ -1,5 +1,6 @@
 """Whole flights, recorded: the same flight, all of it, and readable whatever ends it."""
 
+import asyncio
 import json
 import signal
 import subprocess
@@ -12,13 +13,20 @@ import pytest
 from ros2_decoders import by_mcap_ros2, by_rosbags
 from rosbags.rosbag2 import Reader
 from system.agents import BRISK
-from system.commands import PROGRAMS, call
 
 from crazychoir.bus.topics import OBSERVABLE
+from crazychoir.cli.record import _until_gone
+from crazychoir.cli.replay import _replay
+from crazychoir.cli.window import Window
 from crazychoir.guidance.mission import load
+from crazychoir.launch.network import apart, attached, observer
+from crazychoir.launch.recording import new_recording
 from crazychoir.recording import plots
 from crazychoir.recording.figures import flight_of
-from crazychoir.recording.reading import read
+from crazychoir.recording.reading import header, read
+from crazychoir.recording.recorder import Recorder
+from crazychoir.runtime.clock import run_wall
+from crazychoir.runtime.supervisor import Supervisor
 from crazychoir.swarm.config import SwarmConfig
 
 pytestmark = pytest.mark.system
@@ -199,23 +207,43 @@ def test_a_cut_off_recording_is_plotted_with_a_warning(here, recorded, tmp_path)
 
 @pytest.mark.real_time
 def test_a_replay_is_seen_as_a_swarm_and_recorded_anew(recorded, tmp_path):
-    """Two processes over Zenoh: what the one says again, the other records, with the same values."""
-    replaying = [*PROGRAMS["crazychoir"], "replay", str(recorded[0]), "--speed", "4", "--wait", "60", "--json"]
-    with subprocess.Popen(replaying, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
-        swarm = process.stderr.readline().split("--swarm ")[1].strip()
-        new = tmp_path / "new.mcap"
-        said = call("crazychoir", "record", new, "--topics", "state,result", "--swarm", swarm, "--json")
-        told = json.loads(process.stdout.read())
-    assert said.code == 0, said.err
-    assert told["success"]
+    """Over Zenoh: what the one says again, the other records until it is gone, with the same values."""
+    path, new = recorded[0], tmp_path / "new.mcap"
+    config = apart(SwarmConfig.loads(header(path).swarm), 1)
+
+    async def main(clock):
+        replaying = asyncio.create_task(_replay(clock, config, path, 4.0, None, 60.0))
+        link = observer(clock, config)
+        async with attached(link):
+            window = Window(clock, config, link, None, 60.0)
+            assert await window.find() == [0, 1, 2, 3]
+            file, topics = new_recording(new, config, None, virtual=False), ("state", "truth", "result")
+            recorder = Recorder(link.bus, config.ids, file, window.address, config.source, topics=topics)
+            recording = asyncio.create_task(Supervisor(clock, "record").run([recorder]))
+            await _until_gone(window, recorder, 100.0)
+            recording.cancel()
+            await asyncio.wait([recording])
+        return await replaying, recorder.result()
+
+    told, result = run_wall(main)
     assert told["seconds"] == pytest.approx(recorded[1]["simulated_s"], abs=0.3)
-    first, again = (read(path, ("state", "result")) for path in (recorded[0], new))
-    assert (again.complete, again.drones, said.json["lost"]) == (True, [0, 1, 2, 3], 0)
+    assert (result["lost"], result["error"]) == (0, "")
+    first, again = (read(one, ("state", "truth", "result")) for one in (path, new))
+    assert (again.complete, again.drones) == (True, [0, 1, 2, 3])
     for i in again.drones:
         one, other = first.of(i, "state").numbers, again.of(i, "state").numbers
         nearest = np.abs(other[:, None, :3] - one[None, :, :3]).max(axis=2).min(axis=1)
-        assert len(other) > 0.2 * len(one), "100 Hz, four times faster: the newest count"
+        assert len(other) > 0.2 * len(one), "where it is too fast, the newest counts"
         assert nearest.max() < 1e-9
+        assert len(again.of(i, "truth"))
+
+
+@pytest.mark.real_time
+def test_a_replay_that_nobody_sees_ends(here, recorded):
+    said = here("crazychoir", "replay", recorded[0], "--speed", "100", "--wait", "0", "--json")
+    assert said.code == 0, said.err
+    assert "crazychoir status --swarm" in said.err
+    assert said.json["seconds"] == pytest.approx(recorded[1]["simulated_s"], abs=0.3)
 
 
 def test_what_cannot_be_recorded_or_replayed_is_said(here, tmp_path):
