@@ -16,7 +16,7 @@ import threading
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Self
 
 import zenoh
 
@@ -423,6 +423,43 @@ class ZenohLink(Actor):
                 self._greet(peer)
         except CodecError:
             self.counters.malformed += 1
+
+
+class Outside:
+    """A session with programs that are no part of a swarm, at an endpoint, while its `with` lasts.
+
+    Raises ConfigError where it cannot be opened.
+    """
+
+    def __init__(self, connect: str) -> None:
+        os.environ.setdefault("ZENOH_RUNTIME", RUNTIME)
+        try:
+            self._session = zenoh.open(_config(endpoints.settings([], [connect], 1.0)))
+        except zenoh.ZError as error:
+            raise endpoints.cannot_open([], [connect], str(error)) from error
+        self._declared: list[Any] = []
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        for declared in reversed(self._declared):
+            declared.undeclare()
+        self._session.close()
+
+    @property
+    def id(self) -> str:
+        """Of the session, hex without leading zeros."""
+        return str(self._session.info.zid()).lstrip("0")
+
+    def token(self, key: str) -> None:
+        """Declare that something is there, until the end."""
+        self._declared.append(self._session.liveliness().declare_token(key))
+
+    def put(self, key: str, data: bytes, attachment: bytes) -> None:
+        """Say something to whoever listens; dropped where they are too slow."""
+        drop = zenoh.CongestionControl.DROP
+        self._session.put(key, data, attachment=attachment, congestion_control=drop)
 
 
 def _config(settings: Mapping[str, Any]) -> zenoh.Config:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from crazychoir.cli import (
+    convert,
     dashboard,
     ending,
     identify,
@@ -14,8 +15,12 @@ from crazychoir.cli import (
     param,
     plot,
     radio,
+    record,
     render,
+    replay,
+    rerun,
     rigid_bodies,
+    ros,
     simulate,
     solve,
     steer,
@@ -45,6 +50,11 @@ app.command()(solve.solve)
 app.command()(simulate.simulate)
 app.command()(plot.plot)
 app.command()(render.render)
+app.command()(rerun.rerun)
+app.command()(convert.convert)
+app.command()(ros.ros)
+app.command()(record.record)
+app.command()(replay.replay)
 app.command()(identify.identify)
 app.command()(dashboard.dashboard)
 for command in (look.topics, look.echo, look.hz, look.status, look.impair, orders.stop):
@@ -118,7 +128,7 @@ def run(
                 for text in warned:
                     progress.say(text)
                 config = config if fast or only is not None else apart(config, processes)
-                with recording_file(record, config, virtual=fast) as file:
+                with recording_file(record, config, mission, virtual=fast) as file:
                     if fast:
                         result = fly_fast(config, mission, progress, file)
                     else:

@@ -13,6 +13,8 @@ from crazychoir.errors import ConfigError, CrazyChoirError
 if TYPE_CHECKING:
     from crazychoir.recording.figures import Flight
     from crazychoir.recording.reading import Recording
+    from crazychoir.recording.talk import Talk
+    from crazychoir.recording.work import Work
 
 HEADS = {
     "flown_m": "flown m", "highest_m": "highest m", "fastest_m_s": "fastest m/s", "compared_s": "compared s",
@@ -29,16 +31,18 @@ def plot(
     out: Annotated[Path | None, typer.Option(help="Folder for the files; else FILE without .mcap.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object, nothing else.")] = False,
 ) -> None:
-    """Draw a recorded flight: paths, heights, errors, distances; with a table a drone (CSV)."""
+    """Draw a recorded flight: paths, heights, errors, distances, tasks, messages, convergence; with tables (CSV)."""
     set_up_logging()
     from crazychoir.recording.figures import TOPICS, flight_of  # numerics: 1 s that --help does not need
     from crazychoir.recording.reading import read
+    from crazychoir.recording.talk import talk_of
+    from crazychoir.recording.work import work_of
 
     try:
         recording = read(file, TOPICS)
-        flight = flight_of(recording)
+        flight, began = flight_of(recording), recording.seconds[0]
         folder = out or file.with_suffix("")
-        files = _write(flight, folder)
+        files = _write(flight, work_of(file, began), talk_of(file, began), folder)
     except CrazyChoirError as error:
         fail(error, as_json)
     figures = flight.figures()
@@ -51,19 +55,27 @@ def plot(
     else:
         _show(recording, figures)
         names = ", ".join(path.stem for path in files if path.suffix == ".png")
-        STDOUT.print(f"In {folder}/: {names} (.png and .pdf), drone*.csv", markup=False, highlight=False)
+        text = f"In {folder}/: {names} (.png and .pdf), and what they show as tables (.csv)"
+        STDOUT.print(text, markup=False, highlight=False, soft_wrap=True)
 
 
-def _write(flight: "Flight", folder: Path) -> list[Path]:
+def _write(flight: "Flight", work: "Work", talk: "Talk", folder: Path) -> list[Path]:
     """Pictures and tables; raises ConfigError where they cannot be written."""
-    from crazychoir.recording.plots import draw
+    from crazychoir.recording.plots import draw, of_flight
+    from crazychoir.recording.team_plots import of_team
 
     tables = [folder / f"drone{track.drone}.csv" for track in flight.tracks]
     try:
         folder.mkdir(parents=True, exist_ok=True)
         for table, track in zip(tables, flight.tracks, strict=True):
             track.write(table)
-        return [*draw(flight, folder), *tables]
+        for name, write in (
+            ("tasks", work.write), ("messages", talk.write), ("rounds", talk.write_rounds),
+            ("convergence", talk.write_history),
+        ):  # fmt: skip
+            tables.append(folder / f"{name}.csv")
+            write(tables[-1])
+        return [*draw(of_flight(flight) | of_team(flight, work, talk), folder), *tables]
     except OSError as error:
         raise ConfigError("--out", str(folder), "a folder that can be written", problem=str(error.strerror)) from error
 

@@ -28,6 +28,7 @@ class PDVRPGuidance(CFGuidance):
     def __init__(self, problem: LocalProblem, method: str = METHODS[0], service_time: float = 1.0) -> None:
         self.problem, self.method, self.service_time = problem, method, service_time
         self.served: list[dict[str, Any]] = []
+        self.history: list[tuple[int, float | None, float | None]] = []
 
     def foresee(self, member: Member) -> None:
         """Compile the route search, or load it, before anybody waits for this robot."""
@@ -58,6 +59,7 @@ class PDVRPGuidance(CFGuidance):
             "task": f"planning: {solver.progress.phase}", "round": solver.progress.round, "cost": solver.progress.cost,
         }  # fmt: skip
         await self.optimize(solver, channel="pickup_delivery", deadline=DEADLINE)
+        self.history = solver.history
         return solver.solution
 
     async def fly_route(self, route: Route, solution: Solution) -> None:
@@ -121,5 +123,6 @@ class PDVRPGuidance(CFGuidance):
             "bound_exact": solution.bound_exact,
             "disclosed": list(solution.disclosed),
             "rounds": solution.rounds,
+            "history": self.history,
             "plan_digest": solution.plan_digest,
         }

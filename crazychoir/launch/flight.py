@@ -47,7 +47,8 @@ def fly_fast(
         agent = Agent(clock, config, mission, config.ids, trace=trace)
         score = Score(agent.bus, config.ids, goal_of(mission, config), watch or (lambda score: None))
         agent.services.append(score)
-        recorder = Recorder(agent.bus, config.ids, file) if file else None
+        outcome = lambda: {"digest": trace.digest()}  # noqa: E731 - of the whole flight, when the drones have ended
+        recorder = Recorder(agent.bus, config.ids, file, outcome=outcome) if file else None
         agent.services += [recorder] if recorder else []
         ready = time.perf_counter()
         with HangWatch() as agent.watchdog:

@@ -47,6 +47,13 @@ def schema(name: str, definitions: Definitions) -> str:
     return "\n".join(parts)
 
 
+def definitions_of(name: str, text: str) -> Definitions:
+    """What such a text defines: the message of this name, and those that it is made of."""
+    first, *others = text.split(f"{RULE}\nMSG: ")
+    pairs = (part.split("\n", 1) for part in others)
+    return {name: first, **{other: own for other, own in pairs}}
+
+
 def leaves(name: str, definitions: Definitions, path: str = "") -> Iterator[Leaf]:
     """The fields of a message and of the messages in it, in the order of their bytes."""
     for kind, brackets, count, field in _fields(definitions[name]):
@@ -65,40 +72,78 @@ class Layout:
 
     def __init__(self, fields: Sequence[Leaf], constants: Mapping[str, str | None]) -> None:
         front = list(takewhile(lambda leaf: leaf.fixed or leaf.path in constants, fields))
-        form, end = "<4x", 0
-        self._constants = [(slice(0, 4), HEAD)]
+        form, end, count = "<4s", 0, 0
+        self._constants: list[tuple[int, bytes]] = []  # what stands before the value of that number, the last one first
         for leaf in front:
-            pad, count = -end % _width(leaf.type), leaf.count or 0
-            text = constants.get(leaf.path)
+            pad, width = -end % _width(leaf.type), _width(leaf.type)
+            text, numbers = constants.get(leaf.path), leaf.count or 0
             if text is not None:
                 content = _content(text)
                 content = struct.pack("<I", len(content)) + content
-                start = 4 + end + pad
-                self._constants.append((slice(start, start + len(content)), content))
-                letters, size = f"{len(content)}x", len(content)
+                self._constants.insert(0, (count, content))
+                letters, size = f"{len(content)}s", len(content)
+            elif leaf.path in constants:
+                letters = f"{numbers * width}x"
+                size = numbers * width
             else:
-                size = count * _width(leaf.type)
-                letters = f"{size}x" if leaf.path in constants else count * NUMBERS[leaf.type]
+                letters, size = numbers * NUMBERS[leaf.type], numbers * width
+                count += numbers
             form, end = f"{form}{pad}x{letters}", end + pad + size
-        self._front, self._rest = struct.Struct(form), list(fields[len(front) :])
-        self._values = sum(leaf.count or 0 for leaf in front if leaf.path not in constants)
+        self._constants.append((0, HEAD))
+        self._front, self._rest, self._values = struct.Struct(form), list(fields[len(front) :]), count
+        self._read = struct.Struct(re.sub(r"(\d+)s", r"\1x", form))
 
     def pack(self, values: Sequence[Any]) -> bytes:
         """A message; one value a field, of an array in the front all its numbers.
 
         Raises struct.error or TypeError for a value that its field cannot hold.
         """
-        n, message = self._values, bytearray(self._front.size)
-        self._front.pack_into(message, 0, *(values[:n] if self._rest else values))
+        n = self._values
+        front = list(values[:n] if self._rest else values)
         for place, content in self._constants:
-            message[place] = content
-        for leaf, value in zip(self._rest, values[n:], strict=True) if self._rest else ():
+            front.insert(place, content)
+        packed = self._front.pack(*front)
+        if not self._rest:
+            return packed
+        message = bytearray(packed)
+        for leaf, value in zip(self._rest, values[n:], strict=True):
             _append(message, leaf, value)
         return bytes(message)
 
     def numbers(self, message: bytes) -> tuple[Any, ...]:
         """The values before the first field whose length differs, without constants."""
-        return self._front.unpack_from(message)
+        return self._read.unpack_from(message)
+
+
+def unpacked(fields: Sequence[Leaf], message: bytes) -> dict[str, Any]:
+    """The values of a message by the paths of its fields, arrays and sequences as lists.
+
+    Raises struct.error, IndexError or UnicodeDecodeError for one that is cut off or of other fields.
+    """
+    found: dict[str, Any] = {}
+    at = len(HEAD)
+    for leaf in fields:
+        count = leaf.count
+        if count is None:
+            count, at = _read(message, at, "uint32")
+        values = []
+        for _ in range(count):
+            value, at = _read(message, at, leaf.type)
+            values.append(value)
+        found[leaf.path] = values[0] if leaf.count == 1 else values
+    return found
+
+
+def _read(message: bytes, at: int, kind: str) -> tuple[Any, int]:
+    """The value at a place or after its padding, and where it ends."""
+    width = _width(kind)
+    at += -(at - len(HEAD)) % width
+    if kind != "string":
+        return struct.unpack_from(f"<{NUMBERS[kind]}", message, at)[0], at + width
+    end = at + width + int(struct.unpack_from("<I", message, at)[0])
+    if end > len(message):
+        raise IndexError(f"a text up to byte {end} in a message of {len(message)}")
+    return message[at + width : end - 1].decode(), end
 
 
 def _append(message: bytearray, leaf: Leaf, value: Any) -> None:

@@ -9,7 +9,8 @@ from scipy.spatial.distance import pdist
 
 from crazychoir.bus.topics import REFERENCE, STATE, TRUTH
 from crazychoir.errors import ConfigError
-from crazychoir.recording.reading import DO, Recording, Values
+from crazychoir.recording.reading import Recording, Values
+from crazychoir.recording.records import DO
 from crazychoir.types import Mat, Vec
 
 TOPICS = (TRUTH.name, STATE.name, REFERENCE.name)

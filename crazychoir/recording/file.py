@@ -1,6 +1,6 @@
 """One MCAP file as it grows: what was written is whole chunks, so that it can be read whatever ends the program.
 
-    magic, header, metadata, attachment (the swarm file), chunk, chunk, ..., index, footer, magic
+    magic, header, metadata, attachments (swarm file, mission), chunk, chunk, ..., metadata, index, footer, magic
 
 A process that is killed leaves all chunks that it has written: they are the operating system's by then. A machine that
 loses its power leaves those that are on the disk: in real time, all but those of the last second or two.
@@ -14,16 +14,20 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from mcap.well_known import MessageEncoding, SchemaEncoding
-from mcap.writer import Writer
 
 from crazychoir.errors import ConfigError
 from crazychoir.recording.messages import Message
+from crazychoir.recording.writer import Timed, Writer
 from crazychoir.runtime.clock import SECOND
 
 ABOUT = "crazychoir"
 """Name of the record that says what was flown."""
-SWARM_FILE = "swarm.json"
+OUTCOME = "crazychoir outcome"
+"""Name of the record that says what came of it."""
+SWARM_FILE, MISSION_FILE = "swarm.json", "mission.py"
 SUFFIX = ".mcap"
+LARGEST = 4 << 20
+"""Bytes of the messages of a chunk, before it is compressed."""
 
 
 @dataclass(eq=False)
@@ -51,37 +55,16 @@ class Entry:
     data: bytes
 
 
-class _Blocks:
-    """What a Writer has written since it was last taken."""
-
-    def __init__(self) -> None:
-        self._parts: list[bytes] = []
-        self._end = 0
-
-    def write(self, part: bytes) -> None:
-        self._parts.append(part)
-        self._end += len(part)
-
-    def tell(self) -> int:
-        return self._end
-
-    def flush(self) -> None:
-        """Nothing lies elsewhere."""
-
-    def take(self) -> bytes:
-        parts, self._parts = self._parts, []
-        return b"".join(parts)
-
-
 class RecordingFile:
     """A new file at `path`; raises ConfigError where there is one, or where none can be.
 
     about: what was flown, as texts;  swarm: the swarm file;  durable: on the disk within a second or two, which a
-    thread should wait for. Later nothing raises: `error` says what ended the recording, and the file keeps what it has.
+    thread should wait for;  mission: the text of its file. Later nothing raises: `error` says what ended the recording,
+    and the file keeps what it has.
     `write` and `close` may be called from any thread.
     """
 
-    def __init__(self, path: Path, about: Mapping[str, str], swarm: str, durable: bool) -> None:
+    def __init__(self, path: Path, about: Mapping[str, str], swarm: str, durable: bool, mission: str = "") -> None:
         self.path, self.durable = path, durable
         self.written = 0
         """Messages in the file."""
@@ -90,17 +73,18 @@ class RecordingFile:
         self._turn = threading.Lock()
         self._synced_ns = 0
         self._schemas: dict[str, int] = {}
-        self._blocks = _Blocks()
-        self._writer = Writer(self._blocks)  # type: ignore[arg-type]  # takes all that it writes, and tells where it is
-        self._writer.start(profile="ros2", library=f"crazychoir {about['version']}")
-        self._writer.add_metadata(ABOUT, dict(about))
-        self._writer.add_attachment(0, 0, SWARM_FILE, "application/json", swarm.encode())
+        self._writer = Writer()
+        self._writer.begin(profile="ros2", library=f"crazychoir {about['version']}")
+        self._writer.metadata(ABOUT, about)
+        self._writer.attachment(SWARM_FILE, "application/json", swarm.encode())
+        if mission:
+            self._writer.attachment(MISSION_FILE, "text/x-python", mission.encode())
         if not self._put(sync=durable):
             self.close()
             raise ConfigError("--record", str(path), "a disk with room", problem=self.error)
 
     def write(self, entries: Sequence[Entry]) -> None:
-        """Add these as a chunk of their own."""
+        """Add these as chunks of their own."""
         with self._turn:
             if self._fd < 0 or self.error or not entries:
                 return
@@ -109,12 +93,14 @@ class RecordingFile:
             except Exception as error:  # noqa: BLE001 - whatever it is, it is said, and the flight goes on
                 self.error = f"{type(error).__name__}: {error}"
 
-    def close(self) -> None:
-        """End the file with its index; one without a message goes."""
+    def close(self, outcome: Mapping[str, str] | None = None) -> None:
+        """End the file with what came of it, and with its index; one without a message goes."""
         with self._turn:
             if self._fd < 0:
                 return
             if self.written and not self.error:
+                if outcome:
+                    self._writer.metadata(OUTCOME, outcome)
                 self._writer.finish()
                 self._put(sync=self.durable)
             os.close(self._fd)
@@ -123,11 +109,18 @@ class RecordingFile:
                 self.path.unlink(missing_ok=True)
 
     def _add(self, entries: Sequence[Entry]) -> None:
+        messages: list[Timed] = []
+        size = 0
         for entry in entries:
             series = entry.series
             series.id = series.id or self._channel(series)
-            self._writer.add_message(series.id, entry.came_ns, entry.data, entry.born_ns)
-        self._writer.flush()
+            messages.append((series.id, entry.came_ns, entry.born_ns, entry.data))
+            size += len(entry.data)
+            if size > LARGEST:
+                self._writer.chunk(messages)
+                messages, size = [], 0
+        if messages:
+            self._writer.chunk(messages)
         now_ns = entries[-1].came_ns
         due = self.durable and now_ns - self._synced_ns >= SECOND
         if self._put(sync=due):
@@ -137,15 +130,14 @@ class RecordingFile:
     def _channel(self, series: Series) -> int:
         kind = series.message.type
         if kind not in self._schemas:
-            text = series.message.schema.encode()
-            self._schemas[kind] = self._writer.register_schema(kind, SchemaEncoding.ROS2, text)
+            self._schemas[kind] = self._writer.schema(kind, SchemaEncoding.ROS2, series.message.schema)
         told = {"drone": str(series.drone), "topic": series.topic}
-        return self._writer.register_channel(series.name, MessageEncoding.CDR, self._schemas[kind], told)
+        return self._writer.channel(series.name, MessageEncoding.CDR, self._schemas[kind], told)
 
     def _put(self, sync: bool) -> bool:
         """Hand over what is whole; what fits only in part is cut off again: the file ends with a whole chunk."""
         good = os.lseek(self._fd, 0, os.SEEK_CUR)
-        left = memoryview(self._blocks.take())
+        left = memoryview(self._writer.take())
         try:
             while left:
                 left = left[os.write(self._fd, left) :]

@@ -1,6 +1,7 @@
 """Pictures of a flight for a column of a paper: 3.5 inches wide, as PNG and PDF."""
 
 from collections.abc import Callable
+from functools import partial
 from itertools import cycle
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -26,53 +27,59 @@ STYLE: Any = {
     "axes.axisbelow": True, "grid.color": "#e6e6e6", "grid.linewidth": 0.5, "lines.linewidth": 1.0,
     "legend.frameon": False, "legend.handlelength": 2.2, "legend.columnspacing": 1.2, "pdf.fonttype": 42,
 }  # fmt: skip
-REFERENCE: dict[str, Any] = {"color": "#cccccc", "linewidth": 2.8, "zorder": 1.5}
+Pictures = dict[str, tuple[float, "Callable[[Figure], None]"]]
+"""By name: the height in inches, and what draws it."""
+BAND: dict[str, Any] = {"color": "#cccccc", "linewidth": 2.8, "zorder": 1.5}
 """A broad band below the line of what was flown."""
 
 
-def draw(flight: Flight, folder: Path) -> list[Path]:
-    """All pictures, into `folder`; returns their files."""
+def draw(pictures: Pictures, folder: Path) -> list[Path]:
+    """These pictures, into `folder`; returns their files."""
     import matplotlib as mpl
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    pictures: dict[str, tuple[float, Callable[[Figure, Flight], None]]] = {
-        "top": (3.3, _draw_top),
-        "space": (3.2, _draw_space),
-        "tracking": (2.4, _draw_tracking),
-        "heights": (2.4, _draw_heights),
-        "separation": (2.0, _draw_separation),
-    }
     files = []
     for name, (height, picture) in pictures.items():
         with mpl.rc_context(STYLE):
             figure = Figure(figsize=(WIDTH, height), dpi=300, layout="constrained")
             FigureCanvasAgg(figure)
-            picture(figure, flight)
+            picture(figure)
             for suffix in FORMATS:
                 files.append(folder / f"{name}.{suffix}")
                 figure.savefig(files[-1])
     return files
 
 
+def of_flight(flight: Flight) -> Pictures:
+    """What is drawn of where drones were."""
+    return {
+        "top": (3.3, partial(_draw_top, flight=flight)),
+        "space": (3.2, partial(_draw_space, flight=flight)),
+        "tracking": (2.4, partial(_draw_tracking, flight=flight)),
+        "heights": (2.4, partial(_draw_heights, flight=flight)),
+        "separation": (2.0, partial(_draw_separation, flight=flight)),
+    }
+
+
 def _draw_top(figure: "Figure", flight: Flight) -> None:
     axes = figure.add_subplot()
-    for line, track in _lines(flight):
+    for line, track in lines(flight):
         axes.plot(*track.p[:, :2].T, **line)
-        axes.plot(*track.reference[:, :2].T, **REFERENCE)
+        axes.plot(*track.reference[:, :2].T, **BAND)
         axes.plot(*track.p[0, :2], "o", color=line["color"], markersize=3.5, zorder=4)
     axes.set_aspect("equal")
     axes.margins(0.08)
     axes.set_xlabel("$x$ [m]")
     axes.set_ylabel("$y$ [m]")
-    _name(figure, flight, referenced=True, started=True)
+    name(figure, flight, band=_reference(flight), started=True)
 
 
 def _draw_space(figure: "Figure", flight: Flight) -> None:
     axes: Any = figure.add_subplot(projection="3d")
-    for line, track in _lines(flight):
+    for line, track in lines(flight):
         axes.plot(*track.p.T, **line)
-        axes.plot(*track.reference.T, **REFERENCE)
+        axes.plot(*track.reference.T, **BAND)
         axes.plot(*track.p[:1].T, "o", color=line["color"], markersize=3.5, zorder=4)
     axes.set_aspect("equal")
     axes.set_xlabel("$x$ [m]", labelpad=-6)
@@ -80,25 +87,25 @@ def _draw_space(figure: "Figure", flight: Flight) -> None:
     axes.set_zlabel("$z$ [m]", labelpad=-6)
     axes.tick_params(pad=-3)
     axes.locator_params(nbins=4)
-    _name(figure, flight, referenced=True, started=True, pad=0.16)
+    name(figure, flight, band=_reference(flight), started=True, pad=0.16)
 
 
 def _draw_tracking(figure: "Figure", flight: Flight) -> None:
     axes = figure.add_subplot()
-    for line, track in _lines(flight):
+    for line, track in lines(flight):
         axes.plot(track.t, 100.0 * track.tracking, **line)
     axes.set_ylim(bottom=0.0)
-    _along_time(axes, flight, "distance from reference [cm]")
-    _name(figure, flight)
+    along_time(axes, float(flight.times[-1]), "distance from reference [cm]")
+    name(figure, flight)
 
 
 def _draw_heights(figure: "Figure", flight: Flight) -> None:
     axes = figure.add_subplot()
-    for line, track in _lines(flight):
+    for line, track in lines(flight):
         axes.plot(track.t, track.p[:, 2], **line)
-        axes.plot(track.t, track.reference[:, 2], **REFERENCE)
-    _along_time(axes, flight, "$z$ [m]")
-    _name(figure, flight, referenced=True)
+        axes.plot(track.t, track.reference[:, 2], **BAND)
+    along_time(axes, float(flight.times[-1]), "$z$ [m]")
+    name(figure, flight, band=_reference(flight))
 
 
 def _draw_separation(figure: "Figure", flight: Flight) -> None:
@@ -110,16 +117,17 @@ def _draw_separation(figure: "Figure", flight: Flight) -> None:
         ha="right", va="bottom", color=COLOURS[1], fontsize=7,
     )  # fmt: skip
     axes.set_ylim(bottom=0.0)
-    _along_time(axes, flight, "least distance of two [m]")
+    along_time(axes, float(flight.times[-1]), "least distance of two [m]")
 
 
-def _along_time(axes: Any, flight: Flight, label: str) -> None:
-    axes.set_xlim(0.0, float(flight.times[-1]))
+def along_time(axes: Any, last: float, label: str) -> None:
+    """Time to the right, up to `last` s."""
+    axes.set_xlim(0.0, last)
     axes.set_xlabel("$t$ [s]")
     axes.set_ylabel(label)
 
 
-def _lines(flight: Flight) -> list[tuple[dict[str, Any], Track]]:
+def lines(flight: Flight) -> list[tuple[dict[str, Any], Track]]:
     """How each drone's line looks, and the drone; dashes show what lies below a line."""
     n = len(flight.tracks)
     looks: Any = zip(COLOURS, cycle(DASHES), strict=False) if n <= NAMED else zip(scale(n), n * ["-"], strict=True)
@@ -134,17 +142,22 @@ def scale(n: int) -> Mat:
     return colours
 
 
-def _name(
-    figure: "Figure", flight: Flight, referenced: bool = False, started: bool = False, pad: float = 0.02
+def _reference(flight: Flight) -> str:
+    """The name of the band, if there is one."""
+    return "reference" if any(np.isfinite(track.reference).any() for track in flight.tracks) else ""
+
+
+def name(
+    figure: "Figure", flight: Flight, band: str = "", started: bool = False, pad: float = 0.02
 ) -> None:
-    """Say which line is which: by a legend above, or by a scale of colours."""
+    """Say which line is which, and what the band is: by a legend above, or by a scale of colours."""
     from matplotlib.lines import Line2D
 
     handles = []
     if len(flight.tracks) <= NAMED:
-        handles += [Line2D([], [], label=f"drone {track.drone}", **line) for line, track in _lines(flight)]
-    if referenced and any(np.isfinite(track.reference).any() for track in flight.tracks):
-        handles.append(Line2D([], [], label="reference", **REFERENCE))
+        handles += [Line2D([], [], label=f"drone {track.drone}", **line) for line, track in lines(flight)]
+    if band:
+        handles.append(Line2D([], [], label=band, **BAND))
     if started:
         handles.append(Line2D([], [], label="start", color=INK, marker="o", linestyle="", markersize=3.5))
     if handles:

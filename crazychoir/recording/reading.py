@@ -1,33 +1,35 @@
 """A recording read back, one that was cut off too: every whole chunk counts."""
 
 import mmap
-import struct
-from collections.abc import Iterator
 from dataclasses import dataclass, field
-from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Chunk, Metadata, Schema
-from mcap.stream_reader import get_chunk_data_stream
-from mcap.writer import MCAP0_MAGIC
+from mcap.records import Attachment, Channel, Metadata, Schema
 
 from crazychoir.bus.topics import BY_NAME
 from crazychoir.errors import ConfigError
 from crazychoir.recording.cdr import Layout
-from crazychoir.recording.file import ABOUT, SWARM_FILE
+from crazychoir.recording.file import ABOUT, MISSION_FILE, OUTCOME, SWARM_FILE
 from crazychoir.recording.messages import MESSAGES, usual
+from crazychoir.recording.records import (
+    DO,
+    MESSAGE,
+    content_of,
+    of_another_program,
+    opened,
+    records,
+    records_of,
+    stream,
+)
 from crazychoir.runtime.clock import SECOND
 from crazychoir.types import Mat
 
-DO = "Give it a file of `crazychoir run ... --record FILE`."
 STAMP = 2
 """Numbers of a header's stamp."""
-_RECORD = struct.Struct("<BQ")
-_MESSAGE = struct.Struct("<HIQQ")
 
 
 @dataclass
@@ -50,13 +52,16 @@ class Values:
 class Recording:
     """A file of a flight.
 
-    about: what was flown;  swarm: the swarm file, as text;  complete: whether the recording was ended in order;
+    about: what was flown;  swarm: the swarm file, as text;  mission: the text of the mission's file;  outcome: what
+    came of the flight, of a complete recording in virtual time;  complete: whether the recording was ended in order;
     topics: by (drone, topic).
     """
 
     path: Path
     about: dict[str, str] = field(default_factory=dict)
     swarm: str = ""
+    mission: str = ""
+    outcome: dict[str, str] = field(default_factory=dict)
     complete: bool = False
     topics: dict[tuple[int, str], Values] = field(default_factory=dict)
 
@@ -78,29 +83,30 @@ class Recording:
 
 def read(path: Path, topics: tuple[str, ...]) -> Recording:
     """The recording of these topics; raises ConfigError for what is none."""
-    try:
-        with path.open("rb") as file:
-            first = file.read(len(MCAP0_MAGIC))
-            if first != MCAP0_MAGIC:
-                found = "an empty file" if not first else f"a file that begins with {first!r}"
-                raise ConfigError(str(path), found, "an MCAP file", DO)
-            with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
-                recording = _read(path, content, topics)
-    except OSError as error:
-        raise ConfigError(str(path), str(error.strerror), "a file that can be read", DO) from error
+    with opened(path) as content:
+        recording = _read(path, content, topics)
     if not recording.about:
-        raise ConfigError(str(path), "an MCAP file of another program", "one of crazychoir", DO)
+        raise of_another_program(path)
     if not recording.topics:
         found = f"no {' and no '.join(topics)} of any drone"
         raise ConfigError(str(path), found, "a recording of a flight", DO)
     return recording
 
 
+def header(path: Path) -> Recording:
+    """A recording without its messages: what was flown, and what came of it; raises ConfigError for what is none."""
+    with opened(path) as content:
+        recording = _read(path, content, ())
+    if not recording.about:
+        raise of_another_program(path)
+    return recording
+
+
 def _read(path: Path, content: mmap.mmap, topics: tuple[str, ...]) -> Recording:
     recording, found = Recording(path), _Series(path, topics)
-    for opcode, body in _records(content):
+    for opcode, body in records(content):
         try:
-            _take(recording, found, opcode, _stream(body))
+            _take(recording, found, opcode, stream(body))
         except ConfigError:
             raise
         except Exception:  # noqa: BLE001 - whatever is wrong with a record, what lies before it counts
@@ -111,38 +117,29 @@ def _read(path: Path, content: mmap.mmap, topics: tuple[str, ...]) -> Recording:
 
 def _take(recording: Recording, found: "_Series", opcode: int, body: ReadDataStream) -> None:
     match opcode:
-        case Opcode.METADATA if (about := Metadata.read(body)).name == ABOUT:
-            recording.about = about.metadata
-        case Opcode.ATTACHMENT if (attached := Attachment.read(body)).name == SWARM_FILE:
-            recording.swarm = attached.data.decode()
-        case Opcode.CHUNK if recording.about:
-            stream, length = get_chunk_data_stream(Chunk.read(body), validate_crc=True)
-            found.add(stream.read(length))
+        case Opcode.METADATA:
+            told = Metadata.read(body)
+            if told.name == ABOUT:
+                recording.about = told.metadata
+            elif told.name == OUTCOME:
+                recording.outcome = told.metadata
+        case Opcode.ATTACHMENT:
+            attached = Attachment.read(body)
+            if attached.name == SWARM_FILE:
+                recording.swarm = attached.data.decode()
+            elif attached.name == MISSION_FILE:
+                recording.mission = attached.data.decode(errors="replace")
+        case Opcode.CHUNK if recording.about and found.topics:
+            found.add(content_of(body))
         case Opcode.FOOTER:
             recording.complete = True
-
-
-def _stream(body: bytes) -> ReadDataStream:
-    return ReadDataStream(BytesIO(body))
-
-
-def _records(content: mmap.mmap | bytes) -> Iterator[tuple[int, bytes]]:
-    """(opcode, body) of every record that is whole."""
-    at = len(MCAP0_MAGIC)
-    while at + _RECORD.size <= len(content):
-        opcode, length = _RECORD.unpack_from(content, at)
-        at += _RECORD.size
-        if opcode == 0 or at + length > len(content):
-            return
-        yield opcode, content[at : at + length]
-        at += length
 
 
 class _Series:
     """What chunks hold of some topics."""
 
     def __init__(self, path: Path, topics: tuple[str, ...]) -> None:
-        self._path, self._topics = path, topics
+        self._path, self.topics = path, topics
         self._schemas: dict[int, Schema] = {}
         self._keys: dict[int, tuple[int, str]] = {}
         self._layouts: dict[int, Layout] = {}
@@ -150,30 +147,30 @@ class _Series:
 
     def add(self, chunk: bytes) -> None:
         """Take the records of a chunk."""
-        for opcode, body in _records(MCAP0_MAGIC + chunk):
+        for opcode, body in records_of(chunk):
             match opcode:
                 case Opcode.MESSAGE:
                     self._hear(body)
                 case Opcode.SCHEMA:
-                    schema = Schema.read(_stream(body))
+                    schema = Schema.read(stream(body))
                     self._schemas[schema.id] = schema
                 case Opcode.CHANNEL:
-                    self._open(Channel.read(_stream(body)))
+                    self._open(Channel.read(stream(body)))
 
     def values(self) -> dict[tuple[int, str], Values]:
         """By (drone, topic)."""
         return {self._keys[channel]: _columns(rows) for channel, rows in sorted(self._found.items()) if rows}
 
     def _hear(self, body: bytes) -> None:
-        channel, _, came_ns, born_ns = _MESSAGE.unpack_from(body)
+        channel, _, came_ns, born_ns = MESSAGE.unpack_from(body)
         layout = self._layouts.get(channel)
         if layout is not None:
-            numbers = layout.numbers(body[_MESSAGE.size :])[STAMP:]
+            numbers = layout.numbers(body[MESSAGE.size :])[STAMP:]
             self._found[channel].append((came_ns / SECOND, born_ns / SECOND, numbers))
 
     def _open(self, channel: Channel) -> None:
         topic = channel.metadata.get("topic", "")
-        if topic not in self._topics or channel.id in self._layouts:
+        if topic not in self.topics or channel.id in self._layouts:
             return
         message, schema = MESSAGES[usual(BY_NAME[topic])], self._schemas[channel.schema_id]
         if (schema.name, schema.data.decode()) != (message.type, message.schema):

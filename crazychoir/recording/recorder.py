@@ -6,7 +6,7 @@ when the disk cannot keep up. What fails in it ends the recording, with the reas
 
 import asyncio
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from typing import Any
@@ -39,11 +39,11 @@ class Recorded:
 
 
 class Recorder(Actor):
-    """Records every observable topic of the drones `ids`.
+    """Records observable topics of the drones `ids`, all if not said otherwise.
 
     observer: an address on a bus without drones, which asks for everything over the network; None on the bus of the
     drones themselves: then each drone reads its own topics, which no other drone and no count of messages notices.
-    source: the address that says a topic of drone i.
+    source: the address that says a topic of drone i.  outcome: what the file says at its end of what came of it.
     """
 
     name = "recorder"
@@ -51,15 +51,16 @@ class Recorder(Actor):
     def __init__(
         self, bus: Bus, ids: Sequence[int], file: RecordingFile, observer: int | None = None,
         source: Callable[[Topic, int], int] = lambda topic, i: i,
+        outcome: Callable[[], Mapping[str, str]] = dict, topics: Sequence[str] = OBSERVABLE,
     ) -> None:  # fmt: skip
         self.bus, self.clock, self.file = bus, bus.clock, file
-        self.lost = 0
+        self.lost, self._outcome = 0, outcome
         self._series: dict[tuple[int, str, Any], tuple[Series, Pack]] = {}
         self._waiting: list[Entry] = []
         self._bytes = 0
         self._said = False
         for i in ids:
-            for topic in map(BY_NAME.__getitem__, OBSERVABLE):
+            for topic in map(BY_NAME.__getitem__, topics):
                 take = partial(self._take, i, topic)
                 bus.subscribe(topic, source(topic, i), i if observer is None else observer, Call(self.clock, take))
         if observer is None:
@@ -76,11 +77,11 @@ class Recorder(Actor):
 
     async def on_stop(self) -> None:
         """Write the rest and the index."""
-        await self.clock.compute(self._finish, self._waiting)
+        await self.clock.compute(self._finish, self._waiting, self._outcome())
 
-    def _finish(self, batch: list[Entry]) -> None:
+    def _finish(self, batch: list[Entry], outcome: Mapping[str, str]) -> None:
         self.file.write(batch)
-        self.file.close()
+        self.file.close(outcome)
 
     def result(self) -> dict[str, Any]:
         """What came of it."""

@@ -107,6 +107,7 @@ class Gossip:
             below = self.master.sigma(self._i) - TOLERANCE
             own = member.table.cheapest(best.prices, batch, below, best.reward) if member.speaks else []
             if not self.master.add(self._i, own):
+                member.report(relaxed=float(best.value))
                 return best
 
     def _agree(self, best: Relaxation) -> Exchange[tuple[float, Vec, float, float]]:

@@ -82,11 +82,14 @@ class Place:
 
 @dataclass(frozen=True)
 class Progress:
-    """For display: the phase, the round, the cost in m as far as known, the largest unserved demand."""
+    """For display: the phase, the round, the largest unserved demand; in m, as far as known, the cost of the best plan
+    and the value of the relaxation over the routes that this robot has heard of.
+    """
 
     phase: str = "start"
     round: int = 0
     cost: float | None = None
+    relaxed: float | None = None
     violation: float = 0.0
 
 

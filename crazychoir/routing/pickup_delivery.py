@@ -71,6 +71,8 @@ class PickupDelivery(Program[Solution]):
         place = Place(local.robot, n, tuple(sorted(neighbors)), diameter, dict(degree_of))
         self._member = Member(local, place, settings or Settings())
         self._method = method
+        self.history: list[tuple[int, float | None, float | None]] = []
+        """(round, value of the relaxation, cost of the best plan), m, None while unknown, whenever they changed."""
         super().__init__()
 
     @property
@@ -92,6 +94,9 @@ class PickupDelivery(Program[Solution]):
         size = len(encode(self.message())) * len(member.place.neighbors)
         member.bytes_by_kind[member.kind] = member.bytes_by_kind.get(member.kind, 0) + size
         super().step(heard)
+        now = member.progress
+        if not self.history or (now.relaxed, now.cost) != self.history[-1][1:]:
+            self.history.append((now.round, now.relaxed, now.cost))
 
     def run(self) -> Exchange[Solution]:
         """Prices, recovery, confirmation."""

@@ -1,5 +1,6 @@
 """Whole flights, recorded: the same flight, all of it, and readable whatever ends it."""
 
+import asyncio
 import json
 import signal
 import subprocess
@@ -10,17 +11,39 @@ from pathlib import Path
 import numpy as np
 import pytest
 from ros2_decoders import by_mcap_ros2, by_rosbags
+from rosbags.rosbag2 import Reader
 from system.agents import BRISK
 
 from crazychoir.bus.topics import OBSERVABLE
+from crazychoir.cli.record import _until_gone
+from crazychoir.cli.replay import _replay
+from crazychoir.cli.window import Window
 from crazychoir.guidance.mission import load
+from crazychoir.launch.network import apart, attached, observer
+from crazychoir.launch.recording import new_recording
 from crazychoir.recording import plots
 from crazychoir.recording.figures import flight_of
-from crazychoir.recording.reading import read
+from crazychoir.recording.reading import header, read
+from crazychoir.recording.recorder import Recorder
+from crazychoir.runtime.clock import run_wall
+from crazychoir.runtime.supervisor import Supervisor
 from crazychoir.swarm.config import SwarmConfig
 
 pytestmark = pytest.mark.system
 MISSION = "bearing_formation"
+RISING = """
+import numpy as np
+from crazychoir import Acceleration, CFDistributedFeedback
+
+class Rising(CFDistributedFeedback):
+    duration = 1.0
+
+    def step(self, me, heard):
+        return Acceleration(np.array([0.0, 0.0, {gain} - me.v[2]]))
+
+def guidance(i, config):
+    return Rising()
+"""
 
 
 @pytest.fixture(scope="module")
@@ -80,6 +103,46 @@ def test_the_figures_are_those_of_the_run(recorded):
         assert figures["drones"][int(i)]["flown_m"] == pytest.approx(length, abs=1e-3)
 
 
+def test_a_rerun_is_the_same_flight(here, recorded, tmp_path):
+    path, result = recorded
+    again = tmp_path / "again.mcap"
+    said = here("crazychoir", "rerun", path, "--record", again, "--json")
+    assert said.code == 0, said.err
+    assert said.json["success"]
+    assert said.json["digest"] == said.json["recorded_digest"] == result["digest"]
+    assert (said.json["seed"], said.json["others"], said.json["first_difference"]) == (3, {}, None)
+    assert again.read_bytes() == path.read_bytes()
+
+
+def test_a_rerun_of_a_changed_mission_says_where_it_first_differs(here, tmp_path):
+    law = tmp_path / "law.py"
+    law.write_text(RISING.format(gain=0.5))
+    path = tmp_path / "a.mcap"
+    assert here("crazychoir", "run", law, "--drones", 2, "--fast", "--record", path).code == 0
+    assert here("crazychoir", "rerun", path, "--json").json["success"]
+    law.write_text(RISING.format(gain=0.6))
+    said = here("crazychoir", "rerun", path, "--json")
+    assert said.code == 1, said.err
+    assert said.json["digest"] != said.json["recorded_digest"]
+    assert list(said.json["others"]) == ["mission"]
+    assert "in /drone0/" in said.json["first_difference"]
+    table = here("crazychoir", "rerun", path)
+    assert table.code == 1
+    for words in ("not the same", "they differ first", said.json["recorded_digest"]):
+        assert words in table.out
+    assert "law.py is another now" in table.err
+
+
+def test_a_rerun_of_a_cut_off_recording(here, recorded, tmp_path):
+    path = tmp_path / "cut.mcap"
+    content = recorded[0].read_bytes()
+    path.write_bytes(content[: len(content) // 2])
+    said = here("crazychoir", "rerun", path, "--json")
+    assert said.code == 0, said.err
+    assert (said.json["complete"], said.json["recorded_digest"]) == (False, None)
+    assert "as far as it goes" in said.err
+
+
 def test_plot_says_and_draws(here, recorded, tmp_path, monkeypatch):
     path, _ = recorded
     said = here("crazychoir", "plot", path, "--out", tmp_path / "made", "--json")
@@ -87,8 +150,8 @@ def test_plot_says_and_draws(here, recorded, tmp_path, monkeypatch):
     assert said.json["complete"]
     assert said.json["about"]["mission"] == MISSION
     assert all(Path(file).stat().st_size for file in said.json["files"])
-    assert len(list((tmp_path / "made").iterdir())) == len(said.json["files"]) == 14
-    monkeypatch.setattr(plots, "draw", lambda flight, folder: list(folder.glob("*.png")))  # they are there already
+    assert len(list((tmp_path / "made").iterdir())) == len(said.json["files"]) == 24
+    monkeypatch.setattr(plots, "draw", lambda pictures, folder: list(folder.glob("*.png")))  # they are there already
     table = here("crazychoir", "plot", path, "--out", tmp_path / "made")
     assert table.code == 0
     assert table.err == ""
@@ -140,6 +203,69 @@ def test_a_cut_off_recording_is_plotted_with_a_warning(here, recorded, tmp_path)
     assert "was cut off" in said.err
     assert 0.2 < said.json["seconds"] / recorded[1]["simulated_s"] < 0.8
     assert (tmp_path / "cut" / "top.png").exists()
+
+
+@pytest.mark.real_time
+def test_a_replay_is_seen_as_a_swarm_and_recorded_anew(recorded, tmp_path):
+    """Over Zenoh: what the one says again, the other records until it is gone, with the same values."""
+    path, new = recorded[0], tmp_path / "new.mcap"
+    config = apart(SwarmConfig.loads(header(path).swarm), 1)
+
+    async def main(clock):
+        replaying = asyncio.create_task(_replay(clock, config, path, 4.0, None, 60.0))
+        link = observer(clock, config)
+        async with attached(link):
+            window = Window(clock, config, link, None, 60.0)
+            assert await window.find() == [0, 1, 2, 3]
+            file, topics = new_recording(new, config, None, virtual=False), ("state", "truth", "result")
+            recorder = Recorder(link.bus, config.ids, file, window.address, config.source, topics=topics)
+            recording = asyncio.create_task(Supervisor(clock, "record").run([recorder]))
+            await _until_gone(window, recorder, 100.0)
+            recording.cancel()
+            await asyncio.wait([recording])
+        return await replaying, recorder.result()
+
+    told, result = run_wall(main)
+    assert told["seconds"] == pytest.approx(recorded[1]["simulated_s"], abs=0.3)
+    assert (result["lost"], result["error"]) == (0, "")
+    first, again = (read(one, ("state", "truth", "result")) for one in (path, new))
+    assert (again.complete, again.drones) == (True, [0, 1, 2, 3])
+    for i in again.drones:
+        one, other = first.of(i, "state").numbers, again.of(i, "state").numbers
+        nearest = np.abs(other[:, None, :3] - one[None, :, :3]).max(axis=2).min(axis=1)
+        assert len(other) > 0.2 * len(one), "where it is too fast, the newest counts"
+        assert nearest.max() < 1e-9
+        assert len(again.of(i, "truth"))
+
+
+@pytest.mark.real_time
+def test_a_replay_that_nobody_sees_ends(here, recorded):
+    said = here("crazychoir", "replay", recorded[0], "--speed", "100", "--wait", "0", "--json")
+    assert said.code == 0, said.err
+    assert "crazychoir status --swarm" in said.err
+    assert said.json["seconds"] == pytest.approx(recorded[1]["simulated_s"], abs=0.3)
+
+
+def test_what_cannot_be_recorded_or_replayed_is_said(here, tmp_path):
+    said = here("crazychoir", "record", tmp_path / "a.mcap", "--topics", "state,nothing")
+    said.refuses("--topics", "nothing", "pose")
+    here("crazychoir", "replay", tmp_path / "none.mcap").refuses("none.mcap", "No such file")
+
+
+def test_a_flight_as_a_bag_of_ros(here, recorded, tmp_path):
+    said = here("crazychoir", "convert", recorded[0], "--rosbag2", tmp_path / "bag", "--json")
+    assert said.code == 0, said.err
+    assert said.json["topics"]["/tf"]["type"] == "tf2_msgs/msg/TFMessage"
+    with Reader(tmp_path / "bag") as reader:
+        assert reader.message_count == said.json["messages"] > recorded[1]["recording"]["messages"]
+    here("crazychoir", "convert", recorded[0], "--rosbag2", tmp_path / "bag").refuses("--rosbag2", "File exists")
+    here("crazychoir", "convert", tmp_path / "none.mcap", "--rosbag2", tmp_path / "new").refuses("none.mcap")
+    assert not (tmp_path / "new").exists()
+
+
+@pytest.mark.real_time
+def test_real_time_is_not_flown_again(here, formation):
+    here("crazychoir", "rerun", formation[1]).refuses("a flight in real time", "--fast --record")
 
 
 @pytest.mark.real_time

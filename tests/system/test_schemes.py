@@ -61,7 +61,7 @@ def test_a_round_that_fails_beside_the_law_ends_the_law_at_once(monkeypatch):
 def test_defenders_follow_intruders_that_fly_and_the_same_ones_replayed_from_a_recording(repository, tmp_path):
     config = SwarmConfig.load(repository / "deploy" / "aggregative_moving.toml")
     options, path = {"leg": 7.0, "legs": 1}, tmp_path / "a.mcap"
-    with recording_file(path, config, virtual=True) as file:
+    with recording_file(path, config, load("aggregative"), virtual=True) as file:
         config, first = flown("aggregative", file=file, config=config, flight=QUICK, mission_options=options)
     drones = [
         {"id": i, "home": config.drone(i).home, "role": config.drone(i).role, **replayed}

@@ -69,7 +69,7 @@ def test_what_one_of_the_drones_cannot_fly_is_refused_before_the_flight(mission,
 def test_a_drawn_word_is_flown_within_its_limits(tmp_path):
     config = SwarmConfig.load("deploy/casy.toml")
     path = tmp_path / "casy.mcap"
-    with recording_file(path, config, virtual=True) as file:
+    with recording_file(path, config, load("drawn_path"), virtual=True) as file:
         result = fly_fast(config, load("drawn_path"), file=file)
     assert result["success"], result["reasons"]
     assert result["speed_m_s"] <= config.flight.speed_limit

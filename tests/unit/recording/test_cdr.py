@@ -5,15 +5,28 @@ import struct
 import pytest
 from ros2_decoders import decoded
 
-from crazychoir.recording.cdr import HEAD, RULE, Layout, Leaf, leaves, schema
+from crazychoir.recording.cdr import HEAD, RULE, Layout, Leaf, definitions_of, leaves, schema, unpacked
 
 INNER = {"a/Inner": "uint8 n\nfloat64 x", "a/Stamp": "int32 sec\nuint32 nanosec"}
 
 
 def packed(text, values, constants=None, **more):
+    """As others read it, and we."""
     definitions = {**INNER, **more, "a/Outer": text}
     message = Layout(list(leaves("a/Outer", definitions)), constants or {}).pack(values)
-    return decoded("a/msg/Outer", schema("a/Outer", definitions), message)
+    written = schema("a/Outer", definitions)
+    found = decoded("a/msg/Outer", written, message)
+    own = unpacked(list(leaves("a/Outer", definitions_of("a/Outer", written))), message)
+    assert own == flat(found)
+    return found
+
+
+def flat(fields, path=""):
+    """The fields of messages within a message by their paths."""
+    found = {}
+    for name, value in fields.items():
+        found |= flat(value, f"{path}{name}.") if isinstance(value, dict) else {path + name: value}
+    return found
 
 
 def test_a_number_lies_at_a_multiple_of_its_size_counted_after_the_head():
@@ -79,3 +92,12 @@ def test_a_schema_names_every_message_once_and_drops_no_comment():
     text = schema("a/Outer", {**INNER, "a/Outer": "a/Inner p  # m\na/Inner q\na/Stamp t", "a/Other": "bool b"})
     assert text.split(f"{RULE}\n")[0] == "a/Inner p  # m\na/Inner q\na/Stamp t\n"
     assert [part.splitlines()[0] for part in text.split(f"{RULE}\n")[1:]] == ["MSG: a/Inner", "MSG: a/Stamp"]
+
+
+def test_a_message_that_is_cut_off_is_an_error():
+    fields = [Leaf("n", "uint8"), Leaf("s", "string"), Leaf("x", "float64")]
+    message = Layout(fields, {}).pack((1, "text", 2.5))
+    assert unpacked(fields, message) == {"n": 1, "s": "text", "x": 2.5}
+    for end in range(4, len(message)):
+        with pytest.raises((struct.error, IndexError)):
+            unpacked(fields, message[:end])

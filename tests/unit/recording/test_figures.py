@@ -7,7 +7,7 @@ from matplotlib.image import imread
 from crazychoir.errors import ConfigError
 from crazychoir.recording import plots
 from crazychoir.recording.figures import COLUMNS, flight_of
-from crazychoir.recording.plots import FORMATS, WIDTH, draw
+from crazychoir.recording.plots import FORMATS, WIDTH, draw, of_flight
 from crazychoir.recording.reading import Recording, Values
 
 BEGAN = 1.7e9
@@ -98,7 +98,7 @@ def test_a_table_a_drone(tmp_path):
 @pytest.mark.parametrize(("n", "formats"), [(1, ("png",)), (7, FORMATS), (8, ("png",))])
 def test_pictures_have_the_width_of_a_column(tmp_path, monkeypatch, n, formats):
     monkeypatch.setattr(plots, "FORMATS", formats)
-    files = draw(flight_of(recording(tmp_path, n)), tmp_path)
+    files = draw(of_flight(flight_of(recording(tmp_path, n))), tmp_path)
     assert len(files) == 5 * len(formats)
     assert all(path.stat().st_size > 1000 for path in files)
     for path in files:

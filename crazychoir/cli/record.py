@@ -1,0 +1,85 @@
+"""crazychoir record: what a swarm that flies says, into a file, by who looks on."""
+
+import asyncio
+import contextlib
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from crazychoir.cli.look import SwarmOption, looking
+from crazychoir.cli.show import STDERR, STDOUT, fail, write_json
+from crazychoir.errors import ConfigError
+
+if TYPE_CHECKING:
+    from crazychoir.cli.window import Window
+    from crazychoir.recording.recorder import Recorder
+
+LOOK = 0.25
+"""s between two looks at who is still there."""
+
+
+def record(
+    file: Annotated[Path, typer.Argument(help="New file (.mcap).")],
+    topics: Annotated[str | None, typer.Option(help="Only these, as state,status; else all.")] = None,
+    swarm: SwarmOption = None,
+    seconds: Annotated[float | None, typer.Option(min=0.0, help="s; else until its drones have gone.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object, nothing else.")] = False,
+) -> None:
+    """Record a running swarm, until its drones have gone, or Ctrl-C."""
+    recorders: list[Recorder] = []
+    try:
+        chosen = _topics(topics)
+    except ConfigError as error:
+        fail(error, as_json)
+
+    async def work(window: "Window") -> None:
+        from crazychoir.launch.recording import new_recording
+        from crazychoir.recording.recorder import Recorder
+        from crazychoir.runtime.supervisor import Supervisor
+
+        with contextlib.closing(new_recording(file, window.config, None, virtual=False)) as opened:
+            await window.find()
+            config, bus = window.config, window.link.bus
+            recorder = Recorder(bus, config.ids, opened, window.address, config.source, topics=chosen)
+            recorders.append(recorder)
+            STDERR.print(f"recording {file}; Ctrl-C ends it", markup=False, highlight=False, soft_wrap=True)
+            running = asyncio.create_task(Supervisor(window.clock, "record").run([recorder]))
+            try:
+                await _until_gone(window, recorder, math.inf if seconds is None else seconds)
+            finally:
+                running.cancel()
+                await asyncio.wait([running])
+
+    try:
+        looking(swarm, work, as_json)
+    except KeyboardInterrupt:
+        if not recorders:
+            raise
+    told = recorders[0].result()
+    if as_json:
+        write_json({"success": not told["error"], **told})
+    else:
+        text = f"{told['file']}: {told['messages']} messages, {told['lost']} lost"
+        STDOUT.print(text, markup=False, highlight=False, soft_wrap=True)
+    raise typer.Exit(1 if told["error"] else 0)
+
+
+async def _until_gone(window: "Window", recorder: "Recorder", seconds: float) -> None:
+    """Until no drone is there any more, the file has failed, or so many s are over."""
+    ends = window.clock.now() + seconds
+    while window.drones and window.clock.now() < ends and not recorder.file.error:
+        await window.clock.sleep(min(LOOK, ends - window.clock.now()))
+
+
+def _topics(named: str | None) -> tuple[str, ...]:
+    from crazychoir.bus.topics import OBSERVABLE
+
+    if named is None:
+        return OBSERVABLE
+    chosen = tuple(named.split(","))
+    for name in chosen:
+        if name not in OBSERVABLE:
+            raise ConfigError("--topics", name, ", ".join(OBSERVABLE), "Name some of them, with commas between.")
+    return chosen

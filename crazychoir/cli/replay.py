@@ -1,0 +1,118 @@
+"""crazychoir replay: a recorded flight said again, as a swarm of its own that others look at."""
+
+import asyncio
+import contextlib
+import math
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from crazychoir.cli.show import STDERR, STDOUT, fail, set_up_logging, write_json
+from crazychoir.errors import ConfigError, CrazyChoirError
+
+if TYPE_CHECKING:
+    from crazychoir.recording.replayer import Step
+    from crazychoir.runtime.clock import Clock
+    from crazychoir.swarm.config import SwarmConfig
+
+LOOK, SETTLE = 0.1, 1.0
+"""s between two looks at who is there, and for who has come to say what it wants."""
+LINGER = 1.0
+"""s for which the swarm stays after the last message."""
+
+
+def replay(
+    file: Annotated[Path, typer.Argument(help="Recording of `crazychoir run --record` or `crazychoir record`.")],
+    speed: Annotated[float, typer.Option(min=0.01, max=1000.0, help="How many times faster than it was.")] = 1.0,
+    step: Annotated[
+        float | None, typer.Option(min=0.001, help="Go on by so many s at each Enter; a number and Enter: by that.")
+    ] = None,
+    wait: Annotated[float, typer.Option(min=0.0, help="Begins when somebody looks, or after so many s.")] = 2.0,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object, nothing else.")] = False,
+) -> None:
+    """Say a recorded flight again: status, echo, hz and record see it as they see a swarm that flies."""
+    set_up_logging()
+    from crazychoir.launch.network import apart, swarm_file  # kernels and network: 1 s that --help does not need
+    from crazychoir.launch.running import Run, recorded
+    from crazychoir.recording.reading import header
+    from crazychoir.runtime.clock import run_wall
+    from crazychoir.swarm.config import SwarmConfig
+
+    try:
+        recording = header(file)
+        config = apart(_here(SwarmConfig.loads(recording.swarm, f"{file}: swarm.json")), 1)
+        with swarm_file(config) as path, recorded(Run(config.name, str(file), None, str(path))):
+            STDERR.print(f"Look at it (or echo, hz, record): crazychoir status --swarm {path}", soft_wrap=True)
+            told = run_wall(lambda clock: _replay(clock, config, file, speed, step, wait))
+    except CrazyChoirError as error:
+        fail(error, as_json)
+    except KeyboardInterrupt:
+        raise typer.Exit(130) from None
+    if as_json:
+        write_json({"success": True, "file": file, "complete": recording.complete, **told})
+    else:
+        STDOUT.print(f"{told['messages']} messages, {told['seconds']:.2f} s of flight", highlight=False)
+
+
+def _here(config: "SwarmConfig") -> "SwarmConfig":
+    """The same swarm on this machine alone."""
+    import msgspec
+
+    if not config.hosts:
+        return config
+    raw = msgspec.to_builtins(config)
+    drones = [{**drone, "host": None} for drone in raw["drones"]]
+    world, mocap = ({**raw[name], "host": None} for name in ("world", "mocap"))
+    return config.replace(hosts={}, drones=drones, world=world, mocap=mocap)
+
+
+async def _replay(
+    clock: "Clock", config: "SwarmConfig", file: Path, speed: float, step: float | None, wait: float
+) -> dict[str, Any]:
+    """As one process that has all drones."""
+    import random
+
+    from crazychoir.bus.hello import VERSION
+    from crazychoir.bus.local import Bus
+    from crazychoir.bus.topics import BY_NAME, OBSERVABLE
+    from crazychoir.bus.zenoh import ZenohLink
+    from crazychoir.launch.network import attached
+    from crazychoir.recording.replayer import Replayer
+
+    incarnation = random.SystemRandom().getrandbits(62)
+    bus = Bus(clock, process=f"replay-{incarnation & 0xFFFFFFFF:08x}", host="replay")
+    for i in config.ids:
+        for address in sorted({i, *(config.source(BY_NAME[name], i) for name in OBSERVABLE)}):
+            bus.port(address, incarnation)
+    link = ZenohLink(
+        bus, config.name, listen=list(config.endpoints().values()), connect=[], incarnation=incarnation,
+        version=VERSION, lease=config.lease,
+    )  # fmt: skip
+    replayer = Replayer(bus, file, speed, None if step is None else _asked(step), config.source)
+    async with attached(link):
+        latest = clock.now() + wait
+        while not link.peers and clock.now() < latest:
+            await clock.sleep(LOOK)
+        await clock.sleep(min(wait, SETTLE))
+        await replayer.run()
+        await clock.sleep(LINGER)
+    return {"messages": replayer.said, "seconds": replayer.at}
+
+
+def _asked(step: float) -> "Step":
+    """Steps at the lines of standard input; its end lets the flight go on to its end."""
+
+    async def next_step() -> float:
+        line = await asyncio.to_thread(sys.stdin.readline)
+        if not line:
+            return math.inf
+        if not line.strip():
+            return step
+        with contextlib.suppress(ValueError):
+            if (seconds := float(line)) > 0.0:
+                return seconds
+        raise ConfigError("--step", line.strip(), "Enter, or a number of seconds and Enter")
+
+    return next_step

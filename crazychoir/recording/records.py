@@ -1,0 +1,68 @@
+"""The records of an MCAP file one after the other; of one that was cut off, as far as they are whole."""
+
+import contextlib
+import mmap
+import struct
+from collections.abc import Iterator
+from io import BytesIO
+from pathlib import Path
+
+from mcap.data_stream import ReadDataStream
+from mcap.records import Chunk
+from mcap.stream_reader import get_chunk_data_stream
+from mcap.writer import MCAP0_MAGIC
+
+from crazychoir.errors import ConfigError
+
+DO = "Give it a file of `crazychoir run ... --record FILE`."
+MESSAGE = struct.Struct("<HIQQ")
+"""Before the data of a message: channel, sequence, when it came and when it was born, ns."""
+_RECORD = struct.Struct("<BQ")
+
+
+@contextlib.contextmanager
+def opened(path: Path) -> Iterator[mmap.mmap]:
+    """The bytes of an MCAP file; raises ConfigError for what is none."""
+    try:
+        with path.open("rb") as file:
+            first = file.read(len(MCAP0_MAGIC))
+            if first != MCAP0_MAGIC:
+                found = "an empty file" if not first else f"a file that begins with {first!r}"
+                raise ConfigError(str(path), found, "an MCAP file", DO)
+            content = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+    except OSError as error:
+        raise ConfigError(str(path), str(error.strerror), "a file that can be read", DO) from error
+    with content:
+        yield content
+
+
+def of_another_program(path: Path) -> ConfigError:
+    """The error of an MCAP file that does not say what was flown."""
+    return ConfigError(str(path), "an MCAP file of another program", "one of crazychoir", DO)
+
+
+def records(content: mmap.mmap | bytes, at: int = len(MCAP0_MAGIC)) -> Iterator[tuple[int, bytes]]:
+    """(opcode, body) of every record that is whole."""
+    while at + _RECORD.size <= len(content):
+        opcode, length = _RECORD.unpack_from(content, at)
+        at += _RECORD.size
+        if opcode == 0 or at + length > len(content):
+            return
+        yield opcode, content[at : at + length]
+        at += length
+
+
+def records_of(chunk: bytes) -> Iterator[tuple[int, bytes]]:
+    """The same of the content of a chunk."""
+    return records(chunk, 0)
+
+
+def content_of(chunk: ReadDataStream) -> bytes:
+    """The records of a chunk, unpacked; raises what it likes where they are spoilt."""
+    unpacked, length = get_chunk_data_stream(Chunk.read(chunk), validate_crc=True)
+    return unpacked.read(length)
+
+
+def stream(body: bytes) -> ReadDataStream:
+    """As the classes of mcap.records read it."""
+    return ReadDataStream(BytesIO(body))

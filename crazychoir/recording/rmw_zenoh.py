@@ -1,0 +1,76 @@
+"""What a program of ROS 2 that uses rmw_zenoh expects of a publisher: keys, tokens and attachments, as texts and bytes.
+
+Experimental: tested against the written form and independent decoders, never against ROS itself.
+
+    data   <domain>/<topic>/<package>::msg::dds_::<Type>_/<hash>
+    node   @ros2_lv/<domain>/<session>/0/0/NN/%/%/<name>
+    publisher @ros2_lv/<domain>/<session>/0/<number>/MP/%/%/<name>/<topic>/<type>/<hash>/<qos>      every / of a part: %
+
+Source: the design document of rmw_zenoh, as of Jazzy to Kilted.
+"""
+
+import struct
+from dataclasses import dataclass
+
+from crazychoir.errors import ConfigError
+
+HASHES = {
+    "geometry_msgs/PoseStamped": "10f3786d7d40fd2b54367835614bff85d4ad3b5dab62bf8bca0cc232d73b4cd8",
+    "nav_msgs/Path": "1957a5bb3cee5da65c4e52e52b65a93df227efce4c20f8458b36e73066ca334b",
+    "visualization_msgs/MarkerArray": "86cb8800b6fb05b5eff1abd7a56f62a5641d3ae9a1c29e78e67e704f1d067dcf",
+    "tf2_msgs/TFMessage": "e369d0f05a23ae52508854b66f6aa0437f3449d652e8cbf22d5abe85d020f087",
+}
+"""Of the definitions of the messages that are published, in ROS 2 Jazzy."""
+QOS = "::,10:,:,:,,"
+"""Reliable, volatile, the last 10, no deadlines."""
+ALONE, EMPTY = "0/0", "%"
+_ATTACHMENT = struct.Struct("<qqB16s")
+GID = 16
+
+
+def node_token(domain: int, session: str, name: str) -> str:
+    """Says that there is a node."""
+    return f"@ros2_lv/{domain}/{session}/{ALONE}/NN/{EMPTY}/{EMPTY}/{name}"
+
+
+@dataclass(frozen=True)
+class Publisher:
+    """One topic of the node `name`; session: the id of the Zenoh session, hex;  number: of all in it, from 1."""
+
+    domain: int
+    session: str
+    name: str
+    number: int
+    topic: str
+    type: str
+
+    @property
+    def _kind(self) -> str:
+        package, _, kind = self.type.partition("/")
+        return f"{package}::msg::dds_::{kind}_/RIHS01_{HASHES[self.type]}"
+
+    @property
+    def key(self) -> str:
+        """Of its messages."""
+        return f"{self.domain}/{self.topic.strip('/')}/{self._kind}"
+
+    @property
+    def token(self) -> str:
+        """Says that there is this publisher."""
+        topic = self.topic.replace("/", "%")
+        own = f"{EMPTY}/{EMPTY}/{self.name}/{topic}/{self._kind}/{QOS}"
+        return f"@ros2_lv/{self.domain}/{self.session}/0/{self.number}/MP/{own}"
+
+    @property
+    def gid(self) -> bytes:
+        """(16,) by which its messages name it: XXH3-128 of the token, its lower half first, little-endian."""
+        try:
+            import xxhash
+        except ImportError as error:
+            raise ConfigError("crazychoir ros", str(error), "xxhash", "pip install 'crazychoir[ros2]'.") from error
+        number: int = xxhash.xxh3_128_intdigest(self.token.encode())
+        return number.to_bytes(GID, "little")
+
+    def attachment(self, number: int, born_ns: int) -> bytes:
+        """Beside its message of that number, from 1, which was born so many ns after 1970."""
+        return _ATTACHMENT.pack(number, born_ns, GID, self.gid)

@@ -1,0 +1,88 @@
+"""The messages of a recording in the order in which they came, each by what the file itself says of it."""
+
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from mcap.opcode import Opcode
+from mcap.records import Channel, Schema
+
+from crazychoir.errors import ConfigError
+from crazychoir.recording.cdr import Leaf, definitions_of, leaves, unpacked
+from crazychoir.recording.records import DO, MESSAGE, content_of, opened, records, records_of, stream
+
+
+@dataclass(frozen=True)
+class Source:
+    """A channel of a file: whose messages, of which topic, and what they are made of.
+
+    topic: as in the table of topics, or `command/vel`;  type: as ROS 2 names it;  schema: its definition.
+    """
+
+    drone: int
+    topic: str
+    type: str
+    schema: str
+
+    @property
+    def name(self) -> str:
+        """As tools show it."""
+        return f"/drone{self.drone}/{self.topic}"
+
+    @cached_property
+    def fields(self) -> list[Leaf]:
+        """Of a message, in order."""
+        name = self.type.replace("/msg/", "/")
+        return list(leaves(name, definitions_of(name, self.schema)))
+
+
+@dataclass(frozen=True, slots=True)
+class Told:
+    """A message: when it came and when it was born, ns by the clock of the recording, and its bytes."""
+
+    source: Source
+    came_ns: int
+    born_ns: int
+    data: bytes
+
+    def values(self) -> dict[str, Any]:
+        """By the path of each field."""
+        return unpacked(self.source.fields, self.data)
+
+
+def told(path: Path, topics: Collection[str] | None = None) -> Iterator[Told]:
+    """The messages of all whole chunks, or those of some topics; raises ConfigError for a file that is no recording."""
+    with opened(path) as content:
+        schemas: dict[int, Schema] = {}
+        sources: dict[int, Source] = {}
+        for opcode, body in records(content):
+            if opcode != Opcode.CHUNK:
+                continue
+            try:
+                chunk = content_of(stream(body))
+            except Exception:  # noqa: BLE001 - whatever is wrong with a chunk, what lies before it counts
+                return
+            for kind, record in records_of(chunk):
+                match kind:
+                    case Opcode.MESSAGE:
+                        channel, _, came_ns, born_ns = MESSAGE.unpack_from(record)
+                        source = sources[channel]
+                        if topics is None or source.topic in topics:
+                            yield Told(source, came_ns, born_ns, record[MESSAGE.size :])
+                    case Opcode.SCHEMA:
+                        schema = Schema.read(stream(record))
+                        schemas[schema.id] = schema
+                    case Opcode.CHANNEL:
+                        opened_now = Channel.read(stream(record))
+                        sources[opened_now.id] = _source(path, opened_now, schemas)
+
+
+def _source(path: Path, channel: Channel, schemas: dict[int, Schema]) -> Source:
+    schema = schemas[channel.schema_id]
+    try:
+        drone, topic = int(channel.metadata["drone"]), channel.metadata["topic"]
+    except (KeyError, ValueError):
+        raise ConfigError(str(path), f"channel {channel.topic} of another program", "a recording", DO) from None
+    return Source(drone, topic, schema.name, schema.data.decode())

@@ -1,0 +1,80 @@
+"""The bytes of what RViz shows, read by rosbags with the definitions of ROS 2; keys, tokens, attachments as written."""
+
+import struct
+
+import numpy as np
+import pytest
+from ros2_decoders import fields
+from rosbags.typesys import Stores, get_typestore
+
+from crazychoir.recording import rviz
+from crazychoir.recording.rmw_zenoh import HASHES, Publisher, node_token
+from crazychoir.types import State
+
+NS = 12_345_000_000_678
+STAMP = {"sec": 12345, "nanosec": 678}
+STORE = get_typestore(Stores.ROS2_JAZZY)
+TURNED = [0.0, 0.0, float(np.sqrt(0.5)), float(np.sqrt(0.5))]
+STATES = {12: State(np.array([1, 2, 3, 0, 0, 0, *TURNED, 0, 0, 0])), 3: State.at((4.0, 5.0, 6.0))}
+
+
+def read(kind, data):
+    """What another decoder finds; and its own bytes of it are the same."""
+    message = STORE.deserialize_cdr(data, kind)
+    assert bytes(STORE.serialize_cdr(message, kind)) == data
+    return fields(message)
+
+
+def test_a_pose():
+    found = read("geometry_msgs/msg/PoseStamped", rviz.pose(STATES[12], NS))
+    assert found["header"] == {"stamp": STAMP, "frame_id": "world"}
+    assert list(found["pose"]["position"].values()) == [1.0, 2.0, 3.0]
+    assert list(found["pose"]["orientation"].values()) == TURNED
+
+
+@pytest.mark.parametrize("n", [0, 1, 3])
+def test_a_path(n):
+    found = read("nav_msgs/msg/Path", rviz.path([np.full(3, float(k)) for k in range(n)], NS))
+    assert found["header"]["stamp"] == STAMP
+    assert [one["pose"]["position"]["y"] for one in found["poses"]] == list(range(n))
+
+
+def test_transforms():
+    found = read("tf2_msgs/msg/TFMessage", rviz.transforms(STATES, NS))["transforms"]
+    assert [one["child_frame_id"] for one in found] == ["drone3", "drone12"]
+    assert list(found[1]["transform"]["translation"].values()) == [1.0, 2.0, 3.0]
+    assert list(found[1]["transform"]["rotation"].values()) == TURNED
+
+
+def test_markers():
+    found = read("visualization_msgs/msg/MarkerArray", rviz.markers(STATES, NS))["markers"]
+    assert [(one["ns"], one["id"], one["type"], one["text"]) for one in found] == [
+        ("drones", 3, 2, ""), ("names", 3, 9, "3"), ("drones", 12, 2, ""), ("names", 12, 9, "12"),
+    ]  # fmt: skip
+    assert found[0]["pose"]["position"] == {"x": 4.0, "y": 5.0, "z": 6.0}
+    assert found[0]["color"]["a"] == 1.0
+    assert found[3]["pose"]["position"]["z"] == pytest.approx(3.1)
+
+
+@pytest.mark.parametrize("name", HASHES)
+def test_hashes_are_those_of_the_definitions(name):
+    assert STORE.hash_rihs01(name.replace("/", "/msg/")) == f"RIHS01_{HASHES[name]}"
+
+
+POSES = Publisher(0, "aabb", "crazychoir", 7, "/drone3/pose", "geometry_msgs/PoseStamped")
+
+
+def test_keys_and_tokens():
+    kind = f"geometry_msgs::msg::dds_::PoseStamped_/RIHS01_{HASHES['geometry_msgs/PoseStamped']}"
+    assert POSES.key == f"0/drone3/pose/{kind}"
+    assert POSES.token == f"@ros2_lv/0/aabb/0/7/MP/%/%/crazychoir/%drone3%pose/{kind}/::,10:,:,:,,"
+    assert node_token(5, "aabb", "crazychoir") == "@ros2_lv/5/aabb/0/0/NN/%/%/crazychoir"
+
+
+def test_an_attachment():
+    xxhash = pytest.importorskip("xxhash")
+    data = POSES.attachment(3, NS)
+    assert len(data) == 33
+    assert struct.unpack("<qqB", data[:17]) == (3, NS, 16)
+    digest = xxhash.xxh3_128_digest(POSES.token.encode())
+    assert data[17:] == digest[:7:-1] + digest[7::-1], "the lower half first, each little-endian"

@@ -1,0 +1,74 @@
+"""Every value that is recorded comes back as it was; a recording of another version is refused."""
+
+import msgspec
+import numpy as np
+import pytest
+
+from crazychoir.bus.plain import plain
+from crazychoir.errors import ConfigError
+from crazychoir.recording.file import Entry, RecordingFile, Series
+from crazychoir.recording.messages import MESSAGES, packer
+from crazychoir.recording.sequence import told
+from crazychoir.recording.values import VALUES, Values
+from crazychoir.types import (
+    FPQR,
+    FRPY,
+    XYZ,
+    Acc,
+    Acceleration,
+    Body,
+    Drive,
+    FullState,
+    Goto,
+    LinkStatus,
+    Plan,
+    Pose,
+    State,
+    Status,
+    Vel,
+    Velocity,
+)
+
+Q = np.array([0.1, -0.3, 0.5, 0.8]) / np.linalg.norm([0.1, -0.3, 0.5, 0.8])
+SAID = [
+    Pose(np.arange(7.0)), State(np.array([1, 2, 3, 0.4, 0.5, 0.6, *Q, 7, 8, 9])), Acceleration(np.arange(3.0), 0.5),
+    FullState(np.arange(14.0)), Goto(np.arange(3.0), 0.5, 2.0), FPQR(np.arange(4.0)), FRPY(np.arange(4.0)),
+    Vel(np.arange(4.0)), Velocity(np.arange(3.0), 0.5), Acc(np.arange(3.0)), Drive(np.arange(2.0)),
+    XYZ("go_to", np.arange(5.0)), LinkStatus("up", 0.1, 0.2, 0.9, -40.0, 3.9, 3, True, ["a", "b"], "r", 1, 2, "x"),
+    Body("crashed", True), Status("mission", "at 1/2 stops", 3, 4.5, 1, 2, 3, 4, [1], [2, 3], "p", "h", "note"),
+    "a line", {"success": True, "place": [1.0, 2.0]},
+    Plan(np.ones((1, 25)), 0.5, np.zeros((0, 25)), 0.0, 3, {0: 2}, np.zeros(0)),
+]  # fmt: skip
+
+
+def recorded(path, values):
+    file, entries = RecordingFile(path, {"version": "1"}, "{}", False), []
+    for k, value in enumerate(values):
+        message = MESSAGES[type(value)]
+        entries.append(Entry(Series(12, f"topic{k}", message), k, k, packer(message, 12)(value, k)))
+    file.write(entries)
+    file.close()
+    return path
+
+
+def test_what_was_said_comes_back(tmp_path):
+    path = recorded(tmp_path / "a.mcap", SAID)
+    values = Values(path)
+    found = [values.of(message) for message in told(path)]
+    assert [type(value) for value in found] == [type(value) for value in SAID]
+    for value, was in zip(found, SAID, strict=True):
+        assert rounded(value) == rounded(was)
+    assert {type(value) for value in SAID} == {*VALUES, Plan}
+
+
+def rounded(value):
+    if isinstance(value, State):
+        return value.flat.round(12).tolist()
+    return plain(msgspec.structs.asdict(value) if isinstance(value, msgspec.Struct) else value)
+
+
+def test_another_version_is_refused(tmp_path, monkeypatch):
+    path = recorded(tmp_path / "a.mcap", SAID[:1])
+    monkeypatch.setattr("crazychoir.recording.values.BY_TYPE", {})
+    with pytest.raises(ConfigError, match=r"another geometry_msgs/msg/PoseStamped for /drone12/topic0.*version"):
+        Values(path).of(next(iter(told(path))))
