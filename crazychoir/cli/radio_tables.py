@@ -76,7 +76,8 @@ def _lines(result: Mapping[str, Any]) -> list[str]:
     """What is picked, for whom, and where it is written."""
     worst = result["worst_ack_rate"]
     names = ", ".join(f"{channel} ({frequency(channel)} MHz)" for channel in result["chosen"])
-    lines = [f"Picked: {names}. In its worst pass {worst:.0%} came through on the worst of them."]
+    of = " of the worst of them" if len(result["chosen"]) > 1 else ""
+    lines = [f"Picked: {names}. In the worst pass{of} {worst:.0%} came through."]
     if worst < FAIR:
         lines.append("That is little: take fewer dongles, a smaller spacing, more --channels, or another room.")
     pairs = ", ".join(f"dongle {name}: {channel}" for name, channel in result["dongles"].items())

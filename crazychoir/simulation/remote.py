@@ -104,7 +104,7 @@ class RemoteLink:
         if body is not None:
             return body.harm
         if not math.isfinite(self.silence):
-            return f"nothing was ever heard of {self.owner}"
+            return f"{self.owner} has not said how it is"
         return f"{self.owner} is silent for {self.silence:.1f} s"
 
 

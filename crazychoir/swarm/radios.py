@@ -62,16 +62,31 @@ def check_radios(swarm: Swarm, where: str) -> None:
         key, same = f"{where}: drones[{n}]", drone.uri.partition("?")[0].lower()
         if same in first:
             problem = f"drones[{first[same]}] has this address"
-            do = "Give each drone its own: cflib's client writes it into one that hangs at a cable."
-            raise ConfigError(f"{key}.uri", show(drone.uri), "each address is there once", do, problem)
+            do = "Give each virtual drone its own port."
+            if same.startswith("radio"):
+                do = "Give each drone its own address: cfclient writes a new one into the drone, by USB."
+            raise ConfigError(f"{key}.uri", show(drone.uri), "an address of its own", do, problem)
         first[same] = n
         found = RADIO_URI.fullmatch(drone.uri)
         if found and drone.dongle not in (None, int(found[1])):
             problem, do = f"its uri says dongle {found[1]}", "Leave dongle out, or mend one of them."
-            raise ConfigError(f"{key}.dongle", drone.dongle, "the dongle of the uri", do, problem)
+            raise ConfigError(f"{key}.dongle", drone.dongle, found[1], do, problem)
+    _parameters(swarm.radio.parameters, f"{where}: radio.parameters")
+    for n, drone in enumerate(swarm.drones):
+        _parameters(drone.parameters, f"{where}: drones[{n}].parameters")
     _own_poses(swarm, where)
     _radio_hosts(swarm, where)
     _check_bodies(swarm, where)
+
+
+def _parameters(table: Mapping[str, object], where: str) -> None:
+    """Of a firmware, which says itself whether it has them, once it is connected."""
+    for name, value in table.items():
+        if name.count(".") != 1:
+            do = 'Put it into quotes: "posCtlPid.xKp" = 2.0.'
+            raise ConfigError(where, show(name), "GROUP.NAME, as posCtlPid.xKp", do)
+        if not isinstance(value, int | float) or not math.isfinite(value):
+            raise ConfigError(f"{where}.{name}", show(value), "a number")
 
 
 def seen(swarm: Swarm) -> tuple[int, ...]:

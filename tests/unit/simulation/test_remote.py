@@ -245,7 +245,7 @@ async def test_a_drone_whose_planner_would_fly_on_for_good_is_landed(clock):
 @virtual
 async def test_a_drone_says_what_has_broken_its_body_or_that_it_hears_nothing(clock):
     pair = Pair(clock, heard=False)
-    assert pair.link.harm() == "nothing was ever heard of its world's owner (crazychoir-world)"
+    assert pair.link.harm() == "its world's owner (crazychoir-world) has not said how it is"
     pair.there.publish(BODY, Body())
     assert pair.link.harm() == ""
     pair.there.publish(BODY, Body("crashed"))

@@ -115,3 +115,17 @@ def test_who_is_reached_by_a_radio_is_streamed_angles_unless_the_file_says_other
     assert [config.control_of(i).sender for i in config.ids] == ["frpy", "fpqr"]
     said = config.replace(control={"sender": "fpqr"})
     assert [said.control_of(i).sender for i in said.ids] == ["fpqr", "fpqr"]
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ('"posCtlPid.xKp" = "two"', 'x.toml: radio.parameters.posCtlPid.xKp: found "two"; allowed: a number.'),
+        ("posCtlPid.xKp = 2.0", 'x.toml: radio.parameters: found "posCtlPid"; allowed: GROUP.NAME, as posCtlPid.xKp.'),
+    ],
+)
+def test_a_parameter_of_the_firmware_has_a_group_and_is_a_number(line: str, said: str) -> None:
+    text = f'name = "x"\n[radio.parameters]\n{line}\n[[drones]]\nid = 0\nhome = [0, 0, 0]'
+    with pytest.raises(ConfigError) as caught:
+        SwarmConfig.loads(text, "x.toml")
+    assert str(caught.value).startswith(said)
