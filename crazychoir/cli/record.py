@@ -1,6 +1,5 @@
 """crazychoir record: what a swarm that flies says, into a file, by who looks on."""
 
-import asyncio
 import contextlib
 import math
 from pathlib import Path
@@ -35,6 +34,8 @@ def record(
         fail(error, as_json)
 
     async def work(window: "Window") -> None:
+        import asyncio
+
         from crazychoir.launch.recording import new_recording
         from crazychoir.recording.recorder import Recorder
         from crazychoir.runtime.supervisor import Supervisor

@@ -1,6 +1,5 @@
 """crazychoir replay: a recorded flight said again, as a swarm of its own that others look at."""
 
-import asyncio
 import contextlib
 import math
 import sys
@@ -105,6 +104,8 @@ def _asked(step: float) -> "Step":
     """Steps at the lines of standard input; its end lets the flight go on to its end."""
 
     async def next_step() -> float:
+        import asyncio
+
         line = await asyncio.to_thread(sys.stdin.readline)
         if not line:
             return math.inf

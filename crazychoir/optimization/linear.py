@@ -23,10 +23,17 @@ WORDS = {
 }
 
 
+class _Quiet(highspy.Highs):
+    """One that says nothing from its beginning on: HiGHS 1.16 prints who it is as soon as it has callbacks."""
+
+    def enableCallbacks(self) -> highspy.HighsStatus:
+        self.setOptionValue("output_flag", False)
+        return super().enableCallbacks()
+
+
 def quiet_highs(seed: int = 0) -> highspy.Highs:
     """A HiGHS object that repeats itself: one thread, a fixed seed, no output, no time limit."""
-    highs = highspy.Highs()
-    highs.setOptionValue("output_flag", False)
+    highs = _Quiet()
     highs.setOptionValue("threads", 1)
     highs.setOptionValue("random_seed", seed)
     highs.setOptionValue("simplex_iteration_limit", MOST_ITERATIONS)

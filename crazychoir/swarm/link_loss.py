@@ -39,7 +39,7 @@ class Inset:
         v = int(100.0 * self.slow_enough) / 100.0  # a little less
         slower = f"lower speed_limit to {v:.2f} m/s, or " if v else ""
         return (
-            f"are kept {self.given:.2f} m inside the fence, as there is room; {self.needed:.2f} m are needed, lest they "
+            f"are kept {self.given:.2f} m inside the fence, room permitting; {self.needed:.2f} m are needed, lest they "
             f"end beyond [keep_out] if a radio fails: {slower}widen [keep_out]"
         )
 

@@ -120,7 +120,7 @@ def test_a_rerun_of_a_changed_mission_says_where_it_first_differs(here, tmp_path
     path = tmp_path / "a.mcap"
     assert here("crazychoir", "run", law, "--drones", 2, "--fast", "--record", path).code == 0
     assert here("crazychoir", "rerun", path, "--json").json["success"]
-    law.write_text(RISING.format(gain=0.6))
+    law.write_text(RISING.format(gain=0.625))
     said = here("crazychoir", "rerun", path, "--json")
     assert said.code == 1, said.err
     assert said.json["digest"] != said.json["recorded_digest"]

@@ -75,7 +75,8 @@ def test_the_planner_stops_the_motors_by_its_verb(onboard):
     assert run(onboard, 500)
     assert link.send(XYZ("stop", np.zeros(5)))
     assert not run(onboard, 20)
-    assert not link.send(XYZ("land", np.zeros(5)))
+    assert link.send(XYZ("land", np.array([0.0, 0.0, 0.0, 0.0, 1.0])))
+    assert not link.send(XYZ("land", np.zeros(5))), "it lands"
 
 
 def test_a_level_full_state_asks_for_the_attitude_of_its_acceleration(onboard):
