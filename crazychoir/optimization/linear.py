@@ -23,7 +23,7 @@ WORDS = {
 }
 
 
-class _Quiet(highspy.Highs):
+class _Quiet(highspy.Highs):  # type: ignore[misc]
     """One that says nothing from its beginning on: HiGHS 1.16 prints who it is as soon as it has callbacks."""
 
     def enableCallbacks(self) -> highspy.HighsStatus:
