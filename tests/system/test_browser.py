@@ -73,6 +73,7 @@ def lost(team, since):
     return sum(b["lost"] - a["lost"] for b, a in pairs) / max(sum(b["sent"] - a["sent"] for b, a in pairs), 1)
 
 
+@pytest.mark.slow
 async def test_six_take_off_and_one_flies_a_word_that_was_drawn_and_space_stops_all(tmp_path, compiled):
     async with flying(six(), tmp_path) as team:
         program, address = await dashboard(team.path)

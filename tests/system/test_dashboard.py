@@ -86,6 +86,7 @@ async def test_what_a_page_may_not_ask_for_is_refused_and_said(tmp_path, compile
         assert "Traceback" not in program.text
 
 
+@pytest.mark.slow
 async def test_a_drone_flies_to_a_place_and_along_a_drawing_by_page_and_by_command_line(tmp_path, compiled):
     file = tmp_path / "hook.csv"
     rows = [f"0,{0.05 * k},{0.5 * np.cos(0.05 * k)},{0.5 * np.sin(0.05 * k)}" for k in range(60)]
