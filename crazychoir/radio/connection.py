@@ -34,6 +34,8 @@ ENDS = 0.5
 """s that a thread gets to end."""
 CLOSES = 3.0
 """s that closing a link takes at most; threads of cflib that hang in a driver are left behind."""
+NOBODY = "Connection refused"
+"""Words of an operating system for a port at which nobody listens."""
 LOG_DATA = 2
 RESET_LOGS = Packet(LOG, 1, b"\x05")
 
@@ -94,7 +96,7 @@ class Connection:
             await self._until_open(seconds)
         except TimeoutError:
             if self._heard_ns is None or not tables:
-                raise LinkFailed(self.uri, f"{self._stage()} within {seconds:g} s") from None
+                raise LinkFailed(self.uri, f"{self.stage} within {seconds:.3g} s") from None
             await self._until_told(seconds, tables)
         self._writer = Writer(self.uri, self._put, self._turn, partial(drivers.room, self.cf))
         self._echoing = self._loop.create_task(self._echo())
@@ -103,7 +105,7 @@ class Connection:
         try:
             await self._until_open(tables)
         except TimeoutError:
-            raise LinkFailed(self.uri, f"{self._stage()} within {seconds + tables:g} s") from None
+            raise LinkFailed(self.uri, f"{self.stage} within {seconds + tables:.3g} s") from None
 
     async def _until_open(self, seconds: float) -> None:
         async with asyncio.timeout(seconds):
@@ -136,8 +138,11 @@ class Connection:
         version: int = self.cf.platform.get_protocol_version()
         return version
 
-    def _stage(self) -> str:
+    @property
+    def stage(self) -> str:
         """What has not come."""
+        if self._opened.done():
+            return "no word of itself"
         if self._heard_ns is None:
             return "no answer"
         if self.version < VERSION_KNOWN:
@@ -341,6 +346,8 @@ class Connection:
 
     def _failed(self, message: str) -> None:
         reason = message.strip().splitlines()[-1] if message.strip() else "no reason is known"
+        if NOBODY in reason and self.uri.startswith("udp"):
+            reason += ": no virtual drone is there (crazychoir virtual --swarm FILE serves those of a swarm file)"
         if not self._opened.done():
             gone = self.dongle_failure
             self._opened.set_exception(DongleFailed(self.uri, gone) if gone else LinkFailed(self.uri, reason))

@@ -615,7 +615,8 @@ class RadioDrone(Actor):
     def problems(self) -> list[str]:
         """Why it may not take off."""
         if self.connection is None:
-            return [self.problem or "is being connected"]
+            so_far = "" if self._opening is None else f", {self._opening.stage} so far"
+            return [self.problem or f"is being connected{so_far}"]
         if not (self._prepared and self._placed) and not self.flying:
             unseen = self.seen_by_cameras and self._pose.fresh() is None
             return ["the cameras do not see it" if unseen else "is being prepared"]

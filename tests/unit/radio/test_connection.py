@@ -40,6 +40,18 @@ async def test_what_is_missing_is_said_before_logs_were_reset() -> None:
     connection = Connection(clock, "udp://127.0.0.1:9", TableOfContents(Path("nowhere")))
     connection._heard_ns, connection.cf.platform._protocolVersion = 1, 12
     assert connection.cf.log.toc is None, "as cflib has it at first"
-    assert connection._stage() == "its table of log variables is not complete"
-    connection._opened.cancel()
+    assert connection.stage == "its table of log variables is not complete"
+    connection._is_open()
+    assert connection.stage == "no word of itself"
+    await connection.close()
+    clock.close()
+
+
+async def test_where_nobody_serves_virtual_drones_it_is_said_who_does() -> None:
+    clock = WallClock(asyncio.get_running_loop())
+    connection = Connection(clock, "udp://127.0.0.1:9", TableOfContents(Path("nowhere")))
+    connection._failed("Traceback\nConnectionRefusedError: [Errno 111] Connection refused")
+    with pytest.raises(LinkFailed, match="Connection refused: no virtual drone is there .crazychoir virtual"):
+        await connection._opened
+    await connection.close()
     clock.close()
