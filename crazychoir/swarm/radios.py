@@ -100,7 +100,7 @@ def body_name(drone: Drone) -> str:
 
 
 def _check_bodies(swarm: Swarm, where: str) -> None:
-    """Each drone that is seen has a body of its own; a replay has a file."""
+    """Each drone that is seen has a body of its own; a replay has a file, and poses a port of their own."""
     first: dict[str, int] = {}
     for n, drone in enumerate(swarm.drones):
         if drone.id not in seen(swarm):
@@ -111,6 +111,10 @@ def _check_bodies(swarm: Swarm, where: str) -> None:
             do = 'Give each drone its own; without `body` it is "cf" and its id.'
             raise ConfigError(f"{where}: drones[{n}].body", show(name), "each body is there once", do, problem)
         first[name] = n
+        at = UDP_URI.fullmatch(drone.uri)
+        if at and swarm.mocap.source == "virtual" and int(at[2]) == swarm.mocap.port:
+            problem, do = f"drones[{n}] has this port", "`crazychoir virtual` tells poses one below its first drone."
+            raise ConfigError(f"{where}: mocap.port", swarm.mocap.port, "a port of its own", do, problem)
     if first and swarm.mocap.source == "replay" and not swarm.mocap.file:
         do = 'Add for example file = "flight.csv".'
         raise ConfigError(f"{where}: mocap.file", "nothing", 'a recording, for source = "replay"', do)

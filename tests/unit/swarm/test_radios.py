@@ -129,3 +129,9 @@ def test_a_parameter_of_the_firmware_has_a_group_and_is_a_number(line: str, said
     with pytest.raises(ConfigError) as caught:
         SwarmConfig.loads(text, "x.toml")
     assert str(caught.value).startswith(said)
+
+
+def test_poses_of_virtual_drones_come_at_a_port_of_their_own() -> None:
+    text = 'name = "x"\n[mocap]\nport = 19850\n[[drones]]\nid = 0\nhome = [0, 0, 0]\nuri = "udp://127.0.0.1:19850"'
+    with pytest.raises(ConfigError, match=r"x.toml: mocap.port = 19850: drones\[0\] has this port"):
+        SwarmConfig.loads(text, "x.toml")
