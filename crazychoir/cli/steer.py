@@ -30,8 +30,9 @@ def go_to(
     as_json: JsonOption = False,
 ) -> None:
     """Fly to a place: drones that wait in the air for their start, or are held. Exit code 0 only if all are there."""
-    p, step, chosen = _metres("PLACE", place), _metres("--offset", offset), numbers(drones) or []
-    places = {i: [x + k * d for x, d in zip(p, step, strict=True)] for k, i in enumerate(chosen)}
+    from crazychoir.guidance.sketch import beside  # kernels: 1 s that --help does not need
+
+    places = beside(_metres("PLACE", place), _metres("--offset", offset), numbers(drones) or [])
     told = {i: {"p": goal, "yaw": yaw, "duration": seconds} for i, goal in places.items()}
     _command("go-to", told, wait, swarm, as_json)
 
@@ -47,8 +48,8 @@ def fly(
     as_json: JsonOption = False,
 ) -> None:
     """Fly along a drawing: drones that wait for their start, or are held; leaders in their formation, side by side."""
-    from crazychoir.dashboard.asks import Draw  # kernels: 1 s that --help does not need
-    from crazychoir.dashboard.sketch import loaded, messages, planned
+    from crazychoir.guidance.sketch import HAND, loaded, messages, planned
+    from crazychoir.planning.drawing import Pen
 
     step, chosen = _metres("--offset", offset), tuple(numbers(drones) or ())
     told: dict[int, dict[str, Any]] = {}
@@ -58,9 +59,9 @@ def fly(
         nonlocal spent
         window.check("--drones", chosen)
         config = window.config
-        rows = tuple(tuple(map(tuple, stroke)) for stroke in loaded(_text(file), str(file)))
         level = config.flight.ground + config.flight.takeoff_height if height is None else height
-        plan = planned(Draw(rows, height=level, v_max=speed, slower=slower), config)  # type: ignore[arg-type]
+        pen = Pen(height=level, smoothing=HAND)
+        plan = planned(loaded(_text(file), str(file)), pen, config, v_max=speed, slower=slower)
         told.update(messages(plan.path, chosen, step, config))
         spent += plan.path.duration
         STDERR.print(f"{plan.path.duration:.1f} s, at most {plan.speed:.2f} m/s, {plan.acceleration:.2f} m/s2")

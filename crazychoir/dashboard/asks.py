@@ -5,6 +5,8 @@ from typing import Annotated, Literal
 import msgspec
 from msgspec import Meta, Struct
 
+from crazychoir.guidance.sketch import HAND
+
 MOST_DRONES = 1000
 Id = Annotated[int, Meta(ge=0, le=9999)]
 Ids = Annotated[tuple[Id, ...], Meta(min_length=1, max_length=MOST_DRONES)]
@@ -58,7 +60,7 @@ class Draw(Ask, frozen=True):
     lift: Annotated[float, Meta(ge=0.0, le=5.0)] = 0.0
     yaw: Angle | Literal["along"] = 0.0
     timing: Literal["even", "drawn"] = "even"
-    smoothing: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.02
+    smoothing: Annotated[float, Meta(ge=0.0, le=1.0)] = HAND
     v_max: Annotated[float, Meta(gt=0.01, le=20.0)] = 0.5
     a_max: Annotated[float, Meta(gt=0.01, le=50.0)] = 1.0
     slower: Annotated[float, Meta(ge=1.0, le=20.0)] = 1.0

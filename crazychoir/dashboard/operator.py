@@ -22,8 +22,9 @@ from crazychoir.dashboard.asks import (
 )
 from crazychoir.dashboard.desk import Desk
 from crazychoir.dashboard.polls import TaskBoard
-from crazychoir.dashboard.sketch import Planned, loaded, messages, planned, saved
 from crazychoir.errors import ConfigError
+from crazychoir.guidance.sketch import Planned, beside, loaded, messages, planned, saved
+from crazychoir.planning.drawing import Pen
 from crazychoir.swarm.config import SwarmConfig
 from crazychoir.swarm.graph import span
 from crazychoir.swarm.impairment import changes
@@ -89,10 +90,7 @@ class Operator:
         self.desk.order("impair", words=", ".join(words), each=lambda i: told | changes(given))
 
     def _go_to(self, message: GoTo) -> None:
-        places = {
-            i: [x + k * d for x, d in zip(message.p, message.offset, strict=True)]
-            for k, i in enumerate(self._checked(message.drones))
-        }
+        places = beside(message.p, message.offset, self._checked(message.drones))
         self.desk.order(
             "go-to", places, words=f"{list(message.p)} m", each=lambda i: {"p": places[i], "yaw": message.yaw}
         )
@@ -101,7 +99,12 @@ class Operator:
         """Plan in a thread: the page of nobody waits for it. What was drawn since counts alone."""
         self._plan, self._drawn = None, self._drawn + 1
         number = self._drawn
-        plan = await _aside(planned, message, self.config)
+        pen = Pen(
+            height=message.height, lift=message.lift, yaw=message.yaw, timing=message.timing,
+            smoothing=message.smoothing,
+        )  # fmt: skip
+        limits = {"v_max": message.v_max, "a_max": message.a_max, "slower": message.slower}
+        plan = await _aside(planned, message.strokes, pen, self.config, **limits)
         if number != self._drawn:
             return None
         self._plan = plan

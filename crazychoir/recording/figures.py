@@ -9,6 +9,7 @@ from scipy.spatial.distance import pdist
 
 from crazychoir.bus.topics import REFERENCE, STATE, TRUTH
 from crazychoir.errors import ConfigError
+from crazychoir.recording.odometry import into_world
 from crazychoir.recording.reading import Recording, Values
 from crazychoir.recording.records import DO
 from crazychoir.types import Mat, Vec
@@ -123,18 +124,6 @@ def rms(e: Vec) -> float | None:
     """Root of the mean square of what is finite of e."""
     e = e[np.isfinite(e)]
     return float(np.sqrt(np.mean(e**2))) if len(e) else None
-
-
-def into_world(q: Mat, v_b: Mat) -> Mat:
-    """v = R(q) v_b, row by row.
-
-        v = v_b + 2 q_w (u x v_b) + 2 u x (u x v_b),  u = (q_x, q_y, q_z)
-
-    q: (n, 4), unit;  v_b: (n, 3), body.  Returns (n, 3), world.
-    """
-    u, twice = q[:, :3], 2.0 * np.cross(q[:, :3], v_b)
-    v: Mat = v_b + q[:, 3:] * twice + np.cross(u, twice)
-    return v
 
 
 def _track(recording: Recording, i: int, began: float) -> Track:

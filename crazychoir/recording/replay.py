@@ -13,7 +13,7 @@ from crazychoir.bus.topics import TRUTH
 from crazychoir.errors import ConfigError
 from crazychoir.math3d import Mat, Vec
 from crazychoir.planning.trajectory_file import read_samples
-from crazychoir.recording.figures import into_world
+from crazychoir.recording.odometry import into_world
 from crazychoir.recording.reading import read
 from crazychoir.simulation.truth import Truth
 from crazychoir.simulation.world import KINDS, Link, WorldSetup, not_flown

@@ -10,7 +10,8 @@ from functools import cache
 
 from crazychoir.bus.topics import STATE, TRUTH
 from crazychoir.recording.cdr import Definitions, Layout, Leaf, leaves, schema
-from crazychoir.recording.messages import DEFINITIONS, MESSAGES, in_json
+from crazychoir.recording.definitions import DEFINITIONS
+from crazychoir.recording.messages import MESSAGES, in_json
 from crazychoir.recording.sequence import Told
 from crazychoir.types import FullState, State
 

@@ -67,6 +67,7 @@ class Barrier:
         self.history: list[tuple[float, int, str]] = []
         self._others = tuple(j for j in graph.ids if j != self.id)
         self._known = frozenset(self._others)
+        self._came: dict[int, float] = {}
         self._lost: dict[int, None] = {}
         self._strangers = Strangers(port.bus.clock, self.id, len(graph.ids), mission_hash)
         self._checksum = 0
@@ -104,15 +105,20 @@ class Barrier:
         return next((j for j in lower if self.beats[j].epoch or self.beats[j].incarnation == known.get(j)), self.id)
 
     async def go(self) -> Roster:
-        """Wait for GO; raises Refused naming who is absent at the deadline, or whose mission is another one."""
+        """Wait for GO; raises Refused naming who is absent at the deadline, or whose mission is another one.
+
+        Who coordinates may have come later, and waits for as long from then on.
+        """
         clock = self.port.bus.clock
         ends = clock.now() + self.start_deadline
         while self.roster is None:
             if self._strangers.are_more(self.beats):
                 raise Refused(f"drone {self.id}", self._strangers.text())
-            if self.coordinator() == self.id:
+            first = self.coordinator()
+            if first == self.id:
                 self._coordinate(clock.now() >= ends)
-            if clock.now() > ends + 1.0 and self.roster is None:
+            patient = max(ends, self._came.get(first, 0.0) + self.start_deadline) + 1.0
+            if clock.now() > patient and self.roster is None:
                 raise Refused(f"drone {self.id}", self._absent_text())
             await clock.sleep(POLL, drone=self.id)
         return self.roster
@@ -227,6 +233,8 @@ class Barrier:
             self.port.counters.malformed += 1
             return
         if not self._strangers.heard(source, beat.mission_hash) and source in self._known:
+            if source not in self.beats:
+                self._came[source] = self.port.bus.clock.now()
             self.beats[source] = beat
             if source not in self.monitor.watched and self.port.bus.clock.now_ns() > self._settled_ns:
                 self.monitor.watched += (source,)  # who watches us shall hear us
@@ -326,4 +334,5 @@ class Barrier:
         said = [f"drone(s) {', '.join(map(str, absent))} absent after {self.start_deadline:g} s."] if absent else []
         said += [f"drone {i} does not hear drone {j}." for i, j in self._deaf(here)]
         said += [self._strangers.text()] if self._strangers.missions else []
-        return " ".join([*said, "Start their agents, look at the network, or set start = n in the swarm file."])
+        fewer = f"{self.start} must be there" if self.start != "all" else "set start = n in the swarm file"
+        return " ".join([*said, f"Start their agents, look at the network, or {fewer}."])

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from crazychoir.math3d import rotation
-from crazychoir.recording.figures import JOINED, into_world, joined, rms
-from crazychoir.recording.messages import odometry
+from crazychoir.recording.figures import JOINED, joined, rms
+from crazychoir.recording.odometry import into_world, odometry
 from crazychoir.types import State
 
 DRAW = np.random.default_rng(1)

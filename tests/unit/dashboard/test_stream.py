@@ -192,9 +192,9 @@ async def test_of_two_drawings_the_newer_counts_whichever_is_planned_first(clock
     server = Server(clock)
     page = server.page()
 
-    async def aside(work, message, config):
-        await clock.sleep(2.0 if message.height == 0.5 else 1.0)
-        return work(message, config)
+    async def aside(work, strokes, pen, config, **limits):
+        await clock.sleep(2.0 if pen.height == 0.5 else 1.0)
+        return work(strokes, pen, config, **limits)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(operator, "_aside", aside)

@@ -10,7 +10,8 @@ from ros2_decoders import decoded
 
 from crazychoir.bus.codec import encode
 from crazychoir.bus.topics import BY_NAME, OBSERVABLE
-from crazychoir.recording.messages import DEFINITIONS, MESSAGES, Exchanged, packer, usual
+from crazychoir.recording.definitions import DEFINITIONS
+from crazychoir.recording.messages import MESSAGES, Exchanged, packer, usual
 from crazychoir.swarm.rounds import KIND_BITS, REPEAT
 from crazychoir.types import (
     FPQR,

@@ -133,6 +133,19 @@ def test_at_the_deadline_enough_go_and_the_absent_are_named():
     assert absent == (1, 4)
 
 
+def test_who_waits_longest_goes_with_who_coordinates_at_his_deadline():
+    async def story(t: Team) -> tuple[float, tuple[int, ...]]:
+        longest = asyncio.ensure_future(t.start(2, start=2, start_deadline=4.0).go())
+        await t.clock.sleep(3.0)
+        roster = await t.start(0, start=2, start_deadline=4.0).go()
+        assert await longest == roster
+        return t.clock.now(), roster.ids
+
+    at, ids = team(graphs.complete(3), story)
+    assert 7.0 <= at < 7.6
+    assert ids == (0, 2)
+
+
 @pytest.mark.parametrize("start", ["all", 4])
 def test_too_few_are_refused_and_the_absent_are_named(start):
     async def story(t: Team) -> float:

@@ -1,10 +1,9 @@
 import numpy as np
 import pytest
-from msgspec import structs
 
-from crazychoir.dashboard.asks import Draw
-from crazychoir.dashboard.sketch import loaded, messages, planned, saved, shifted
 from crazychoir.errors import ConfigError
+from crazychoir.guidance.sketch import loaded, messages, planned, saved, shifted
+from crazychoir.planning.drawing import Pen
 from crazychoir.planning.feasibility import Limits, keeps
 from crazychoir.planning.piecewise import Piecewise
 from crazychoir.swarm.config import SwarmConfig
@@ -19,8 +18,7 @@ def config_of(**tables):
 
 
 def test_strokes_become_a_flight_within_the_limits_that_were_set():
-    draw = Draw((WAVE, DOWN), height=1.2, lift=0.3, v_max=0.4, a_max=0.8)
-    plan = planned(draw, config_of())
+    plan = planned((WAVE, DOWN), Pen(height=1.2, lift=0.3), config_of(), v_max=0.4, a_max=0.8)
     assert keeps(plan.path, Limits(v_max=0.4, a_max=0.8))
     assert 0.3 < plan.speed <= 0.4
     assert plan.deviation < 0.05
@@ -32,24 +30,24 @@ def test_strokes_become_a_flight_within_the_limits_that_were_set():
 
 
 def test_more_time_makes_it_slower_and_the_swarm_s_own_limits_count():
-    draw = Draw((WAVE,), v_max=5.0, a_max=9.0)
-    plan = planned(draw, config_of())
+    limits = {"v_max": 5.0, "a_max": 9.0}
+    plan = planned((WAVE,), Pen(), config_of(), **limits)
     assert plan.speed <= 1.0
-    slow = planned(structs.replace(draw, slower=2.0), config_of())
+    slow = planned((WAVE,), Pen(), config_of(), **limits, slower=2.0)
     assert slow.path.duration == pytest.approx(2.0 * plan.path.duration)
     assert slow.speed == pytest.approx(0.5 * plan.speed, rel=0.02)
 
 
 def test_a_drawing_that_leaves_the_fence_or_is_no_line_is_refused():
     with pytest.raises(ConfigError, match="fence"):
-        planned(Draw((WAVE,), height=9.0), config_of())
+        planned((WAVE,), Pen(height=9.0), config_of())
     with pytest.raises(ConfigError, match="at least one line"):
-        planned(Draw((((0.0, 1.0, 1.0),),)), config_of())
+        planned((((0.0, 1.0, 1.0),),), Pen(), config_of())
 
 
 def test_each_drone_flies_it_beside_the_one_before():
     config = config_of()
-    path = planned(Draw((WAVE,)), config).path
+    path = planned((WAVE,), Pen(), config).path
     told = messages(path, (3, 1), (0.0, 0.5, 0.2), config)
     assert list(told) == [3, 1]
     paths = [Piecewise(one["coefficients"], one["durations"]) for one in told.values()]
@@ -66,7 +64,7 @@ def test_each_drone_flies_it_beside_the_one_before():
 )  # fmt: skip
 def test_drones_that_would_fly_into_each_other_are_not_sent(offset, good):
     config = config_of()
-    path = planned(Draw((WAVE,)), config).path
+    path = planned((WAVE,), Pen(), config).path
     if good:
         assert len(messages(path, (2, 3), offset, config)) == 2
     else:
@@ -98,7 +96,7 @@ def test_files_that_are_none_are_refused_by_name(name, text, words):
 
 
 def test_a_path_is_moved_as_a_whole():
-    path = planned(Draw((WAVE, DOWN)), config_of()).path
+    path = planned((WAVE, DOWN), Pen(), config_of()).path
     away = shifted(path, (1.0, -2.0, 0.5)).samples(np.linspace(0, path.duration, 50)) - path.samples(
         np.linspace(0, path.duration, 50)
     )

@@ -1,12 +1,12 @@
 """A hand's strokes made into a flight: smoothed and timed by planning/, looked at against limits and fence, shifted."""
 
 import math
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from crazychoir.dashboard.asks import Draw, Place
 from crazychoir.errors import ConfigError
 from crazychoir.guidance.steering import path_message
 from crazychoir.math3d import Mat
@@ -18,6 +18,10 @@ from crazychoir.planning.svg import parse_svg, svg_of
 from crazychoir.swarm.config import SwarmConfig
 from crazychoir.swarm.tables import Collision
 
+Offset = tuple[float, float, float]
+"""From one drone to the next, m, world."""
+HAND = 0.02
+"""m, how far a hand strays from what it means."""
 YAW_RATE = 2.0
 """rad/s, of a path along whose direction a drone looks."""
 SHOWN = 400
@@ -50,27 +54,36 @@ class Planned:
         }  # fmt: skip
 
 
-def planned(draw: Draw, config: SwarmConfig) -> Planned:
-    """The flight along the strokes, in `slower` times the time that its limits ask for; raises ConfigError."""
+def planned(
+    strokes: Iterable[Any], pen: Pen, config: SwarmConfig, v_max: float = 0.5, a_max: float = 1.0, slower: float = 1.0
+) -> Planned:
+    """The flight along the strokes, in `slower` times the time that its limits ask for; raises ConfigError.
+
+    strokes: each (n, 3), rows t s, x, y m;  v_max m/s, a_max m/s2: at most those of [flight].
+    """
     flight, fence = config.flight, config.fence
-    v_max, a_max = min(draw.v_max, flight.speed_limit), min(draw.a_max, flight.acceleration_limit)
+    v_max, a_max = min(v_max, flight.speed_limit), min(a_max, flight.acceleration_limit)
     limits = Limits(v_max=v_max, a_max=a_max, yaw_rate_max=YAW_RATE, low=fence.min, high=fence.max)
-    pen = Pen(height=draw.height, lift=draw.lift, yaw=draw.yaw, timing=draw.timing, smoothing=draw.smoothing)
-    made = drawing([np.array(stroke) for stroke in draw.strokes], pen, limits)
-    path = made.path.slowed(draw.slower)
+    made = drawing([np.array(stroke) for stroke in strokes], pen, limits)
+    path = made.path.slowed(slower)
     check(path, limits)
     most = peaks(path)
     return Planned(path, made.deviation, most["speed"], most["acceleration"])
 
 
-def shifted(path: Piecewise, by: Place) -> Piecewise:
+def beside(p: Sequence[float], offset: Offset, drones: Sequence[int]) -> dict[int, list[float]]:
+    """Where each goes: the k-th k times `offset` from p, m, world."""
+    return {i: [x + k * step for x, step in zip(p, offset, strict=True)] for k, i in enumerate(drones)}
+
+
+def shifted(path: Piecewise, by: Sequence[float]) -> Piecewise:
     """The same flight elsewhere; by: m."""
     coefficients = path.coefficients.copy()
-    coefficients[0:, 0:3, 0] += np.array(by)
+    coefficients[:, 0:3, 0] += np.array(by)
     return Piecewise(coefficients, path.durations)
 
 
-def messages(path: Piecewise, drones: tuple[int, ...], offset: Place, config: SwarmConfig) -> dict[int, dict[str, Any]]:
+def messages(path: Piecewise, drones: Sequence[int], offset: Offset, config: SwarmConfig) -> dict[int, dict[str, Any]]:
     """What each drone is told: the k-th flies it k times `offset` m away; raises ConfigError if that leaves the fence.
 
     Refused, too, where two would fly so near that one had to give way to the other all the time; leaders of a formation
@@ -82,15 +95,14 @@ def messages(path: Piecewise, drones: tuple[int, ...], offset: Place, config: Sw
         allowed = f"{2.0 * a + margin:g} m aside, or {2.0 * c:g} m above, from one drone to the next"
         raise ConfigError("offset", list(offset), allowed, "Set it, or send the path to one drone.")
     limits, told = Limits(low=config.fence.min, high=config.fence.max), {}
-    for k, i in enumerate(drones):
-        x, y, z = (k * axis for axis in offset)
-        moved = shifted(path, (x, y, z))
+    for i, by in beside((0.0, 0.0, 0.0), offset, drones).items():
+        moved = shifted(path, by)
         limits.check_places(references(moved)[1][:, 0:3], f"path of drone {i}")
         told[i] = path_message(moved)
     return told
 
 
-def _near(offset: Place, collision: Collision) -> bool:
+def _near(offset: Offset, collision: Collision) -> bool:
     """Whether two so far from each other are nearer than the collision filter lets them be."""
     (a, _, c), (x, y, z) = collision.semi_axes, offset
     return math.hypot(math.hypot(x, y) / (2.0 * a + collision.margin), z / (2.0 * c)) < 1.0
