@@ -47,7 +47,7 @@ from crazychoir.swarm.checks import LIGHTWEIGHT, limit_area
 from crazychoir.swarm.communicator import Communicator
 from crazychoir.swarm.config import SwarmConfig
 from crazychoir.swarm.impairment import impairment_of
-from crazychoir.swarm.link_loss import TILTED, inset
+from crazychoir.swarm.link_loss import TILTED, crowded, inset
 from crazychoir.swarm.roster import Barrier
 from crazychoir.worlds import owners
 
@@ -181,6 +181,9 @@ class Agent:
         alike = [j for j in here if sender_of(config, j) == sender]
         if margin.problem and i == alike[0]:  # one of them says it
             log.warning("drones %s (%s): %s", ", ".join(map(str, alike)), sender, margin.problem)
+        streamed = {j: kind for j in config.reached if (kind := sender_of(config, j)) in TILTED}
+        if near := crowded(config, i, streamed):
+            log.warning("drone %d (%s): %s", i, sender, near)
         (a, b, c), (d, e, f) = fence.min, fence.max
         x = margin.given
         return Fence.box((a + x, b + x, c), (d - x, e - x, f))
@@ -277,9 +280,9 @@ class Agent:
 
     def _orders_of(self, drone: Drone) -> Orders:
         i = drone.id
-        return Orders(
-            drone, self.config, lambda why: self._guidances[i].abort(why), lambda: self._guidances[i].over
-        )
+        abort, over = lambda why: self._guidances[i].abort(why), lambda: self._guidances[i].over
+        arm = self._remotes[i].arm if i in self.config.reached else None
+        return Orders(drone, self.config, abort, over, arm)
 
     def land_all(self, reason: str) -> None:
         """Somebody wants an end: every drone lands, every mission is over."""

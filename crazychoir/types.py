@@ -200,14 +200,16 @@ class Status(Wire, frozen=True, array_like=True, gc=False):
     """How a drone is: what `status`, the live table and the public key show.
 
     phase: of flight;  task: of the mission, and its progress;  round: of the running exchange;  cost: of the plan, NaN
-    before;  sent, lost, resent, dropped: messages between drones since the start;  suspect, gone: ids of silent
-    members;  process, host: where it runs;  note: the last trouble.
+    before;  relaxed: value of the program's relaxation, as far as it is known, else NaN;  sent, lost, resent, dropped:
+    messages between drones since the start;  suspect, gone: ids of silent members;  process, host: where it runs;
+    note: the last trouble.
     """
 
     phase: str
     task: str = ""
     round: int = 0
     cost: float = float("nan")
+    relaxed: float = float("nan")
     sent: int = 0
     lost: int = 0
     resent: int = 0

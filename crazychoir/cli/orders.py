@@ -15,10 +15,11 @@ if TYPE_CHECKING:
 
 DronesOption = Annotated[str | None, typer.Option("--drones", help="Only these, as 3,5-7; else all.")]
 DONE, ABSENT, SILENT = "done", "absent", "silent"
-LONGEST = {"take-off": 30.0, "start": 5.0, "hold": 5.0, "go": 5.0, "land": 60.0, "home": 120.0}
+LONGEST = {"arm": 5.0, "take-off": 30.0, "start": 5.0, "hold": 5.0, "go": 5.0, "land": 60.0, "home": 120.0}
 """s to wait until each is done."""
 Rows = dict[int, dict[str, str]]
 TEXTS = {
+    "arm": "Ask drones on the ground whether they could take off; motors that wait for it are armed.",
     "take-off": "Rise and hover: drones of a run that waits for its operator (`crazychoir run --wait`).",
     "start": "Let the missions of a run that waits begin, of drones that hover.",
     "hold": "Freeze drones where they are; their missions wait, up to 300 s.",

@@ -28,7 +28,7 @@ class Ask(Struct, frozen=True, forbid_unknown_fields=True, tag_field="ask", tag=
 class Order(Ask, frozen=True):
     """A command in flight; drones: None for all."""
 
-    verb: Literal["take-off", "start", "hold", "go", "land", "home"]
+    verb: Literal["arm", "take-off", "start", "hold", "go", "land", "home"]
     drones: Ids | None = None
 
 

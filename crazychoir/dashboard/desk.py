@@ -15,7 +15,9 @@ from crazychoir.swarm.config import SwarmConfig
 SENT, SILENT = "sent", "silent"
 ACKNOWLEDGED = 2.0
 """s within which a drone says that it has heard a command; it is resent meanwhile, and goes on being."""
-SECONDS = {"take-off": 30.0, "start": 5.0, "hold": 5.0, "go": 5.0, "land": 60.0, "home": 120.0, "go-to": 120.0}
+SECONDS = {
+    "arm": 5.0, "take-off": 30.0, "start": 5.0, "hold": 5.0, "go": 5.0, "land": 60.0, "home": 120.0, "go-to": 120.0,
+}  # fmt: skip
 """s to wait until each is done; others get REQUEST s."""
 REQUEST, STOP, LOOK = 5.0, 10.0, 0.05
 READY, RETRY = 15.0, 0.3

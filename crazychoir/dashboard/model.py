@@ -11,6 +11,7 @@ import numpy as np
 
 from crazychoir.bus.local import Bus
 from crazychoir.bus.topics import LINK, LOG, REFERENCE, RESULT, STATE, STATUS, Topic
+from crazychoir.dashboard.lately import Lately, share
 from crazychoir.dashboard.watch import Watch
 from crazychoir.math3d import Vec
 from crazychoir.runtime.mailbox import Call
@@ -35,21 +36,14 @@ KEPT = 240
 class Seen:
     """One drone, as far as it was heard.
 
-    heard: s, when its last status came;  counts: t, sent, lost, of its last statuses.
+    heard: s, when its last status came;  lately: its messages to other drones.
     """
 
     status: Status | None = None
     heard: float = -math.inf
     link: LinkStatus | None = None
     result: dict[str, Any] | None = None
-    counts: deque[tuple[float, int, int]] = field(default_factory=deque)
-
-    def lost(self) -> float:
-        """Share of its messages to other drones that the network has lost lately."""
-        if len(self.counts) < 2:
-            return 0.0
-        (_, sent, lost), (_, sent_now, lost_now) = self.counts[0], self.counts[-1]
-        return (lost_now - lost) / max(sent_now - sent, 1)
+    lately: Lately = field(default_factory=lambda: Lately(WINDOW))
 
 
 class SwarmModel:
@@ -58,8 +52,8 @@ class SwarmModel:
     def __init__(self, bus: Bus, address: int, config: SwarmConfig, watch: Watch) -> None:
         self.bus, self.address, self.config, self.watch = bus, address, config, watch
         self.drones = {i: Seen() for i in config.ids}
-        self.costs: deque[tuple[float, int, float]] = deque(maxlen=KEPT)
-        """t s, round, and the mean cost of the plans of all drones that have one."""
+        self.costs: deque[tuple[float, int, float, float]] = deque(maxlen=KEPT)
+        """t s, round, the mean cost of the plans of all drones that have one, and that of their relaxations, or NaN."""
         self._rows = np.full((len(config.ids), COLUMNS), np.nan, dtype="<f4")
         self._seen = np.full(len(config.ids), -np.inf)
         self._wanted = np.full(len(config.ids), -np.inf)
@@ -88,11 +82,7 @@ class SwarmModel:
     def _hear_status(self, i: int, status: Status, age: float) -> None:
         seen, now = self.drones[i], self.bus.clock.now()
         before, seen.status, seen.heard = seen.status, status, now - age
-        if before is not None and status.sent < before.sent:  # its agent was started again
-            seen.counts.clear()
-        seen.counts.append((now, status.sent, status.lost))
-        while now - seen.counts[0][0] > WINDOW:
-            seen.counts.popleft()
+        seen.lately.note(now, status.sent, status.lost)
         if before is None or before.phase != status.phase:
             self.watch.add(status.phase, "info", i)
         if status.note and (before is None or before.note != status.note):
@@ -101,9 +91,9 @@ class SwarmModel:
             self._note_cost(now, status.round)
 
     def _note_cost(self, now: float, k: int) -> None:
-        costs = [seen.status.cost for seen in self.drones.values() if seen.status is not None]
-        known = [cost for cost in costs if math.isfinite(cost)]
-        self.costs.append((round(now, 2), k, float(np.mean(known))))
+        statuses = [seen.status for seen in self.drones.values() if seen.status is not None]
+        cost, relaxed = _mean([one.cost for one in statuses]), _mean([one.relaxed for one in statuses])
+        self.costs.append((round(now, 2), k, cost, relaxed))
 
     def _hear_link(self, i: int, link: LinkStatus, age: float) -> None:
         self.drones[i].link = link
@@ -157,7 +147,7 @@ class SwarmModel:
         status, link = seen.status or Status(""), seen.link
         row: dict[str, Any] = {
             "id": i, "heard": now - seen.heard < STALE, "phase": status.phase, "task": status.task,
-            "round": status.round, "cost": _known(status.cost), "lost": round(seen.lost(), 3),
+            "round": status.round, "cost": _known(status.cost), "lost": round(share(seen.lately), 3),
             "process": status.process, "host": status.host, "note": status.note, "suspect": status.suspect,
             "gone": status.gone, "age": _known(float(now - self._seen[k]), 2),
         }  # fmt: skip
@@ -167,6 +157,12 @@ class SwarmModel:
                 "rssi": _known(link.rssi, 0), "battery": _known(link.battery, 2),
             }  # fmt: skip
         return row
+
+
+def _mean(x: list[float]) -> float:
+    """Of what is finite; NaN of nothing."""
+    known = [value for value in x if math.isfinite(value)]
+    return float(np.mean(known)) if known else math.nan
 
 
 def _known(value: float, digits: int = 3) -> float | None:

@@ -15,7 +15,8 @@ from crazychoir.dashboard.layout import button, card, choice, field, panel, row,
 THREE = Path(nicegui.__file__).parent / "elements" / "scene" / "dist"
 """The folder of NiceGUI's own three.js."""
 VERBS = {
-    "take-off": "Take off", "start": "Start", "hold": "Hold", "go": "Go on", "land": "Land", "home": "Fly home",
+    "arm": "Arm", "take-off": "Take off", "start": "Start", "hold": "Hold", "go": "Go on", "land": "Land",
+    "home": "Fly home",
 }  # fmt: skip
 HEAD = """<link rel="stylesheet" href="/own/page.css"><script type="module">
 import { start } from "/own/page.js"; start();</script>"""

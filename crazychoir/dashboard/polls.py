@@ -1,11 +1,11 @@
 """What no topic says, asked for now and then while somebody looks on: the tasks, and what each link has lost."""
 
 import math
-from collections import deque
 from typing import Any
 
 from crazychoir.bus.commands import DONE, REFUSED
 from crazychoir.dashboard.desk import Desk, Receipt
+from crazychoir.dashboard.lately import Lately, share
 from crazychoir.runtime.actor import Actor
 
 LINKS, TASKS = 8.0, 1.0
@@ -29,7 +29,7 @@ class Links(Actor):
         self.desk, self.ids = desk, desk.place.config.ids
         self.watched = False
         self.lost: dict[tuple[int, int], float] = {}
-        self._counts: dict[tuple[int, int], deque[tuple[float, int, int]]] = {}
+        self._of: dict[tuple[int, int], Lately] = {}
 
     async def run(self) -> None:
         """One drone after the other."""
@@ -44,15 +44,9 @@ class Links(Actor):
                 self._note(i, j, sent, lost, window)
 
     def _note(self, i: int, j: int, sent: int, lost: int, window: float) -> None:
-        now, counts = self.desk.place.clock.now(), self._counts.setdefault((i, j), deque())
-        if counts and sent < counts[-1][1]:  # its agent was started again
-            counts.clear()
-        counts.append((now, sent, lost))
-        while len(counts) > 2 and now - counts[0][0] > window:
-            counts.popleft()
-        both = [self._counts[pair] for pair in ((i, j), (j, i)) if pair in self._counts]
-        sent = sum(of[-1][1] - of[0][1] for of in both)
-        self.lost[min(i, j), max(i, j)] = sum(of[-1][2] - of[0][2] for of in both) / max(sent, 1)
+        self._of.setdefault((i, j), Lately(window)).note(self.desk.place.clock.now(), sent, lost)
+        both = [self._of[pair] for pair in ((i, j), (j, i)) if pair in self._of]
+        self.lost[min(i, j), max(i, j)] = share(*both)
 
 
 class TaskBoard(Actor):

@@ -52,12 +52,13 @@ class Drone:
         """What others see of it."""
         counters, monitor = self.port.counters, self.barrier.monitor
         news = self.guidance.member.report() if hasattr(self.guidance, "member") else {}
-        cost = news.get("cost")
+        cost, relaxed = (float("nan") if (x := news.get(name)) is None else float(x) for name in ("cost", "relaxed"))
         return Status(
             phase=self.pilot.mode.value,
             task=str(news.get("task", self._task_before)),
             round=int(news.get("round", self.communicator.rounds)),
-            cost=float("nan") if cost is None else float(cost),
+            cost=cost,
+            relaxed=relaxed,
             sent=counters.sent,
             lost=counters.lost,
             resent=counters.resent,

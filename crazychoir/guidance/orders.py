@@ -1,6 +1,6 @@
 """What an operator commands a drone: each command is refused with the reason, or done when it has come to pass."""
 
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from typing import NoReturn
 
 from crazychoir.bus.commands import NOT_READY
@@ -25,10 +25,12 @@ LOOK = 0.5
 """s for which a drone that is sent home listens where the others are: as long as a status takes, and a bit."""
 HEARD = 10.0
 """Hz, of the states that it hears then."""
-VERBS = tuple(event.value for event in (Event.TAKE_OFF, Event.START, Event.HOLD, Event.GO, Event.LAND, Event.HOME))
+EVENTS = (Event.ARM, Event.TAKE_OFF, Event.START, Event.HOLD, Event.GO, Event.LAND, Event.HOME)
+VERBS = tuple(event.value for event in EVENTS)
 """What is executed here; an emergency stop has a way of its own."""
 HOMING = "sent home"
 """The task of a drone that its operator has sent home."""
+UNSEEN, READY = "it is not seen by the cameras yet", "ready"
 STANDING = (Mode.GROUND.value, Mode.CUT.value)
 WAITS = "crazychoir run --wait, or [flight] operator = true, makes missions wait for an operator"
 
@@ -36,13 +38,15 @@ WAITS = "crazychoir run --wait, or [flight] operator = true, makes missions wait
 class Orders:
     """The commands of one drone's operator.
 
-    abort: ends its mission with a reason;  over: why it is over, empty if it is not.
+    abort: ends its mission with a reason;  over: why it is over, empty if it is not;  arm: lets the motors of a drone
+    turn that a radio reaches, and says what has come of it; None: the first command does.
     """
 
     def __init__(
-        self, drone: Drone, config: SwarmConfig, abort: Callable[[str], None], over: Callable[[], str]
-    ) -> None:
-        self.drone, self.config, self.abort, self.over = drone, config, abort, over
+        self, drone: Drone, config: SwarmConfig, abort: Callable[[str], None], over: Callable[[], str],
+        arm: Callable[[], Awaitable[str]] | None = None,
+    ) -> None:  # fmt: skip
+        self.drone, self.config, self.abort, self.over, self.arm = drone, config, abort, over, arm
         self._others: _Others | None = None
 
     async def execute(self, verb: str) -> str:
@@ -51,6 +55,8 @@ class Orders:
         if why := pilot.refuses(command):
             self._refuse(why)
         match command:
+            case Event.ARM:
+                return await self._arm()
             case Event.TAKE_OFF:
                 return await self._take_off()
             case Event.START:
@@ -85,11 +91,20 @@ class Orders:
             self._refuse(f"it {guidance.member.report()['task']}")
         return guidance.member
 
+    async def _arm(self) -> str:
+        """What is asked of a take-off is asked now; then motors that wait for it are armed."""
+        pilot = self.drone.pilot
+        if why := pilot.unready()[1]:
+            self._refuse(why)
+        if pilot.state is None:
+            self._refuse(UNSEEN)
+        return READY if self.arm is None else await self.arm()
+
     async def _take_off(self) -> str:
         member, pilot = self._gate("take-off"), self.drone.pilot
         seconds = pilot.take_off(member.rise)
         if seconds == 0.0:
-            self._refuse(pilot.note or "it is not seen by the cameras yet")
+            self._refuse(pilot.note or UNSEEN)
         ends = pilot.clock.now() + seconds + RISES
         while pilot.mode is Mode.TAKEOFF and pilot.clock.now() < ends:
             await pilot.clock.sleep(POLL, drone=self.drone.id)

@@ -41,7 +41,7 @@ class PDVRPGuidance(CFGuidance):
         await self.wait_for_start()
         if route.stops:
             await self.fly_route(route, solution)
-        self.member.report = lambda: {"task": f"done: {len(self.served)} stops", "cost": solution.cost}
+        self.member.report = lambda: self.news(f"done: {len(self.served)} stops", solution)
         return self.outcome(solution, route)
 
     async def plan(self) -> Solution:
@@ -57,6 +57,7 @@ class PDVRPGuidance(CFGuidance):
         )
         self.member.report = lambda: {
             "task": f"planning: {solver.progress.phase}", "round": solver.progress.round, "cost": solver.progress.cost,
+            "relaxed": solver.progress.relaxed,
         }  # fmt: skip
         await self.optimize(solver, channel="pickup_delivery", deadline=DEADLINE)
         self.history = solver.history
@@ -64,17 +65,19 @@ class PDVRPGuidance(CFGuidance):
 
     async def fly_route(self, route: Route, solution: Solution) -> None:
         """Take off, serve stop by stop, go to where it ends, land."""
-        self.member.report = lambda: {
-            "task": f"flying: {len(self.served)}/{len(route.stops)} stops", "cost": solution.cost,
-        }  # fmt: skip
+        self.member.report = lambda: self.news(f"flying: {len(self.served)}/{len(route.stops)} stops", solution)
         await self.take_off()
         for stop in route.stops:
             await self.go_to(self.place(stop))
             await self.sleep(self.seconds(stop))
             self.served.append({"task": stop.task, "kind": stop.kind})
         await self.go_to(self.above_end())
-        self.member.report = lambda: {"task": f"landing: {len(self.served)} stops", "cost": solution.cost}
+        self.member.report = lambda: self.news(f"landing: {len(self.served)} stops", solution)
         await self.land()
+
+    def news(self, task: str, solution: Solution) -> dict[str, Any]:
+        """Of a mission that flies its plan."""
+        return {"task": task, "cost": solution.cost, "relaxed": solution.lower_bound}
 
     def place(self, stop: Stop) -> Vec:
         """(3,) m where it stands at a stop; a point of the plane is visited at take-off height.

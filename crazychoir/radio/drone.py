@@ -14,7 +14,7 @@ import numpy as np
 from crazychoir.bus.local import BODIES, EYES, Bus
 from crazychoir.bus.topics import BODY, LINK, POSE, TELEMETRY, TRUTH
 from crazychoir.control.senders import STOP
-from crazychoir.errors import CodecError, ConfigError, LinkFailed
+from crazychoir.errors import CodecError, ConfigError, LinkFailed, Refused
 from crazychoir.math3d import product, quaternion_of_yaw, yaw_of
 from crazychoir.mocap.view import RateLimit
 from crazychoir.platforms import platform
@@ -471,6 +471,21 @@ class RadioDrone(Actor):
             return
         self._arming = True
         self._do(self._armed(self.connection))
+
+    async def arm(self) -> str:
+        """Let its motors turn before its first command does; raises Refused with why not.
+
+        Its firmware takes that back after a while without a flight; the first command arms it again.
+        """
+        if not self._platform.firmware.needs_arming:
+            return "ready: its firmware waits for no arming"
+        if self.connection is None or self._cut:
+            raise Refused(f"drone {self.drone}", self.problem or self.why or "its motors were cut")
+        try:
+            await Firmware(self.connection).arm()
+        except LinkFailed as error:
+            raise Refused(f"drone {self.drone}", str(error)) from error
+        return "armed"
 
     async def _armed(self, connection: Connection) -> None:
         try:

@@ -59,7 +59,9 @@ class RadioProcess(Actor):
             i: RadioDrone(self.bus, config, i, sender_of(config, i), rate, contents, turn, sights) for i in self.ids
         }
         self.bodies = {
-            i: RemoteBody(self.bus.ports[BODIES + i], drone, drone, drone.kind, flight=config.flight, ask=drone.ask)
+            i: RemoteBody(
+                self.bus.ports[BODIES + i], drone, drone, drone.kind, flight=config.flight, ask=drone.ask, arm=drone.arm
+            )
             for i, drone in self.drones.items()
         }  # fmt: skip
         self.rate, self.failure, self._missing, self._ending = rate, "", "", 0.0

@@ -90,6 +90,7 @@ string phase
 string task
 int64 round
 float64 cost  # NaN before there is a plan
+float64 relaxed  # value of its relaxation, else NaN
 int64 sent
 int64 lost
 int64 resent

@@ -1,5 +1,6 @@
 """A recording as a bag of ROS 2: a folder with an MCAP file of standard messages, and metadata.yaml."""
 
+import json
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -92,24 +93,22 @@ class Bag:
             self._file.write(self._writer.take())
 
     def _metadata(self) -> str:
-        times = [
-            f"duration:\n{{0}}  nanoseconds: {self.last_ns - self.first_ns}",
-            f"starting_time:\n{{0}}  nanoseconds_since_epoch: {self.first_ns}",
-            f"message_count: {self.count}",
+        """JSON, which YAML is too."""
+        times = {
+            "duration": {"nanoseconds": self.last_ns - self.first_ns},
+            "starting_time": {"nanoseconds_since_epoch": self.first_ns}, "message_count": self.count,
+        }  # fmt: skip
+        form = {"serialization_format": "cdr", "offered_qos_profiles": ""}
+        topics = [
+            {"topic_metadata": {"name": name, "type": channel.type, **form}, "message_count": channel.count}
+            for name, channel in self.channels.items()
         ]
-        lines = ["rosbag2_bagfile_information:", f"  version: {BAG_VERSION}", "  storage_identifier: mcap"]
-        lines += [f"  {line.format('  ')}" for line in times]
-        lines.append("  topics_with_message_count:")
-        for topic, channel in self.channels.items():
-            lines += [
-                "    - topic_metadata:", f"        name: {topic}", f"        type: {channel.type}",
-                "        serialization_format: cdr", '        offered_qos_profiles: ""',
-                f"      message_count: {channel.count}",
-            ]  # fmt: skip
-        lines += ['  compression_format: ""', '  compression_mode: ""', "  relative_file_paths:"]
-        lines += [f"    - {self.path.name}", "  files:", f"    - path: {self.path.name}"]
-        lines += [f"      {line.format('      ')}" for line in times]
-        return "\n".join(lines) + "\n"
+        about = {
+            "version": BAG_VERSION, "storage_identifier": "mcap", **times, "topics_with_message_count": topics,
+            "compression_format": "", "compression_mode": "", "relative_file_paths": [self.path.name],
+            "files": [{"path": self.path.name, **times}],
+        }  # fmt: skip
+        return json.dumps({"rosbag2_bagfile_information": about}, indent=2) + "\n"
 
 
 def convert(path: Path, folder: Path) -> Bag:

@@ -361,20 +361,11 @@ class Pilot(Actor):
         It stays there while it is held and while an emergency stop is in force; and for good, that is until its agent
         is started again, when its motors were cut or a latched rule of the safety table has acted.
         """
-        if self.port.bus.stopped:
-            self._say("stop", "emergency stop in force: no take-off until `crazychoir stop --clear`")
-            return 0.0
-        if self._cut_for or self.guard.latched:
-            self._say("again", f"{self._cut_for or self.guard.latched}: no take-off until its agent is started again")
-            return 0.0
-        if problems := self.unfit():
-            self._say("unfit", f"{'; '.join(problems)}: no take-off")
-            return 0.0
+        rule, why = self.unready()
         if height is not None and not math.isfinite(height):
-            self._say("rise", f"a take-off to {height} m: not flown")
-            return 0.0
-        if self.held:
-            self._say("held", f"{HELD}: no take-off until it is let go")
+            rule, why = "rise", f"a take-off to {height} m: not flown"
+        if why:
+            self._say(rule, why)
             return 0.0
         if refusal(self.mode, Event.TAKE_OFF) or self.state is None:
             return 0.0
@@ -391,6 +382,16 @@ class Pilot(Actor):
         self.guard.forget()
         self._change(Event.TAKE_OFF)
         return duration
+
+    def unready(self) -> tuple[str, str]:
+        """The rule that keeps it from taking off now, and the words; both empty if none does."""
+        if self.port.bus.stopped:
+            return "stop", "emergency stop in force: no take-off until `crazychoir stop --clear`"
+        if why := self._cut_for or self.guard.latched:
+            return "again", f"{why}: no take-off until its agent is started again"
+        if problems := self.unfit():
+            return "unfit", f"{'; '.join(problems)}: no take-off"
+        return ("held", f"{HELD}: no take-off until it is let go") if self.held else ("", "")
 
     def above(self, height: float | None) -> Vec:
         """(3,) m, where a take-off from here to a height m above the ground ends; here, for who does not take off."""

@@ -3,7 +3,7 @@
 import asyncio
 import logging
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Awaitable, Callable, Mapping
 from typing import Any, Protocol
 
 import numpy as np
@@ -34,6 +34,8 @@ HANDS_OVER = 0.4
 before that would level it out (0.5 s), and let it fall (2 s)."""
 LANDS = 1.0
 """The same of one that is sent places, seldom, and would fly on for good."""
+ARMS = 3.0
+"""s for an answer of who was asked to arm a drone."""
 ASKS = 30.0
 """s for which a drone asks for log variables until its world's owner answers."""
 PATIENT = 5.0
@@ -87,6 +89,16 @@ class RemoteLink:
             return
         if answer.kind != DONE:
             log.error("%s", answer.detail)
+
+    async def arm(self) -> str:
+        """Let motors turn that wait for it; raises Refused with what its owner says."""
+        try:
+            answer = await self._commander.request(self._body, "arm", ARMS)
+        except TimeoutError:
+            raise Refused(f"drone {self.port.address}", f"no answer of {self.owner} within {ARMS:g} s") from None
+        if answer.kind != DONE:
+            raise Refused(f"drone {self.port.address}", str(answer.detail))
+        return str(answer.detail)
 
     def cut(self) -> None:
         """Stop the motors for good."""
@@ -154,15 +166,17 @@ class RemoteBody:
     But an emergency stop counts from any operator, whether the drone's agent is there or not.
 
     link: of the world, for commands of this kind;  obeyed: called after each command that was;  flight: how one that is
-    left alone lands;  ask: lets the world's owner publish these log variables, every so many s.
+    left alone lands;  ask: lets the world's owner publish these log variables, every so many s;  arm: lets its
+    motors turn.
     """
 
     def __init__(
         self, port: Port, world: Place, link: Link, kind: str, obeyed: Callable[[], None] = lambda: None,
         flight: Flight | None = None, ask: Callable[[list[str], float], None] | None = None,
+        arm: Callable[[], Awaitable[str]] | None = None,
     ) -> None:  # fmt: skip
         self.port, self.world, self.link, self.kind, self.obeyed = port, world, link, kind, obeyed
-        self._ask = ask
+        self._ask, self._arm = ask, arm
         self.flight = Flight() if flight is None else flight
         self.drone = port.address - BODIES
         self.refused = 0
@@ -263,8 +277,11 @@ class RemoteBody:
 
     async def _execute(self, verb: str, arguments: dict[str, Any]) -> Any:
         if verb == "log" and self._ask is not None:
-            self._ask(arguments["names"], arguments["period"])
-            return
+            return self._ask(arguments["names"], arguments["period"])
+        if verb == "arm" and self._arm is not None:
+            if self._was_cut:
+                raise Refused(f"body of drone {self.drone}", "its motors were cut")
+            return await self._arm()
         raise Refused(f"body of drone {self.drone}", f"{verb!r} is its agent's; only an emergency stop counts here")
 
 

@@ -1,10 +1,11 @@
 """How far a drone that is streamed set-points flies on when its radio fails, and how far inside it therefore stays."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
-from crazychoir.swarm.checks import limit_area
-from crazychoir.swarm.radios import is_reached
+from crazychoir.swarm.checks import TOUCHING, limit_area
+from crazychoir.swarm.radios import dongles, is_reached
 from crazychoir.swarm.tables import Position, Swarm
 
 HELD, CUT = 0.5, 2.0
@@ -74,6 +75,25 @@ def inset(swarm: Swarm, sender: str) -> Inset:
     homes = [drone.home for drone in swarm.drones if is_reached(drone)]
     given = max(0.0, min(needed, MOST * half, *(_inside(home, swarm) - SPACE for home in homes)))
     return Inset(needed, given, slow_enough(given + room, swarm.flight.acceleration_limit, sender))
+
+
+def crowded(swarm: Swarm, i: int, senders: Mapping[int, str]) -> str:
+    """Whom of the same dongle drone i may touch when that fails, by where they start; empty if nobody.
+
+    Both stray then, and neither can keep clear of the other. A pair is said of its lower id.
+    senders: of all drones that are streamed set-points, i among them.
+    """
+    homes = {drone.id: drone.home[:2] for drone in swarm.drones}
+    here = next(ids for ids in dongles(swarm).values() if i in ids)
+    needed = {j: STRAYS[senders[i]] + STRAYS[senders[j]] + TOUCHING for j in here if i < j and j in senders}
+    near = {j: short for j in needed if (short := needed[j] - math.dist(homes[i], homes[j])) > 0.0}
+    if not near:
+        return ""
+    j = max(near, key=near.__getitem__)
+    return (
+        f"starts {math.dist(homes[i], homes[j]):.2f} m from drone {j}, which the same dongle reaches: when that fails, "
+        f"both stray, and {needed[j]:.2f} m are needed. Put them further apart, or on two dongles, or send frpy or xyz"
+    )
 
 
 def _inside(p: Position, swarm: Swarm) -> float:

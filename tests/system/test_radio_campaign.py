@@ -15,10 +15,11 @@ import pytest
 from system.agents import Program
 from system.hall import Hall, processes, reached
 
+from crazychoir.control.robots import sender_of
 from crazychoir.safety.guard import Fence
 from crazychoir.swarm.checks import limit_area
 from crazychoir.swarm.config import SwarmConfig, default_swarm
-from crazychoir.swarm.link_loss import TILTED, inset
+from crazychoir.swarm.link_loss import TILTED, crowded, inset
 
 pytestmark = [
     pytest.mark.system,
@@ -31,6 +32,8 @@ DRONES = 4
 TOUCH = 0.137
 """m between the centres of two drones that touch."""
 SENDERS = ("fpqr", "frpy", "xyz")
+HOMES = ((0.0, 0.0), (0.85, 0.85), (0.85, 0.0), (0.0, 0.85))
+"""m: neighbours have different dongles, those of one are far enough apart to stray, both, without touching."""
 LASTING: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
     "loss": ({"loss": 0.3}, {}),
     "battery": ({"voltage": 3.35}, {}),
@@ -73,8 +76,8 @@ def drawn(seed: int) -> tuple[SwarmConfig, list[Fault]]:
     """A swarm, each drone sent its commands in some way, and one to three faults."""
     draws = np.random.default_rng(seed)
     raw = json.loads(default_swarm(DRONES).dumps())
-    for row in raw["drones"]:
-        row["role"] = str(draws.choice(SENDERS))
+    for row, home in zip(raw["drones"], HOMES, strict=True):
+        row |= {"role": str(draws.choice(SENDERS)), "home": [*home, 0.0]}
     raw |= {
         "roles": [{"name": sender, "sender": sender} for sender in SENDERS],
         "mission": "figure", "mission_options": {"size": 0.3, "laps": 1.0, "period": 8.0},
@@ -134,6 +137,8 @@ async def test_whatever_fails_nobody_is_outside_nobody_collides_nobody_hangs(tmp
     for sender in TILTED:
         margin = inset(config, sender)
         assert margin.given == margin.needed, "drones start inside the inset fence"
+    streamed = {i: kind for i in config.ids if (kind := sender_of(config, i)) in TILTED}
+    assert not any(crowded(config, i, streamed) for i in streamed)
     loop = asyncio.get_running_loop()
     watched = Watched(Fence.box(*limit_area(config)))
     async with Hall(config, tmp_path) as hall:

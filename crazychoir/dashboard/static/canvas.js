@@ -16,16 +16,16 @@ export function prepared(canvas) {
   return pen;
 }
 
-// Curves over equal steps of `seconds`: {name, values, tint, dashed}.
-export function curves(canvas, list, seconds = 0) {
+// Curves of equal steps, {name, values, tint, dashed}; foot: how long they are.
+export function curves(canvas, list, foot) {
   const pen = prepared(canvas);
   if (!pen) return;
-  const { clientWidth: w, clientHeight: h } = canvas, left = 50, top = 16, foot = 16;
+  const { clientWidth: w, clientHeight: h } = canvas, left = 50, top = 16, bottom = 16;
   const known = list.flatMap(({ values }) => values.filter(Number.isFinite));
   if (!known.length) return;
   let low = Math.min(0, ...known), high = Math.max(...known, low + 1e-3);
   if (Math.min(...known) > 0.5 * high) low = Math.min(...known);
-  const y = (value) => top + (h - top - foot) * (1 - (value - low) / (high - low));
+  const y = (value) => top + (h - top - bottom) * (1 - (value - low) / (high - low));
   pen.strokeStyle = colour("--rule");
   pen.fillStyle = colour("--faint");
   pen.lineWidth = 1;
@@ -36,7 +36,9 @@ export function curves(canvas, list, seconds = 0) {
     pen.stroke();
     pen.fillText(Number(value.toPrecision(2)), 2, y(value) + 4);
   }
-  pen.fillText(`${seconds.toFixed(1)} s`, w - 40, h - 3);
+  pen.textAlign = "right";
+  pen.fillText(foot, w - 4, h - 3);
+  pen.textAlign = "left";
   let x = left;
   for (const { name, values, tint, dashed } of list) {
     pen.strokeStyle = pen.fillStyle = colour(tint);

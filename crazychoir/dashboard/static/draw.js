@@ -82,7 +82,7 @@ function said(text) {
 function changed() {
   plan = null;
   showPath([]);
-  curves(find("profile"), []);
+  curves(find("profile"), [], "");
   paint();
   clearTimeout(waiting);
   if (!strokes.length) return said("Nothing is drawn.");
@@ -111,7 +111,7 @@ function planned(made) {
   said(`${made.duration} s, at most ${made.speed} m/s and ${made.acceleration} m/s², at most ${Math.round(1000 * made.deviation)} mm beside what was drawn${warning}`);
   curves(find("profile"), [
     { name: "speed, m/s", values: made.speeds, tint: "--accent" }, { name: "acceleration, m/s²", values: made.accelerations, tint: "--warn" },
-  ], made.duration);
+  ], `${made.duration.toFixed(1)} s`);
   paint();
 }
 

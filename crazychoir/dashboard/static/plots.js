@@ -5,16 +5,20 @@ import { make } from "./table.js";
 
 const SECONDS = 30, RATE = 10, LENGTH = SECONDS * RATE;
 const AXES = ["--accent", "--good", "--warn"];
+const PLAN = "mean cost of the plans, and bound (dashed), by round";
 const PLOTS = {
   "place against reference (dashed), m": () => [0, 1, 2].flatMap((c) => [
     { name: "xyz"[c], values: kept("p", c), tint: AXES[c] }, { name: "", values: kept("r", c), tint: AXES[c], dashed: true }]),
   "velocity, m/s": () => [0, 1, 2].map((c) => ({ name: `v${"xyz"[c]}`, values: kept("v", c), tint: AXES[c] })),
   "body rates, rad/s": () => [0, 1, 2].map((c) => ({ name: "pqr"[c], values: kept("w", c), tint: AXES[c] })),
   "lost messages, %": () => [{ name: "lost", values: samples.map((s) => 100 * s.lost), tint: "--bad" }],
-  "mean cost of all plans, by round": () => [{ name: costs.length ? `round ${costs.at(-1)[1]}` : "", values: costs.map((c) => c[2]), tint: "--accent" }],
+  [PLAN]: () => [
+    { name: costs.length ? `round ${costs.at(-1)[1]}${gap(...costs.at(-1))}` : "", values: costs.map((c) => c[2]), tint: "--accent" },
+    { name: "", values: costs.map((c) => c[3]), tint: "--accent", dashed: true }],
 };
 let samples = [], costs = [], at = 0, plotted;
 const canvases = {};
+const gap = (t, round, cost, relaxed) => (relaxed && relaxed <= cost ? `, gap ${(100 * (1 - relaxed / cost)).toFixed(1)} %` : "");
 const kept = (name, c) => samples.map((sample) => sample[name][c]);
 
 function sample() {
@@ -29,7 +33,7 @@ function sample() {
 
 function paint() {
   for (const [name, canvas] of Object.entries(canvases)) {
-    if (canvas.clientWidth) curves(canvas, PLOTS[name](), samples.length / RATE);
+    if (canvas.clientWidth) curves(canvas, PLOTS[name](), name === PLAN ? "rounds" : `${(samples.length / RATE).toFixed(1)} s`);
   }
 }
 
@@ -37,7 +41,7 @@ export function start() {
   plotted = document.getElementById("plotted");
   const host = document.getElementById("plots");
   for (const name of Object.keys(PLOTS)) {
-    canvases[name] = make("canvas", { role: "img", "aria-label": `${name} of the last ${SECONDS} s` });
+    canvases[name] = make("canvas", { role: "img", "aria-label": name === PLAN ? name : `${name} of the last ${SECONDS} s` });
     host.append(make("figure", {}, make("figcaption", {}, name), canvases[name]));
   }
   plotted.addEventListener("change", () => { samples = []; paint(); });

@@ -225,7 +225,7 @@ async def test_partitions_count_from_go(clock):
 @virtual
 async def test_a_late_reader_gets_the_latched_value_with_its_age(clock):
     bus, one, _, _ = ports(clock, 1, 2, OBSERVER)
-    status = Status("hover", cost=1.5)
+    status = Status("hover", cost=1.5, relaxed=1.25)
     one.publish(STATUS, status, age=0.25)
     await clock.sleep(0.5)
     boxes = [reading(bus, STATUS, source, reader) for source, reader in [(1, 2), (ANY, OBSERVER), (1, 1)]]

@@ -115,11 +115,14 @@ async def test_the_log_has_phases_notes_lines_and_results_with_levels(clock):
 @virtual
 async def test_costs_are_noted_by_rounds(clock):
     seen = Seen(clock)
-    for k, cost in ((1, 9.0), (1, 9.0), (2, 7.0)):
+    for k, cost, relaxed in ((1, 9.0, math.nan), (1, 9.0, 8.0), (2, 7.0, 5.0)):
         for i in (3, 7):
-            seen.ports[i].publish(STATUS, Status("mission", round=k, cost=cost + i))
+            seen.ports[i].publish(STATUS, Status("mission", round=k, cost=cost + i, relaxed=relaxed))
         await clock.sleep(0.25)
-    assert [row[1:] for row in seen.model.costs] == [(1, 12.0), (1, 14.0), (2, 13.0), (2, 12.0)]
+    rows = [row[1:] for row in seen.model.costs]
+    assert rows[2:] == [(2, 13.0, 6.5), (2, 12.0, 5.0)]
+    assert [row[:2] for row in rows[:2]] == [(1, 12.0), (1, 14.0)]
+    assert all(math.isnan(row[2]) for row in rows[:2])
 
 
 @virtual

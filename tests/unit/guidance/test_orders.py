@@ -115,9 +115,14 @@ def test_a_run_waits_on_the_ground_for_its_take_off_and_in_the_air_for_its_start
         refused = await operator.order("start")
         assert refused[0] == (REFUSED, "it waits for its operator: take-off")
         await operator.clock.sleep(5.0)
+        assert await operator.order("arm") == dict.fromkeys(range(3), (DONE, "ready"))
+        operator.pilot(1).unfit = lambda: ["battery at 3.10 V"]
+        assert await operator.order("arm", 1) == (REFUSED, "battery at 3.10 V: no take-off")
+        operator.pilot(1).unfit = list
         assert operator.modes() == [Mode.GROUND] * 3
         assert await operator.order("take-off") == dict.fromkeys(range(3), (DONE, "hovering"))
-        assert await operator.order("take-off", 1) == (REFUSED, "it is in the air already")
+        for verb in ("arm", "take-off"):
+            assert await operator.order(verb, 1) == (REFUSED, "it is in the air already")
         await operator.clock.sleep(5.0)
         assert operator.modes() == [Mode.HOVER] * 3
         assert [operator.pilot(i).state.p[2] for i in range(3)] == pytest.approx([0.3, 0.4, 0.5], abs=0.02)

@@ -11,7 +11,7 @@ from virtual_time import virtual
 
 from crazychoir.bus.local import BODIES, Bus
 from crazychoir.bus.topics import BODY
-from crazychoir.errors import ConfigError, LinkFailed
+from crazychoir.errors import ConfigError, LinkFailed, Refused
 from crazychoir.platforms import Battery
 from crazychoir.radio import checks
 from crazychoir.radio.contents import TableOfContents
@@ -683,3 +683,35 @@ async def test_one_that_is_silent_may_be_carried_about(clock) -> None:
     drone._seen(Pose(np.array([20.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0])), 0.0)
     owner._keep_inside(0, body)
     assert head("emergency_stop") not in kept.sent
+
+
+class Arms(Kept):
+    """A connection to a drone that arms, or refuses to."""
+
+    uri = "udp://127.0.0.1:19850"
+
+    def __init__(self, lets: bool) -> None:
+        super().__init__()
+        self.lets = lets
+
+    async def ask(self, packet, answers, seconds, again) -> Packet:
+        self._keep(packet)
+        answer = Packet(packet.port, packet.channel, bytes([0x80 | packet.data[0], self.lets, packet.data[1]]))
+        assert answers(answer)
+        return answer
+
+
+@virtual
+async def test_motors_that_wait_for_it_are_armed_or_it_is_said_why_not(clock) -> None:
+    drone, _ = made(clock)
+    assert await drone.arm() == "ready: its firmware waits for no arming"
+    drone._platform = replace(drone._platform, firmware=replace(drone._platform.firmware, needs_arming=True))
+    drone.connection = arms = Arms(True)
+    assert await drone.arm() == "armed"
+    assert arms.sent == [head("arm")]
+    drone.connection = Arms(False)
+    with pytest.raises(Refused, match=r"drone 0: .*refuses to arm"):
+        await drone.arm()
+    drone.connection, drone.why = None, "no answer within 3 s"
+    with pytest.raises(Refused, match=r"drone 0: .*no answer within 3 s"):
+        await drone.arm()

@@ -109,7 +109,7 @@ def test_commands_to_more_on_board():
 
 @pytest.mark.parametrize("suspect", [[], [5], [5, 6]])
 def test_status(suspect):
-    status = Status("hovering", "größe", 1 << 40, 2.5, 1, 2, 3, 4, suspect, [7], "p0", "host", "note")
+    status = Status("hovering", "größe", 1 << 40, 2.5, 2.25, 1, 2, 3, 4, suspect, [7], "p0", "host", "note")
     found = sent(status)
     assert found.pop("header") == HEADER
     assert list(found) == list(Status.__struct_fields__)

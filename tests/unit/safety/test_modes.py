@@ -61,6 +61,8 @@ async def arrive(pilot, z):
 
 async def happens(pilot, event, z):
     match event:
+        case Event.ARM:
+            assert pilot.unready() == ("", "") or pilot.mode is Mode.CUT
         case Event.TAKE_OFF:
             pilot.take_off()
         case Event.START:

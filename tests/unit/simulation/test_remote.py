@@ -11,6 +11,7 @@ from virtual_time import virtual
 from crazychoir.bus.codec import encode
 from crazychoir.bus.local import BODIES, Bus
 from crazychoir.bus.topics import BODY, COMMAND, CUT
+from crazychoir.errors import Refused
 from crazychoir.math3d import yaw_of
 from crazychoir.platforms import PAPER
 from crazychoir.runtime.clock import run_virtual
@@ -240,6 +241,31 @@ async def test_a_drone_whose_planner_would_fly_on_for_good_is_landed(clock):
     assert yaw_of(world.state(3).q) == pytest.approx(2.0, abs=0.05)
     assert not any(world.onboard[3].record["motors"])
     assert said == ["drone 3: no command for 1.01 s, limit 1.00 s: landing"]
+
+
+@virtual
+async def test_who_asks_for_its_motors_is_told_what_came_of_it(clock):
+    bus = Bus(clock)
+    drone, there = bus.port(3), bus.port(BODIES + 3)
+    world, answers = CFIntegrator((3,), np.array([[0.0, 0.0, 2.0]])), ["armed"]
+
+    async def arm():
+        if answers:
+            return answers.pop()
+        raise Refused("drone 3", "its firmware refuses to arm")
+
+    body = RemoteBody(there, world, world.link(3, "fpqr"), "fpqr", arm=arm)
+    link = RemoteLink(drone)
+    assert await link.arm() == "armed"
+    with pytest.raises(Refused, match="refuses to arm"):
+        await link.arm()
+    answers.append("armed")
+    body.stop("it is wild")
+    with pytest.raises(Refused, match="motors were cut"):
+        await link.arm()
+    assert answers
+    with pytest.raises(Refused, match=r"drone 4: no answer of its world's owner .* within 3 s"):
+        await RemoteLink(bus.port(4)).arm()
 
 
 @virtual

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from crazychoir.swarm.config import SwarmConfig
-from crazychoir.swarm.link_loss import BRAKES, CUT, STRAYS, TILTED, flies_on, inset, slow_enough
+from crazychoir.swarm.link_loss import BRAKES, CUT, STRAYS, TILTED, crowded, flies_on, inset, slow_enough
 
 
 @pytest.mark.parametrize("sender", ["fpqr", "frpy", "vel"])
@@ -44,3 +44,19 @@ def test_it_says_with_which_speed_limit_there_is_room(sender) -> None:
     assert slower.problem == ""
     assert slower.needed == slower.given == pytest.approx(found.given)
     assert slow_enough(0.9 * STRAYS[sender], 2.0, sender) == 0.0
+
+
+def test_who_shares_a_dongle_and_starts_too_near_is_named() -> None:
+    homes, numbers = ((0.0, 0.0), (0.6, 0.0), (0.0, 0.5), (0.0, 1.2)), (0, 0, 1, 0)
+    drones = [
+        {"id": i, "home": [*home, 0.0], "uri": f"udp://127.0.0.1:{19850 + i}", "dongle": k}
+        for i, (home, k) in enumerate(zip(homes, numbers, strict=True))
+    ]
+    config = SwarmConfig.of({"name": "a", "drones": drones})
+    fast = dict.fromkeys(config.ids, "fpqr")
+    assert crowded(config, 0, fast).startswith("starts 0.60 m from drone 1, which the same dongle reaches")
+    assert "1.14 m are needed" in crowded(config, 0, fast)
+    assert [crowded(config, i, fast) for i in (1, 2, 3)] == [""] * 3
+    assert crowded(config, 0, dict.fromkeys(config.ids, "frpy")) == ""
+    assert crowded(config, 0, {0: "fpqr", 3: "fpqr"}) == "", "drone 1 is sent places"
+    assert "0.79 m are needed" in crowded(config, 0, fast | {1: "frpy"})
