@@ -69,14 +69,14 @@ TABLE: dict[Mode, dict[Event, Mode | str]] = {
         Event.FOUND: FOLLOW,
     },
     RETURN: {
-        Event.ARM: _FLIES, Event.TAKE_OFF: _FLIES, Event.START: _RETURNS, Event.HOLD: HOVER,
-        Event.GO: RETURN, Event.LAND: LAND, Event.HOME: RETURN, Event.STOP: CUT, Event.FLY: _RETURNS, Event.ARRIVED: LAND, Event.DOWN: _UP,
-        Event.FOUND: RETURN,
+        Event.ARM: _FLIES, Event.TAKE_OFF: _FLIES, Event.START: _RETURNS, Event.HOLD: HOVER, Event.GO: RETURN,
+        Event.LAND: LAND, Event.HOME: RETURN, Event.STOP: CUT, Event.FLY: _RETURNS, Event.ARRIVED: LAND,
+        Event.DOWN: _UP, Event.FOUND: RETURN,
     },
     LAND: {
-        Event.ARM: _LANDS, Event.TAKE_OFF: _LANDS, Event.START: _LANDS, Event.HOLD: _LANDS,
-        Event.GO: _LANDS, Event.LAND: LAND, Event.HOME: _LANDS, Event.STOP: CUT, Event.FLY: _LANDS, Event.ARRIVED: LAND, Event.DOWN: GROUND,
-        Event.FOUND: LAND,
+        Event.ARM: _LANDS, Event.TAKE_OFF: _LANDS, Event.START: _LANDS, Event.HOLD: _LANDS, Event.GO: _LANDS,
+        Event.LAND: LAND, Event.HOME: _LANDS, Event.STOP: CUT, Event.FLY: _LANDS, Event.ARRIVED: LAND,
+        Event.DOWN: GROUND, Event.FOUND: LAND,
     },
     CUT: {event: _OFF for event in Event} | {Event.STOP: CUT},
 }  # fmt: skip

@@ -60,7 +60,8 @@ def recorded(path, work, observer=None, run=run_virtual):
 
 VALUES = {
     POSE: Pose(np.arange(7.0), 0.25), STATE: State.at((1, 2, 3), (4, 5, 6)), REFERENCE: FullState(np.arange(14.0)),
-    COMMAND: FPQR(np.arange(4.0)), TRUTH: State.at((7, 8, 9)), STATUS: Status("hovering", suspect=[1], cost=0.5, relaxed=0.25),
+    COMMAND: FPQR(np.arange(4.0)), TRUTH: State.at((7, 8, 9)),
+    STATUS: Status("hovering", suspect=[1], cost=0.5, relaxed=0.25),
     RESULT: {"success": True, "place": np.ones(3)}, LOG: "drone 1: a line",
     BODY: Body("crashed"),
     LINK: LinkStatus("up", 0.01, 0.02, 0.9, -40.0, 3.9, 3, True, ["battery"], "2025.12", 1, 2, "it tilts otherwise"),
