@@ -1,23 +1,47 @@
-"""The floor z = 0 under the drones of a block: standing, lifting off, touching down; no slip and no bounce."""
+"""The floor z = 0 under the drones of a block: standing, lifting off, touching down; no bounce.
+
+A drone that stands slips about its z axis alone, when its rotors turn it harder than its feet hold it.
+"""
+
+import math
 
 from crazychoir.math3d import GRAVITY, Triple, Vec, columns, dot, exponential, kernel, product
 from crazychoir.simulation.body import near_floor
 
 # isort: off
 from crazychoir.simulation.lanes import (
-    EZ, FREE, GROUND, IMPACT, LANES, LIFT, MASS, PZ, QW, QX, QY, QZ, SX, SY, SZ, VX, VY, VZ, WX, WY, WZ,
+    ARM, EZ, FREE, GROUND, IJZ, IMPACT, LANES, LIFT, MASS, PZ, QW, QX, QY, QZ, SX, SY, SZ, TZ, VX, VY, VZ, WX, WY, WZ,
 )  # fmt: skip
 # isort: on
 
 SETTLING = 0.03
 """s, in which a drone that has touched down tips onto its feet, or onto its back."""
+FRICTION = 0.3
+"""Chosen: of feet on a floor, force a force that presses them on it."""
+STUCK = 5e-4
+"""N m, chosen: a smaller torque turns nobody, however light he is: so a drone that lifts off keeps its heading."""
 
 
 @kernel()
-def _settle(m: Vec, k: int, normal: Triple, h: float) -> None:
-    """Turn a drone that stands until its z axis is normal to what it stands on, its heading kept.
+def _turned(m: Vec, k: int, spin: float, h: float) -> float:
+    """rad/s about z of a drone that stands, after h s.
 
-        w = (z_b x d) / SETTLING,  d = n for an upright drone and -n for one on its back
+        |TZ| > max(FRICTION (m g - LIFT) arm, STUCK):  it turns by what is more; else it is stopped
+    """
+    torque: float = m[TZ + k]
+    held = max(FRICTION * (GRAVITY * m[MASS + k] - m[LIFT + k]) * m[ARM + k], STUCK)
+    if spin == 0.0 and abs(torque) <= held:
+        return 0.0
+    along = spin if spin != 0.0 else torque
+    after = spin + h * m[IJZ + k] * (torque - math.copysign(held, along))
+    return 0.0 if after * along < 0.0 else after
+
+
+@kernel()
+def _settle(m: Vec, k: int, normal: Triple, h: float, spin: float) -> None:
+    """Turn a drone that stands until its z axis is normal to what it stands on, its heading kept but for a spin.
+
+        w = (z_b x d) / SETTLING + spin z_b,  d = n for an upright drone and -n for one on its back
 
     Its specific force is what carries its weight: R^T g e3.
     """
@@ -29,6 +53,8 @@ def _settle(m: Vec, k: int, normal: Triple, h: float) -> None:
         a * (bz[2] * normal[0] - bz[0] * normal[2]),
         a * (bz[0] * normal[1] - bz[1] * normal[0]),
     )
+    if spin != 0.0:
+        w = (w[0] + spin * bz[0], w[1] + spin * bz[1], w[2] + spin * bz[2])
     q = product(exponential(h * w[0], h * w[1], h * w[2]), q)
     m[QX + k], m[QY + k], m[QZ + k], m[QW + k] = q
     m[WX + k], m[WY + k], m[WZ + k] = dot(bx, w), dot(by, w), dot(bz, w)
@@ -57,10 +83,10 @@ def stand(m: Vec, normal: Triple, h: float) -> None:
                 m[FREE + k] = 1.0
                 m[WX + k], m[WY + k], m[WZ + k] = 0.0, 0.0, 0.0
             else:
-                _settle(m, k, normal, h)
+                _settle(m, k, normal, h, _turned(m, k, m[WZ + k], h))
         elif m[PZ + k] < 0.0:
             m[IMPACT + k] = max(m[IMPACT + k], -m[VZ + k])
             m[FREE + k] = 0.0
             m[PZ + k] = 0.0
             m[VX + k], m[VY + k], m[VZ + k] = 0.0, 0.0, 0.0
-            _settle(m, k, normal, h)
+            _settle(m, k, normal, h, 0.0)

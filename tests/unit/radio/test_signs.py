@@ -171,3 +171,16 @@ def test_an_old_release_has_another_thrust_map():
         hangar.run(0.3, "rpyt", 0.0, 0.0, 0.0, HOVER, every=0.02)
         rising.append(hangar.state[5])
     assert rising[0] > rising[1] + 0.4
+
+
+def test_one_that_is_to_take_off_to_another_heading_turns_on_its_feet_and_rises():
+    """As cflib's take-offs do, whose heading is 0 unless they are told another."""
+    hangar = Hangar(yaw=1.6).run(2.0)
+    hangar.send("take_off", 0, 0.4, 0.0, False, 0.8)
+    hangar.run(6.0)
+    assert hangar.state[2] == pytest.approx(0.4, abs=0.1)
+    assert yaw_of(hangar.state[6:10]) == pytest.approx(0.0, abs=0.05)
+    hangar.send("stop")
+    hangar.run(2.0)
+    assert hangar.state[2] == 0.0
+    assert hangar.state[12] == 0.0
