@@ -178,10 +178,11 @@ class Desk:
 
     def _replace(self, newer: _Stop) -> None:
         """Send older stops, and clears, to its targets no more; a stop of the swarm stays beside one of some drones."""
+        told = dict.fromkeys(newer.targets)
         for older in self._stops:
             if newer.alone and not (older.alone or older.clear):
                 continue
-            older.targets[:] = [j for j in older.targets if j not in newer.targets]
+            older.targets[:] = [j for j in older.targets if j not in told]
             for i in newer.receipt.answers:
                 if older.receipt.answers.get(i, (DONE, ""))[0] in (SENT, SILENT):
                     self._withdrawn(older.receipt, i, newer.receipt.verb)
