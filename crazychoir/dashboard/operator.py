@@ -2,6 +2,7 @@
 
 import asyncio
 from collections.abc import Callable, Coroutine
+from functools import partial
 from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
@@ -32,6 +33,7 @@ from crazychoir.swarm.impairment import changes, in_words
 
 P = ParamSpec("P")
 T = TypeVar("T")
+Work = Callable[[], Coroutine[Any, Any, dict[str, Any] | None]]
 SCOPE = 2
 """Drones that name a link."""
 REACHES = 60.0
@@ -46,7 +48,7 @@ class Operator:
         self._plan: Planned | None = None
         self._drawn, self._planning = 0, asyncio.Lock()
 
-    def asked(self, message: Message) -> Coroutine[Any, Any, dict[str, Any] | None] | None:
+    def asked(self, message: Message) -> Work | None:
         """Do it, or return the work that takes a while; raises ConfigError, with why not."""
         match message:
             case Order(verb, drones):
@@ -56,13 +58,14 @@ class Operator:
             case GoTo():
                 self._go_to(message)
             case Draw():
-                return self._draw(message)
+                self._plan, self._drawn = None, self._drawn + 1
+                return partial(self._draw, message, self._drawn)
             case Fly():
                 self._fly(message)
             case Load(name, text):
-                return _loaded(name, text)
+                return partial(_loaded, name, text)
             case Save(strokes, kind):
-                return _saved(strokes, kind)
+                return partial(_saved, strokes, kind)
             case Impair():
                 self._impair(message)
             case AddTask(pickup, delivery, load):
@@ -99,10 +102,8 @@ class Operator:
             "go-to", places, words=f"{list(message.p)} m", each=lambda i: {"p": places[i], "yaw": message.yaw}
         )
 
-    async def _draw(self, message: Draw) -> dict[str, Any] | None:
+    async def _draw(self, message: Draw, number: int) -> dict[str, Any] | None:
         """Plan in a thread, one drawing at a time; of those that wait, and of what was planned, the newest counts."""
-        self._plan, self._drawn = None, self._drawn + 1
-        number = self._drawn
         pen = Pen(
             height=message.height, lift=message.lift, yaw=message.yaw, timing=message.timing,
             smoothing=message.smoothing,

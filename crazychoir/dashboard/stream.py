@@ -4,7 +4,7 @@ import asyncio
 import logging
 import math
 from collections import deque
-from collections.abc import Coroutine
+from collections.abc import Callable, Coroutine
 from dataclasses import asdict
 from typing import Any, Protocol
 
@@ -51,15 +51,15 @@ class Socket(Protocol):
         ...
 
 
-Work = Coroutine[Any, Any, dict[str, Any] | None]
-"""What takes a while; returns what the page that asked for it alone should know."""
+Work = Callable[[], Coroutine[Any, Any, dict[str, Any] | None]]
+"""What takes a while; says what the page that asked for it alone should know."""
 
 
 class Answering(Protocol):
     """Who does what a page asks for."""
 
     def asked(self, message: Message) -> Work | None:
-        """Do it, or return the work; both raise CrazyChoirError with why not."""
+        """Do it, or return the work that takes a while; both raise CrazyChoirError with why not."""
         ...
 
 
@@ -207,7 +207,7 @@ class Stream(Actor):
 
     async def _done(self, work: Work) -> dict[str, Any] | None:
         try:
-            return await work
+            return await work()
         except Exception as error:  # noqa: BLE001 - the page is told; its line stays
             return self._refused(error)
 

@@ -419,6 +419,10 @@ async def test_what_was_planned_and_shown_is_flown(clock):
     ((i, _, arguments),) = server.those("fly")
     assert i == 1
     assert abs(arguments["durations"].sum() - plan["duration"]) < 0.01
+    page.asks.put_nowait({"ask": "draw", "strokes": [stroke], "height": 0.9})
+    page.asks.put_nowait({"ask": "fly", "drones": [2]})
+    await clock.sleep(0.5)
+    assert len(server.those("fly")) == 1, "not what was drawn before"
     page.asks.put_nowait({"ask": "save", "strokes": [stroke], "kind": "svg"})
     await clock.sleep(0.2)
     (text,) = page.told("saved")
