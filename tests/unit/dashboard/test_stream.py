@@ -73,6 +73,8 @@ class Server:
         if verb == "links":
             self.sent += 10
             return {1: [self.sent, 3 * self.sent // 10]} if i == 0 else {}
+        if verb == "impair":
+            return Impairment(1).describe()
         if i == 0 and verb.startswith("task"):
             raise Refused("drone 0", "this drone flies no more; ask another one")
         return {"tasks": [{"id": 4}]} if verb == "task_list" else {"id": 4}
