@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from crazychoir.errors import ConfigError
-from crazychoir.guidance.steering import path_message
+from crazychoir.guidance.steering import MOST_PIECES, path_message
 from crazychoir.math3d import Mat
 from crazychoir.planning.drawing import Pen, drawing
 from crazychoir.planning.feasibility import Limits, check, peaks, references
@@ -28,6 +28,10 @@ SHOWN = 400
 """Places of a path on the page."""
 PACE = 0.02
 """s between two places of a stroke that says no times."""
+MOST_ROWS = 20_000
+"""Of all strokes of a drawing."""
+LONGEST = 1800.0
+"""s, of the flight along a drawing: a battery lasts for a fifth of that."""
 
 
 @dataclass(frozen=True)
@@ -59,16 +63,44 @@ def planned(
 ) -> Planned:
     """The flight along the strokes, in `slower` times the time that its limits ask for; raises ConfigError.
 
+    What is far too large is refused before it costs more than a look at its rows.
     strokes: each (n, 3), rows t s, x, y m;  v_max m/s, a_max m/s2: at most those of [flight].
     """
     flight, fence = config.flight, config.fence
     v_max, a_max = min(v_max, flight.speed_limit), min(a_max, flight.acceleration_limit)
     limits = Limits(v_max=v_max, a_max=a_max, yaw_rate_max=YAW_RATE, low=fence.min, high=fence.max)
-    made = drawing([np.array(stroke) for stroke in strokes], pen, limits)
+    drawn = [np.array(stroke, dtype=float) for stroke in strokes]
+    _check_size(drawn, pen, limits, slower)
+    made = drawing(drawn, pen, limits, LONGEST / slower)
     path = made.path.slowed(slower)
     check(path, limits)
     most = peaks(path)
     return Planned(path, made.deviation, most["speed"], most["acceleration"])
+
+
+def _check_size(strokes: list[Mat], pen: Pen, limits: Limits, slower: float) -> None:
+    """Raise a ConfigError for too many rows, places beyond the fence, lines too long for a message or for LONGEST.
+
+    The hand may stray beyond the fence by the smoothing: what is flown is looked at again.
+    """
+    if (rows := sum(map(len, strokes))) > MOST_ROWS:
+        raise ConfigError("drawing", f"{rows} rows", f"at most {MOST_ROWS}", "Draw less at once.")
+    for n, stroke in enumerate(strokes):
+        places = np.column_stack([stroke[:, 1:3], np.full(len(stroke), pen.height)])
+        near = np.clip(places, limits.low, limits.high)
+        limits.check_places(np.where(np.abs(places - near) > pen.smoothing, places, near), f"strokes[{n}]")
+    lines, longest = sum(_length(stroke[:, 1:3]) for stroke in strokes), MOST_PIECES * pen.spacing
+    if lines > 2.0 * longest:  # much of it may be tremor
+        raise ConfigError("drawing", f"{lines:.0f} m", f"at most {longest:.0f} m", "Draw less at once.")
+    way = _length(np.vstack([np.empty((0, 2)), *(stroke[:, 1:3] for stroke in strokes)]))
+    seconds = slower * (way + 2.0 * pen.lift * max(len(strokes) - 1, 0)) / limits.v_max
+    if seconds > LONGEST:
+        do = "Draw less at once, or let it be faster."
+        raise ConfigError("drawing", f"{way:.0f} m, which take {seconds:.0f} s", f"at most {LONGEST:.0f} s", do)
+
+
+def _length(places: Mat) -> float:
+    return float(np.linalg.norm(np.diff(places, axis=0), axis=1).sum())
 
 
 def beside(p: Sequence[float], offset: Offset, drones: Sequence[int]) -> dict[int, list[float]]:

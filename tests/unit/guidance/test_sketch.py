@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 
 from crazychoir.errors import ConfigError
-from crazychoir.guidance.sketch import loaded, messages, planned, saved, shifted
+from crazychoir.guidance import sketch
+from crazychoir.guidance.sketch import MOST_ROWS, loaded, messages, planned, saved, shifted
 from crazychoir.planning.drawing import Pen
 from crazychoir.planning.feasibility import Limits, keeps
 from crazychoir.planning.piecewise import Piecewise
@@ -43,6 +44,49 @@ def test_a_drawing_that_leaves_the_fence_or_is_no_line_is_refused():
         planned((WAVE,), Pen(height=9.0), config_of())
     with pytest.raises(ConfigError, match="at least one line"):
         planned((((0.0, 1.0, 1.0),),), Pen(), config_of())
+
+
+@pytest.fixture
+def unplanned(monkeypatch):
+    """Nothing may be planned."""
+
+    def drawing(*arguments):
+        pytest.fail("planned")
+
+    monkeypatch.setattr(sketch, "drawing", drawing)
+
+
+LONG = [[(0.0, 4.0 * (-1.0) ** k, 0.0) for k in range(25)]]  # 192 m
+
+
+@pytest.mark.parametrize(
+    ("strokes", "pen", "limits", "words"),
+    [
+        ([[(0.0, 0.0, 0.0), (1.0, 900.0, 0.0)]], {}, {}, r"strokes\[0\]\[1\]: found \[900.0, 0.0, 1.0\]; .*fence"),
+        ([[(0.0, 0.0, 0.0), (1.0, 4.03, 0.0)]], {"smoothing": 0.02}, {}, "fence"),
+        ([[(0.0, 0.0, 0.0), (1.0, float("nan"), 0.0)]], {}, {}, "fence"),
+        (LONG, {}, {"v_max": 0.1}, "192 m, which take 1920 s; allowed: at most 1800 s"),
+        (LONG, {}, {"v_max": 0.5, "slower": 5.0}, "1920 s"),
+        ([[(0.0, 0.0, 0.0)]] * 200, {"lift": 2.0}, {"v_max": 0.4}, "0 m, which take 1990 s"),
+        (LONG + LONG, {}, {"v_max": 1.0}, "384 m; allowed: at most 113 m"),
+        ([[(0.0, 0.0, 0.0)] * (MOST_ROWS + 1)], {}, {}, f"{MOST_ROWS + 1} rows"),
+    ],
+)
+def test_what_is_far_too_large_is_refused_before_it_is_planned(unplanned, strokes, pen, limits, words):
+    with pytest.raises(ConfigError, match=words):
+        planned(strokes, Pen(**pen), config_of(), **limits)
+
+
+def test_a_hand_may_stray_beyond_the_fence_by_what_is_smoothed():
+    line = [(0.1 * k, 0.1 * k - 2.0, 3.99) for k in range(30)]
+    line[15] = (1.5, -0.5, 4.01)
+    planned([line], Pen(smoothing=0.02), config_of())
+
+
+def test_a_drawing_full_of_corners_is_refused_when_its_time_is_known():
+    corners = [[(0.0, 0.1 * (k // 2), 0.1 * ((k + 1) // 2)) for k in range(60)]]
+    with pytest.raises(ConfigError, match=r"s or more; allowed: at most 90 s"):
+        planned(corners, Pen(), config_of(), a_max=0.02, slower=20.0)
 
 
 def test_each_drone_flies_it_beside_the_one_before():
