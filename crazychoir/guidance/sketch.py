@@ -89,17 +89,23 @@ def messages(path: Piecewise, drones: Sequence[int], offset: Offset, config: Swa
     Refused, too, where two would fly so near that one had to give way to the other all the time; leaders of a formation
     fly it side by side from where they are.
     """
-    led = all(config.drone(i).leader for i in drones)
-    if len(drones) > 1 and not led and config.collision.method != "off" and _near(offset, config.collision):
-        (a, _, c), margin = config.collision.semi_axes, config.collision.margin
-        allowed = f"{2.0 * a + margin:g} m aside, or {2.0 * c:g} m above, from one drone to the next"
-        raise ConfigError("offset", list(offset), allowed, "Set it, or send the path to one drone.")
+    if not all(config.drone(i).leader for i in drones):
+        check_apart(drones, offset, config)
     limits, told = Limits(low=config.fence.min, high=config.fence.max), {}
     for i, by in beside((0.0, 0.0, 0.0), offset, drones).items():
         moved = shifted(path, by)
         limits.check_places(references(moved)[1][:, 0:3], f"path of drone {i}")
         told[i] = path_message(moved)
     return told
+
+
+def check_apart(drones: Sequence[int], offset: Offset, config: SwarmConfig) -> None:
+    """Raise ConfigError where two of several drones would be nearer than the collision filter lets them be."""
+    collision = config.collision
+    if len(drones) > 1 and collision.method != "off" and _near(offset, collision):
+        (a, _, c), margin = collision.semi_axes, collision.margin
+        allowed = f"{2.0 * a + margin:g} m aside, or {2.0 * c:g} m above, from one drone to the next"
+        raise ConfigError("offset", list(offset), allowed, "Set it, or send one drone alone.")
 
 
 def _near(offset: Offset, collision: Collision) -> bool:
