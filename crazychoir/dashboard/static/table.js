@@ -39,6 +39,7 @@ function build(table, about) {
     body.append(row);
   }
   table.replaceChildren(make("caption", {}, "Drones; choose those that commands are for, none for all"), make("thead", {}, head), body);
+  select([...selected].filter((i) => about.ids.includes(i)));
 }
 
 function fill(drones) {
