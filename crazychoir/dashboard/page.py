@@ -21,6 +21,11 @@ VERBS = {
 HEAD = """<link rel="stylesheet" href="/own/page.css"><script type="module">
 import { start } from "/own/page.js"; start();</script>"""
 
+SAID = """<p id="stopped" role="alert"></p><p id="trouble" role="alert"></p><p id="newest" role="status"></p>"""
+CLEAR = """<dialog id="clear" aria-labelledby="clear-what"><form method="dialog"><p id="clear-what">Let drones take off
+again? Space still stops all.</p><button value="no" autofocus>Cancel</button> <button value="yes">Let them</button>
+</form></dialog>"""
+
 
 class Page:
     """The same for all browsers; about: what SwarmModel.about says."""
@@ -56,6 +61,8 @@ class Page:
             button("Light or dark", "turn()", "flat dense")
             button("Clear stop", "clearStop()", "outline")
             button("STOP ALL (space)", "stopAll()", color="negative").classes("stop")
+            text(CLEAR)
+            text(SAID).classes("said")
 
     def _fly(self) -> None:
         text('<h2>Commands <span id="chosen" role="status"></span></h2>')
@@ -73,7 +80,7 @@ class Page:
             button("Go there", "goTo()")
             text('<span class="field"><label for="pick">A click on the floor says where</label>'
                  '<input id="pick" type="checkbox"></span>')  # fmt: skip
-        text('<h3>Receipts</h3><ul id="receipts" class="lines" aria-live="polite"></ul>')
+        text('<h3>Receipts</h3><ul id="receipts" class="lines"></ul>')
 
     def _plots(self) -> None:
         ids = {str(i): f"drone {i}" for i in self.about["ids"]}

@@ -3,6 +3,7 @@ import { ask, chosen, connect, on, seen, select, tell } from "./line.js";
 import { number } from "./canvas.js";
 import * as draw from "./draw.js";
 import * as plots from "./plots.js";
+import * as receipts from "./receipts.js";
 import * as scene from "./scene.js";
 import * as table from "./table.js";
 import * as tasks from "./tasks.js";
@@ -95,13 +96,14 @@ function begin() {
   keys();
   sliders();
   theme();
-  table.start({ table: find("drones"), said: find("receipts"), lines: find("log"), level: find("level"), caption: find("chosen") });
+  table.start({ table: find("drones"), lines: find("log"), level: find("level"), caption: find("chosen") });
   on("connected", (there) => {
     find("connection").textContent = there ? "connected" : "NOT CONNECTED: this page shows nothing new, and cannot stop anything";
     find("connection").dataset.there = there;
+    document.body.toggleAttribute("data-lost", !there);
   });
   on("links", (lost) => (seen.links = lost));
-  for (const part of [draw, plots, tasks]) part.start();
+  for (const part of [receipts, draw, plots, tasks]) part.start();
   scene.start(find("scene"));
   connect();
 }
