@@ -39,9 +39,15 @@ const writes = (element) => element.isContentEditable || element.tagName === "TE
 // What buttons call.
 const choir = {
   order: (verb) => ask({ ask: "order", verb, drones: chosen() }),
-  stopAll: () => ask({ ask: "stop" }),
+  stopAll: () => {
+    ask({ ask: "stop" });
+    find("clear").close("no");
+  },
   stopChosen: () => (chosen() ? ask({ ask: "stop", drones: chosen() }) : tell("refused", "motors off: choose drones, or stop all")),
-  clearStop: () => confirm("Let drones take off again?") && ask({ ask: "stop", clear: true }),
+  clearStop: () => {
+    find("clear").returnValue = "no";
+    find("clear").show();
+  },
   goTo: () => {
     if (!chosen()) return tell("refused", "go to: choose drones in the table");
     ask({ ask: "go-to", drones: chosen(), p: ["goal_x", "goal_y", "goal_z"].map(number), offset: [0, number("apart_y"), 0] });
@@ -79,6 +85,13 @@ function keys() {
   window.addEventListener("keyup", (event) => isStop(event) && event.preventDefault(), true);
 }
 
+// Not a modal one: all may be stopped meanwhile, by mouse too.
+function dialog() {
+  const clear = find("clear");
+  clear.addEventListener("close", () => clear.returnValue === "yes" && ask({ ask: "stop", clear: true }));
+  clear.addEventListener("keydown", ({ key }) => key === "Escape" && clear.close("no"));
+}
+
 function theme() {
   const told = () => requestAnimationFrame(() => tell("theme"));
   new MutationObserver(told).observe(document.body, { attributeFilter: ["class"] });
@@ -95,6 +108,7 @@ function begin() {
   tabs();
   keys();
   sliders();
+  dialog();
   theme();
   table.start({ table: find("drones"), lines: find("log"), level: find("level"), caption: find("chosen") });
   on("connected", (there) => {
