@@ -36,6 +36,9 @@ function tabs() {
 const TEXTS = ["text", "search", "password", "email", "url"];
 const writes = (element) => element.isContentEditable || element.tagName === "TEXTAREA" || TEXTS.includes(element.type);
 
+const SETTLED = 200; // ms: an arrow key that is held changes a slider 31 times a second
+const settling = {};
+
 // What buttons call.
 const choir = {
   order: (verb) => ask({ ask: "order", verb, drones: chosen() }),
@@ -55,7 +58,10 @@ const choir = {
   turn: () => Quasar.Dark.toggle(),
   network: {
     cut: () => (chosen() ? ask({ ask: "impair", drones: chosen(), cut: true }) : tell("refused", "cut off: choose drones")),
-    clear: () => ask({ ask: "impair", clear: true }),
+    clear: () => {
+      for (const id in settling) clearTimeout(settling[id]);
+      return ask({ ask: "impair", clear: true });
+    },
   },
   sketch: draw.sketch,
   tasks: tasks.tasks,
@@ -70,7 +76,11 @@ function sliders() {
     show();
   }
   for (const [id, unit] of [["loss", 100], ["delay", 1000]]) {
-    find(id).addEventListener("change", () => ask({ ask: "impair", [id]: number(id) / unit, drones: chosen() }));
+    find(id).addEventListener("change", () => {
+      const message = { ask: "impair", [id]: number(id) / unit, drones: chosen() };
+      clearTimeout(settling[id]);
+      settling[id] = setTimeout(() => ask(message), SETTLED);
+    });
   }
 }
 
