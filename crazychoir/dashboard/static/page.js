@@ -1,6 +1,6 @@
 // The page, put together. Space stops all, wherever the focus is but in a text.
 import { ask, chosen, connect, on, seen, select, tell } from "./line.js";
-import { number } from "./canvas.js";
+import { number, numbers } from "./canvas.js";
 import * as draw from "./draw.js";
 import * as plots from "./plots.js";
 import * as receipts from "./receipts.js";
@@ -53,7 +53,8 @@ const choir = {
   },
   goTo: () => {
     if (!chosen()) return tell("refused", "go to: choose drones in the table");
-    ask({ ask: "go-to", drones: chosen(), p: ["goal_x", "goal_y", "goal_z"].map(number), offset: [0, number("apart_y"), 0] });
+    const values = numbers("goal_x", "goal_y", "goal_z", "apart_y");
+    if (values) ask({ ask: "go-to", drones: chosen(), p: values.slice(0, 3), offset: [0, values[3], 0] });
   },
   turn: () => Quasar.Dark.toggle(),
   network: {
