@@ -73,9 +73,9 @@ class Page:
         text("<h3>Go to a place</h3>")
         with row():
             text(
-                field("goal_x", "x", 0, "m", step=0.1) + field("goal_y", "y", 0, "m", step=0.1)
-                + field("goal_z", "z", self.about["height"], "m", step=0.1)
-                + field("apart_y", "y from drone to drone", 0.5, "m", step=0.1)
+                field("goal_x", "Place x", 0, "m", step=0.1) + field("goal_y", "Place y", 0, "m", step=0.1)
+                + field("goal_z", "Place z", self.about["height"], "m", step=0.1)
+                + field("apart_y", "Offset y from drone to drone", 0.5, "m", step=0.1)
             )  # fmt: skip
             button("Go there", "goTo()")
             text('<span class="field"><label for="pick">A click on the floor says where</label>'
@@ -94,8 +94,8 @@ def _tasks() -> None:
             '<span class="field"><label for="placing">Clicks on the floor: pickup, then delivery</label>'
             '<input id="placing" type="checkbox"></span>'
             + choice("task_kind", "A task is", {"two": "pickup and delivery", "one": "done at one place"})
-            + field("pickup_x", "Pickup x", 0, "m", step=0.1) + field("pickup_y", "y", 0, "m", step=0.1)
-            + field("delivery_x", "Delivery x", 1, "m", step=0.1) + field("delivery_y", "y", 1, "m", step=0.1)
+            + field("pickup_x", "Pickup x", 0, "m", step=0.1) + field("pickup_y", "Pickup y", 0, "m", step=0.1)
+            + field("delivery_x", "Delivery x", 1, "m", step=0.1) + field("delivery_y", "Delivery y", 1, "m", step=0.1)
             + field("load", "Load", 1, "", min=0, step=0.5)
         )  # fmt: skip
         button("Add task", "tasks.add()")
