@@ -39,8 +39,9 @@ async def test_who_is_chosen_stays_ticked_on_a_new_line(tmp_path):
     async with looked_at(tmp_path) as (page, wire, _):
         await page.check('input[aria-label="drone 1"]')
         await page.check('input[aria-label="drone 3"]')
+        lines = wire.lines
         await wire.cut()
-        await until(lambda: wire.lines == 2, 10.0)
+        await until(lambda: wire.lines > lines, 10.0)
         await page.wait_for_selector(CONNECTED)
         assert await page.evaluate(TICKED) == ["drone 1", "drone 3"]
         assert await page.inner_text("#chosen") == "for drone 1, 3"
@@ -184,10 +185,10 @@ async def test_a_drawing_of_very_many_points_is_thinned_and_what_is_too_large_is
         places = np.array(stroke)[:, 1:]
         assert 500 < len(places) < 5000
         assert np.linalg.norm(np.diff(places[:-1], axis=0), axis=1).min() > 0.0019
-        sent = len(wire.asked)
+        before = len(wire.asked), wire.lines
         assert not await page.evaluate('choir.ask({ ask: "load", name: "a.csv", text: "x".repeat(1 << 18) })')
         assert "load: too large, 257 KiB of at most 256" in await says(page, "#trouble", "✗")
-        assert (len(wire.asked), wire.lines) == (sent, 1)
+        assert (len(wire.asked), wire.lines) == before
 
 
 CIRCLES = """
