@@ -22,9 +22,9 @@ HEAD = """<link rel="stylesheet" href="/own/page.css"><script type="module">
 import { start } from "/own/page.js"; start();</script>"""
 
 SAID = """<p id="stopped" role="alert"></p><p id="trouble" role="alert"></p><p id="newest" role="status"></p>"""
-CLEAR = """<dialog id="clear" aria-labelledby="clear-what"><form method="dialog"><p id="clear-what">Let drones take off
-again? Space still stops all.</p><button value="no" autofocus>Cancel</button> <button value="yes">Let them</button>
-</form></dialog>"""
+CLEAR = """<dialog id="clear" aria-labelledby="clear-what"><form method="dialog"><p id="clear-what">Is the
+emergency stop to end? Space still stops all.</p><button value="no" autofocus>Cancel</button>
+<button value="yes">End it</button></form></dialog>"""
 
 
 class Page:

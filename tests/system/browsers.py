@@ -8,7 +8,7 @@ from collections.abc import AsyncIterator, Callable
 from pathlib import Path
 from typing import Any
 
-from playwright.async_api import Page, WebSocketRoute, async_playwright
+from playwright.async_api import Page, TimeoutError, WebSocketRoute, async_playwright
 
 CHROMIUM = shutil.which("chromium")
 FLAGS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
@@ -85,14 +85,20 @@ async def says(page: Page, region: str, text: str, seconds: float = 30.0) -> str
 
 async def receipt(page: Page, text: str, seconds: float = 60.0) -> str:
     """The newest receipt, when it says so."""
-    await page.wait_for_function(
-        "text => document.querySelector('#receipts li')?.textContent.includes(text)", arg=text, timeout=1000 * seconds
-    )
-    return await page.inner_text("#receipts li >> nth=0")
+    newest = "#receipts li >> nth=0"
+    try:
+        await page.wait_for_function(NEWEST, arg=text, timeout=1000 * seconds)
+    except TimeoutError as error:
+        raise AssertionError(await page.text_content(newest)) from error
+    return await page.inner_text(newest)
+
+
+NEWEST = "text => document.querySelector('#receipts li')?.textContent.includes(text)"
 
 
 async def draw_word(page: Page) -> None:
     """`hi`, by mouse, in the middle of the canvas."""
+    await page.evaluate("document.querySelector('#panel-draw').scrollTop = 0; scrollTo(0, 0)")
     box = await page.locator("#sketch").bounding_box()
     x0, y0 = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
     h_line = [(-70, -50), (-70, 40)]

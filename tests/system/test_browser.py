@@ -33,6 +33,7 @@ async def test_six_take_off_and_one_flies_a_word_that_was_drawn_and_space_stops_
         program, address = await dashboard(team.path)
         try:
             async with browser(address, tmp_path) as page, looking_on(address) as seen:
+                await page.wait_for_function("choir.seen.drones.every(drone => drone.phase === 'on ground')")
                 await page.click("text='Arm'")
                 assert "done: ready" in await receipt(page, "ready")
                 await page.click("text=Take off")

@@ -126,7 +126,7 @@ async def test_space_stops_all_while_it_is_asked_whether_a_stop_is_to_end(tmp_pa
         assert wire.asked == [{"ask": "stop"}, {"ask": "stop"}]
         await page.click("text=Clear stop")
         await page.shot("clear")
-        await page.click("text=Let them")
+        await page.click("text=End it")
         await until(lambda: wire.asked[2:] == [{"ask": "stop", "clear": True}], 5.0)
 
 
@@ -210,9 +210,10 @@ async def test_who_is_in_the_way_of_the_second_that_flies_a_drawing_is_named(tmp
         await page.click("#tab-draw")
         await page.fill("#height", "1.3")
         await page.fill("#offset_y", "1")
-        await page.check('input[aria-label="drone 0"]')
         await draw_word(page)
-        assert "In the way" not in await says(page, "#plan", "m/s²", 60.0)
+        await says(page, "#plan", "m/s²", 60.0)
+        await page.check('input[aria-label="drone 0"]')
+        assert "In the way" not in await says(page, "#plan", "m/s²")
         await page.check('input[aria-label="drone 1"]')
         assert "drone 5" in await says(page, "#plan", "In the way")
         await page.shot("beside")
