@@ -13,7 +13,7 @@ from crazychoir.math3d import Mat
 from crazychoir.planning.drawing import Pen, drawing
 from crazychoir.planning.feasibility import Limits, check, peaks, references
 from crazychoir.planning.piecewise import Piecewise
-from crazychoir.planning.stroke import csv_of, parse_strokes
+from crazychoir.planning.stroke import csv_of, parse_strokes, thinned
 from crazychoir.planning.svg import parse_svg, svg_of
 from crazychoir.swarm.config import SwarmConfig
 from crazychoir.swarm.tables import Collision
@@ -26,6 +26,10 @@ YAW_RATE = 2.0
 """rad/s, of a path along whose direction a drone looks."""
 SHOWN = 400
 """Places of a path on the page."""
+STEP = 0.002
+"""m between two places of a stroke that was loaded, at least."""
+MOST_ROWS = 5000
+"""Of all strokes of a file, if they are fewer than half as many: what a page can send at once."""
 PACE = 0.02
 """s between two places of a stroke that says no times."""
 MOST_ROWS = 20_000
@@ -121,17 +125,23 @@ def messages(path: Piecewise, drones: Sequence[int], offset: Offset, config: Swa
     Refused, too, where two would fly so near that one had to give way to the other all the time; leaders of a formation
     fly it side by side from where they are.
     """
-    led = all(config.drone(i).leader for i in drones)
-    if len(drones) > 1 and not led and config.collision.method != "off" and _near(offset, config.collision):
-        (a, _, c), margin = config.collision.semi_axes, config.collision.margin
-        allowed = f"{2.0 * a + margin:g} m aside, or {2.0 * c:g} m above, from one drone to the next"
-        raise ConfigError("offset", list(offset), allowed, "Set it, or send the path to one drone.")
+    if not all(config.drone(i).leader for i in drones):
+        check_apart(drones, offset, config)
     limits, told = Limits(low=config.fence.min, high=config.fence.max), {}
     for i, by in beside((0.0, 0.0, 0.0), offset, drones).items():
         moved = shifted(path, by)
         limits.check_places(references(moved)[1][:, 0:3], f"path of drone {i}")
         told[i] = path_message(moved)
     return told
+
+
+def check_apart(drones: Sequence[int], offset: Offset, config: SwarmConfig) -> None:
+    """Raise ConfigError where two of several drones would be nearer than the collision filter lets them be."""
+    collision = config.collision
+    if len(drones) > 1 and collision.method != "off" and _near(offset, collision):
+        (a, _, c), margin = collision.semi_axes, collision.margin
+        allowed = f"{2.0 * a + margin:g} m aside, or {2.0 * c:g} m above, from one drone to the next"
+        raise ConfigError("offset", list(offset), allowed, "Set it, or send one drone alone.")
 
 
 def _near(offset: Offset, collision: Collision) -> bool:
@@ -141,12 +151,16 @@ def _near(offset: Offset, collision: Collision) -> bool:
 
 
 def loaded(text: str, name: str) -> list[list[list[float]]]:
-    """The strokes of a CSV or SVG text, rows t s, x, y m; raises ConfigError."""
+    """The strokes of a CSV or SVG text, rows t s, x, y m, thinned; raises ConfigError."""
     if name.lower().endswith(".svg"):
-        return [_timed(stroke).round(4).tolist() for stroke in parse_svg(text, name)]
-    if name.lower().endswith(".csv"):
-        return [stroke.round(4).tolist() for stroke in parse_strokes(text, name)]
-    raise ConfigError("file", name, "a name that ends in .csv or .svg")
+        strokes = [_timed(stroke) for stroke in parse_svg(text, name)]
+    elif name.lower().endswith(".csv"):
+        strokes = parse_strokes(text, name)
+    else:
+        raise ConfigError("file", name, "a name that ends in .csv or .svg")
+    length = sum(float(np.linalg.norm(np.diff(stroke[:, 1:], axis=0), axis=1).sum()) for stroke in strokes)
+    step = max(STEP, length / max(MOST_ROWS - 2 * len(strokes), 1))
+    return [stroke[thinned(stroke[:, 1:], step)].round(4).tolist() for stroke in strokes]
 
 
 def saved(strokes: list[Mat], kind: str) -> str:

@@ -1,6 +1,10 @@
+import json
+
 import numpy as np
 import pytest
 
+from crazychoir.dashboard.asks import Draw, read
+from crazychoir.dashboard.gate import MOST_BODY
 from crazychoir.errors import ConfigError
 from crazychoir.guidance import sketch
 from crazychoir.guidance.sketch import MOST_ROWS, loaded, messages, planned, saved, shifted
@@ -126,6 +130,32 @@ def test_strokes_are_saved_and_loaded():
             columns = slice(0 if timed else 1, 3)
             assert np.array(again)[:, columns] == pytest.approx(stroke[:, columns], abs=2e-4)
             assert (np.diff(np.array(again)[:, 0]) > 0.0).all()
+
+
+def circles(n, metres, count):
+    """n places, t s, x, y m, on circles of so many metres each, `count` times."""
+    turn = np.linspace(0.0, 2.0 * np.pi * count, n)
+    return np.column_stack([0.01 * np.arange(n), np.cos(turn) * metres / 6.28, np.sin(turn) * metres / 6.28])
+
+
+@pytest.mark.parametrize("kind", ["csv", "svg"])
+def test_what_is_loaded_is_thinned_to_what_a_page_may_have_planned(kind):
+    (stroke,) = loaded(saved([circles(6000, 3.0, 1)], kind), f"a.{kind}")
+    places = np.array(stroke)[:, 1:]
+    assert 1000 < len(places) <= 1501, "2 mm apart"
+    assert places[[0, -1]] == pytest.approx(np.array([[3.0 / 6.28, 0.0]] * 2), abs=1e-4)
+    far = [circles(7000, 500.0, 20) + np.array([0.0, 0.0, 1e-3 * k]) for k in range(2 if kind == "csv" else 1)]
+    strokes = loaded(saved(far, kind), f"a.{kind}")
+    assert 2500 < sum(map(len, strokes)) <= MOST_ROWS
+    asked = json.dumps({"ask": "draw", "strokes": strokes})
+    assert len(asked) < MOST_BODY
+    assert isinstance(read(asked), Draw)
+
+
+def test_a_file_of_very_many_strokes_keeps_both_ends_of_each():
+    drawn = [np.array([[0.0, 0.01 * k, 0.0], [0.1, 0.01 * k, 0.1], [0.2, 0.01 * k, 0.2]]) for k in range(3000)]
+    strokes = loaded(saved(drawn, "csv"), "a.csv")
+    assert [len(stroke) for stroke in strokes] == [2] * 3000
 
 
 @pytest.mark.parametrize(
