@@ -12,13 +12,19 @@ from crazychoir.bus.local import OBSERVER, Bus
 from crazychoir.bus.topics import STATE
 from crazychoir.cli.ros import PATH_EVERY, Bridge, serve
 from crazychoir.cli.window import Window
+from crazychoir.recording.rmw_zenoh import GID, Publisher
 from crazychoir.runtime.clock import run_virtual
 from crazychoir.swarm.config import default_swarm
 from crazychoir.types import State
 
-pytest.importorskip("xxhash", reason="the bridge needs: pip install 'crazychoir[ros2]'")
 AGE = 0.02
 STORE = get_typestore(Stores.ROS2_JAZZY)
+
+
+@pytest.fixture(autouse=True)
+def without_digests(monkeypatch):
+    """Who publishes is named by a digest, for which not everybody has the library."""
+    monkeypatch.setattr(Publisher, "gid", bytes(GID))
 
 
 class Outside:
@@ -102,10 +108,10 @@ def test_a_drone_that_falls_silent_is_taken_away_once_and_comes_back():
 
 def test_when_all_are_silent_they_are_taken_away_and_no_more_is_said():
     outside, _ = told(lambda i, t: t > 1.0)
-    last, found = outside.said[-1][0], outside.of("drones")[-1][1]["markers"]
-    assert last < 1.0 + STATE.max_age + 0.11
-    assert [(one["ns"], one["id"], one["action"]) for one in found] == [
-        ("drones", 0, 2), ("names", 0, 2), ("drones", 1, 2), ("names", 1, 2),
+    marks = [one for _, found in outside.of("drones") for one in found["markers"]]
+    assert outside.said[-1][0] < 1.0 + STATE.max_age + 0.11
+    assert sorted((one["ns"], one["id"]) for one in marks if one["action"] == 2) == [
+        ("drones", 0), ("drones", 1), ("names", 0), ("names", 1),
     ]  # fmt: skip
     assert all(found["transforms"] for _, found in outside.of("tf")), "none that is empty"
 
