@@ -28,8 +28,8 @@ SHOWN = 400
 """Places of a path on the page."""
 STEP = 0.002
 """m between two places of a stroke that was loaded, at least."""
-MOST_ROWS = 5000
-"""Of all strokes of a file, if they are fewer than half as many: what a page can send at once."""
+LOADED = 5000
+"""Rows of all strokes of a file, if they are fewer than half as many: what a page can send at once."""
 PACE = 0.02
 """s between two places of a stroke that says no times."""
 MOST_ROWS = 20_000
@@ -159,7 +159,7 @@ def loaded(text: str, name: str) -> list[list[list[float]]]:
     else:
         raise ConfigError("file", name, "a name that ends in .csv or .svg")
     length = sum(float(np.linalg.norm(np.diff(stroke[:, 1:], axis=0), axis=1).sum()) for stroke in strokes)
-    step = max(STEP, length / max(MOST_ROWS - 2 * len(strokes), 1))
+    step = max(STEP, length / max(LOADED - 2 * len(strokes), 1))
     return [stroke[thinned(stroke[:, 1:], step)].round(4).tolist() for stroke in strokes]
 
 

@@ -7,7 +7,7 @@ from crazychoir.dashboard.asks import Draw, read
 from crazychoir.dashboard.gate import MOST_BODY
 from crazychoir.errors import ConfigError
 from crazychoir.guidance import sketch
-from crazychoir.guidance.sketch import MOST_ROWS, loaded, messages, planned, saved, shifted
+from crazychoir.guidance.sketch import LOADED, MOST_ROWS, loaded, messages, planned, saved, shifted
 from crazychoir.planning.drawing import Pen
 from crazychoir.planning.feasibility import Limits, keeps
 from crazychoir.planning.piecewise import Piecewise
@@ -146,7 +146,7 @@ def test_what_is_loaded_is_thinned_to_what_a_page_may_have_planned(kind):
     assert places[[0, -1]] == pytest.approx(np.array([[3.0 / 6.28, 0.0]] * 2), abs=1e-4)
     far = [circles(7000, 500.0, 20) + np.array([0.0, 0.0, 1e-3 * k]) for k in range(2 if kind == "csv" else 1)]
     strokes = loaded(saved(far, kind), f"a.{kind}")
-    assert 2500 < sum(map(len, strokes)) <= MOST_ROWS
+    assert 2500 < sum(map(len, strokes)) <= LOADED
     asked = json.dumps({"ask": "draw", "strokes": strokes})
     assert len(asked) < MOST_BODY
     assert isinstance(read(asked), Draw)
