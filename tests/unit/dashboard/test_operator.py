@@ -22,19 +22,19 @@ def operator_of(desk, **tables):
 
 
 @pytest.mark.parametrize("offset", [(0.0, 0.0, 0.0), (0.3, 0.0, 0.0), (0.1, 0.1, 0.3)])
-async def test_several_drones_are_not_sent_to_places_that_are_too_near_to_each_other(offset):
+def test_several_drones_are_not_sent_to_places_that_are_too_near_to_each_other(offset):
     desk = Desk()
     for drones in ((2, 3), (0, 1)):
         with pytest.raises(ConfigError, match=r"offset: .*0\.32 m aside, or 0\.6 m above"):
-            await operator_of(desk).asked(GoTo(drones, (0.0, 0.0, 1.0), offset=offset))
+            operator_of(desk).asked(GoTo(drones, (0.0, 0.0, 1.0), offset=offset))
     assert desk.told == []
-    await operator_of(desk).asked(GoTo((2, 2), (0.0, 0.0, 1.0), offset=offset))
+    operator_of(desk).asked(GoTo((2, 2), (0.0, 0.0, 1.0), offset=offset))
     assert desk.told == [("go-to", 2, [0.0, 0.0, 1.0])]
-    await operator_of(desk, collision={"method": "off"}).asked(GoTo((2, 3), (0.0, 0.0, 1.0), offset=offset))
+    operator_of(desk, collision={"method": "off"}).asked(GoTo((2, 3), (0.0, 0.0, 1.0), offset=offset))
     assert len(desk.told) == 3
 
 
-async def test_several_drones_are_sent_beside_each_other():
+def test_several_drones_are_sent_beside_each_other():
     desk = Desk()
-    await operator_of(desk).asked(GoTo((2, 3), (0.0, 0.0, 1.0), offset=(0.0, 0.5, 0.0)))
+    operator_of(desk).asked(GoTo((2, 3), (0.0, 0.0, 1.0), offset=(0.0, 0.5, 0.0)))
     assert desk.told == [("go-to", 2, [0.0, 0.0, 1.0]), ("go-to", 3, [0.0, 0.5, 1.0])]
