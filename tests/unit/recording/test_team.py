@@ -110,9 +110,10 @@ def test_stops_of_each_drone_are_its_own_and_counts_may_jump(recorded, tmp_path)
     )  # fmt: skip
     work.write(tmp_path / "tasks.csv")
     with (tmp_path / "tasks.csv").open() as file:
-        rows = [row for row in csv.DictReader(file) if row["drone"] == "4"]
-    assert [row["task"] for row in rows] == ['at "A": 0 done, task 7', "2 done, task 9", "done"]
-    assert [row["stops"] for row in rows] == ["", "7 9", ""]
+        rows = list(csv.DictReader(file))
+    assert [row["task"] for row in rows if row["drone"] == "4"] == ['at "A": 0 done, task 7', "2 done, task 9", "done"]
+    assert [row["stops"] for row in rows if row["drone"] == "4"] == ["", "7 9", ""]
+    assert [row["stops"] for row in rows if row["drone"] == "2"] == ["", "", "", "", "(1)", "(2)", "", ""]
 
 
 def test_the_table_of_tasks(recorded, tmp_path):
