@@ -93,6 +93,7 @@ class Commander:
     ) -> list[int]:  # fmt: skip
         """Stop (or clear the stop of) all targets, resent until each acknowledges; returns those that did not.
 
+        targets: who is taken out of the list meanwhile is told no more;  deadline: s, infinite for as long as it takes;
         alone: the stop is not one of the swarm: the motors of these stop, and it need not be cleared;
         answered: who has acknowledged, as it goes on.
         """
@@ -140,6 +141,7 @@ class CommandServer:
         self.port, self.execute, self.on_stop = port, execute, on_stop
         self._answers: dict[_Key, bytes] = {}
         self._running: dict[_Key, asyncio.Task[None]] = {}
+        self._newest: dict[tuple[int, str, bool], int] = {}  # number of the newest stop, or clear, of an issuer's life
         port.handlers[REQUEST.number] = self._requested
         port.handlers[ESTOP.number] = self._stopped
 
@@ -192,15 +194,26 @@ class CommandServer:
         self.port.send(ANSWER, (source,), payload, number, channel)
 
     def _stopped(self, source: int, payload: bytes, number: int, channel: str, flags: int, age: float) -> None:
-        """Stop, or clear; a late repeat of what was done is acknowledged, and does not undo what came after it."""
+        """Stop, or clear; what comes late, or again, is acknowledged, and does not undo what was ordered after it.
+
+        The numbers of one issuer rise: a clear does not count after a newer stop of his, nor a stop after a newer
+        clear. A stop after a newer stop does: one may be of the swarm, the other of its targets alone.
+        """
         key = (source, channel, number)
-        if key not in self._answers:
-            try:
-                said = decode(payload)
-            except CodecError:
-                said = None
-            clear = said is True
+        try:
+            said = decode(payload)
+        except CodecError:
+            said = None
+        clear = said is True
+        if key not in self._answers and number > self._newest.get((source, channel, not clear), -1):
             if said != ALONE:
                 self.port.bus.stopped = not clear
             self.on_stop(not clear)
+        self._note(source, channel, clear, number)
         self._answer(key, DONE, None)
+
+    def _note(self, source: int, channel: str, clear: bool, number: int) -> None:
+        newest = self._newest
+        newest[source, channel, clear] = max(number, newest.pop((source, channel, clear), -1))
+        while len(newest) > REMEMBERED:
+            del newest[next(iter(newest))]

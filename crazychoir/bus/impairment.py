@@ -59,7 +59,8 @@ class Impairment:
         """Change a rule: {"loss": 0.3}, {"edge": [1, 2], "directed": true, "delay": 0.05}, {"drone": 3, "loss": None}.
 
         The named fields of the rule of that scope change, None unsets one. {"clear": True} drops everything first;
-        {"partitions": [{"since": 5, "until": 9, "a": [0, 1], "b": []}]} sets the partitions.
+        {"partitions": [{"since": 5, "until": 9, "a": [0, 1], "b": []}]} sets the partitions, {"cut": {"a": [2]}} adds
+        one to them.
         Raises ConfigError, and then nothing has changed.
         """
         self.replace(*changed(self.rules, self.partitions, changes))

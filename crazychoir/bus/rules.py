@@ -138,11 +138,13 @@ def changed(
     rules: tuple[Rule, ...], partitions: tuple[Partition, ...], changes: Mapping[str, Any]
 ) -> tuple[tuple[Rule, ...], tuple[Partition, ...]]:
     """Rules and partitions after the changes that `Impairment.update` describes; raises ConfigError."""
-    _check_names("impairment", changes, (*LIMITS, *SCOPE, "clear", "partitions"))
+    _check_names("impairment", changes, (*LIMITS, *SCOPE, "clear", "partitions", "cut"))
     if changes.get("clear"):
         rules, partitions = (), ()
     if "partitions" in changes:
         partitions = _partitions(changes["partitions"])
+    if "cut" in changes:
+        partitions = tuple(dict.fromkeys((*partitions, *_partitions([changes["cut"]]))))
     edge = changes.get("edge")
     scope = Rule(
         drone=changes.get("drone"),
@@ -150,7 +152,7 @@ def changed(
         directed=changes.get("directed", False),
     )
     effects = {name: changes[name] for name in LIMITS if name in changes}
-    if not effects and "partitions" not in changes and not changes.get("clear"):
+    if not effects and not any(name in changes for name in ("partitions", "cut")) and not changes.get("clear"):
         raise ConfigError("impairment", dict(changes), "at least one of " + ", ".join(LIMITS), "Say what to change.")
     return _merged(rules, scope, effects) if effects else rules, partitions
 

@@ -22,7 +22,15 @@ import zenoh
 
 from crazychoir.bus import endpoints
 from crazychoir.bus.codec import encode
-from crazychoir.bus.frames import Envelope, Frame, FrameBuffer, FrameVersionError, decode_frame, encode_frame
+from crazychoir.bus.frames import (
+    MAX_DESTINATIONS,
+    Envelope,
+    Frame,
+    FrameBuffer,
+    FrameVersionError,
+    decode_frame,
+    encode_frame,
+)
 from crazychoir.bus.local import ANY, Bus
 from crazychoir.bus.peers import OnRefused, OnToken, Peer, Peers
 from crazychoir.bus.topics import HELLO, LOG, Class, Topic
@@ -217,8 +225,10 @@ class ZenohLink(Actor):
         for peer, there in groups.items():
             if peer is None:
                 self.bus.unroutable += len(there)
-            else:
-                message = Envelope(topic.number, source, tuple(there), number, flags, max(0.0, age), channel, payload)
+                continue
+            for k in range(0, len(there), MAX_DESTINATIONS):
+                some = tuple(there[k : k + MAX_DESTINATIONS])
+                message = Envelope(topic.number, source, some, number, flags, max(0.0, age), channel, payload)
                 self._add(peer, topic.klass, message)
 
     def then(self, work: Callable[[], None]) -> None:

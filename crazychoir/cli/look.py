@@ -170,31 +170,9 @@ def _conclude(answers: "Answers", heads: tuple[str, str], as_json: bool) -> None
 
 def _in_words(network: Any) -> str:
     """What is set at a drone, in a line a rule."""
-    if not isinstance(network, dict):
-        return str(network)  # why it has not done it
-    lines = [_rule_in_words(rule) for rule in network["rules"]]
-    lines += [_partition_in_words(cut) for cut in network["partitions"]]
-    return "\n".join(lines) or "nothing: perfect"
+    from crazychoir.swarm.impairment import in_words
 
-
-def _rule_in_words(rule: dict[str, Any]) -> str:
-    scope = ""
-    if "edge" in rule:
-        scope = (" to " if rule.get("directed") else " and ").join(map(str, rule["edge"])) + ": "
-    elif "drone" in rule:
-        scope = f"drone {rule['drone']}: "
-    effects = {name: f"{value:g}" for name, value in rule.items() if name not in ("edge", "drone", "directed")}
-    if "p_bad_good" in rule:
-        worse, better = rule["p_good_bad"], rule["p_bad_good"]
-        effects = {name: text for name, text in effects.items() if name not in ("p_good_bad", "p_bad_good", "loss_bad")}
-        effects["loss"] = f"{worse / (worse + better):g} in bursts of {1.0 / better:g}"
-    return scope + ", ".join(f"{name} {text}" for name, text in effects.items())
-
-
-def _partition_in_words(cut: dict[str, Any]) -> str:
-    a, b = (", ".join(map(str, side)) for side in (cut["a"], cut["b"]))
-    until = "the end" if cut["until"] is None else f"{cut['until']:g} s"
-    return f"{a} apart from {b or 'the others'}, from {cut['since']:g} s after GO to {until}"
+    return "\n".join(in_words(network)) if isinstance(network, dict) else str(network)  # why it has not done it
 
 
 def _edge(text: str | None) -> list[int] | None:

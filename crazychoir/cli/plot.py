@@ -7,7 +7,7 @@ import typer
 from rich import box
 from rich.table import Table
 
-from crazychoir.cli.show import STDERR, STDOUT, fail, set_up_logging, write_json
+from crazychoir.cli.show import STDOUT, fail, set_up_logging, warn_of, write_json
 from crazychoir.errors import ConfigError, CrazyChoirError
 
 if TYPE_CHECKING:
@@ -46,12 +46,10 @@ def plot(
     except CrazyChoirError as error:
         fail(error, as_json)
     figures = flight.figures()
-    if not recording.complete:
-        text = f"{file}: the recording was cut off: only its first {figures['seconds']:.1f} s are there"
-        STDERR.print(text, style="yellow", markup=False, highlight=False, soft_wrap=True)
+    warn_of(recording, f"only its first {figures['seconds']:.1f} s are there")
     if as_json:
-        told = {"file": file, "complete": recording.complete, "about": recording.about, "files": files}
-        write_json({"success": True, **told, **figures})
+        told = {"file": file, "complete": recording.complete, "lost": recording.lost, "about": recording.about}
+        write_json({"success": True, **told, "files": files, **figures})
     else:
         _show(recording, figures)
         names = ", ".join(path.stem for path in files if path.suffix == ".png")

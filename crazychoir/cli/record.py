@@ -44,11 +44,12 @@ def record(
             await window.find()
             config, bus = window.config, window.link.bus
             recorder = Recorder(bus, config.ids, opened, window.address, config.source, topics=chosen)
+            recorder.ended = "Ctrl-C"
             recorders.append(recorder)
             STDERR.print(f"recording {file}; Ctrl-C ends it", markup=False, highlight=False, soft_wrap=True)
             running = asyncio.create_task(Supervisor(window.clock, "record").run([recorder]))
             try:
-                await _until_gone(window, recorder, math.inf if seconds is None else seconds)
+                recorder.ended = await _until_gone(window, recorder, math.inf if seconds is None else seconds)
             finally:
                 running.cancel()
                 await asyncio.wait([running])
@@ -58,20 +59,35 @@ def record(
     except KeyboardInterrupt:
         if not recorders:
             raise
-    told = recorders[0].result()
+    told, ended = recorders[0].result(), recorders[0].ended
+    success = not (told["error"] or told["lost"])
     if as_json:
-        write_json({"success": not told["error"], **told})
+        write_json({"success": success, **told, "ended": ended})
     else:
-        text = f"{told['file']}: {told['messages']} messages, {told['lost']} lost"
+        text = f"{told['file']}: {told['messages']} messages, {told['lost']} lost; it ended: {ended}"
         STDOUT.print(text, markup=False, highlight=False, soft_wrap=True)
-    raise typer.Exit(1 if told["error"] else 0)
+    raise typer.Exit(0 if success else 1)
 
 
-async def _until_gone(window: "Window", recorder: "Recorder", seconds: float) -> None:
-    """Until no drone is there any more, the file has failed, or so many s are over."""
-    ends = window.clock.now() + seconds
-    while window.drones and window.clock.now() < ends and not recorder.file.error:
-        await window.clock.sleep(min(LOOK, ends - window.clock.now()))
+async def _until_gone(window: "Window", recorder: "Recorder", seconds: float) -> str:
+    """Until the file has failed, so many s are over, or no drone was there for longer than a network may be gone.
+
+    Returns which it was.
+    """
+    from crazychoir.cli.meant import DISCOVERY  # the network: 1 s that --help does not need
+
+    clock, patience = window.clock, window.config.lost_after + DISCOVERY
+    ends, seen, waiting = clock.now() + seconds, clock.now(), False
+    while clock.now() < ends and not recorder.file.error:
+        if window.drones:
+            seen, waiting = clock.now(), False
+        elif clock.now() - seen >= patience:
+            return f"no drone was there for {patience:g} s"
+        elif not waiting:
+            STDERR.print(f"no drone is there: it ends in {patience:g} s, unless one comes back", soft_wrap=True)
+            waiting = True
+        await clock.sleep(min(LOOK, ends - clock.now()))
+    return recorder.file.error or f"after {seconds:g} s"
 
 
 def _topics(named: str | None) -> tuple[str, ...]:

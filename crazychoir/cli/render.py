@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from crazychoir.cli.show import STDERR, STDOUT, fail, set_up_logging, write_json
+from crazychoir.cli.show import STDERR, STDOUT, fail, set_up_logging, warn_of, write_json
 from crazychoir.errors import ConfigError, CrazyChoirError
 
 if TYPE_CHECKING:
@@ -43,6 +43,7 @@ def render(
         if video is not None:
             check_video(video, width, height)
         recording = read(file, (TRUTH.name,))
+        warn_of(recording, "what lies before is drawn")
         flight, config = flight_of(recording), SwarmConfig.loads(recording.swarm, str(file))
         from crazychoir.recording.reenactment import Reenactment  # says what to do where there is no MuJoCo
 
@@ -62,7 +63,8 @@ def render(
         fail(written, as_json)
     files = [path for path in (picture, video) if path is not None]
     if as_json:
-        write_json({"success": True, "file": file, "files": files, "seconds": float(times[-1] - times[0])})
+        told = {"file": file, "complete": recording.complete, "lost": recording.lost, "files": files}
+        write_json({"success": True, **told, "seconds": float(times[-1] - times[0])})
     else:
         STDOUT.print(f"In {', '.join(map(str, files))}", markup=False, highlight=False, soft_wrap=True)
 

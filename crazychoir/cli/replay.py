@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from crazychoir.cli.show import STDERR, STDOUT, fail, set_up_logging, write_json
+from crazychoir.cli.show import STDERR, STDOUT, fail, set_up_logging, warn_of, write_json
 from crazychoir.errors import ConfigError, CrazyChoirError
 
 if TYPE_CHECKING:
@@ -41,6 +41,7 @@ def replay(
 
     try:
         recording = header(file)
+        warn_of(recording, "what lies before is said")
         config = apart(_here(SwarmConfig.loads(recording.swarm, f"{file}: swarm.json")), 1)
         with swarm_file(config) as path, recorded(Run(config.name, str(file), None, str(path))):
             STDERR.print(f"Look at it (or echo, hz, record): crazychoir status --swarm {path}", soft_wrap=True)
@@ -50,7 +51,8 @@ def replay(
     except KeyboardInterrupt:
         raise typer.Exit(130) from None
     if as_json:
-        write_json({"success": True, "file": file, "complete": recording.complete, **told})
+        of_file = {"file": file, "complete": recording.complete, "lost": recording.lost}
+        write_json({"success": True, **of_file, **told})
     else:
         STDOUT.print(f"{told['messages']} messages, {told['seconds']:.2f} s of flight", highlight=False)
 

@@ -10,7 +10,7 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
-from crazychoir.cli.show import STDERR, STDOUT, Progress, fail, prints_aside, set_up_logging, status_table, write_json
+from crazychoir.cli.show import STDOUT, Progress, fail, prints_aside, set_up_logging, status_table, warn_of, write_json
 from crazychoir.errors import ConfigError, CrazyChoirError
 
 if TYPE_CHECKING:
@@ -47,14 +47,15 @@ def rerun(
                     progress.say(f"{what}: {text}")
                 with recording_file(path, config, mission, virtual=True) as repeated:
                     result = fly_fast(config, mission, progress, repeated)
-            difference = first_difference(file, path, recording.complete)
+            difference = first_difference(file, path)
     except CrazyChoirError as error:
         fail(error, as_json)
     digest = recording.outcome.get("digest")
     same = difference is None and digest in (None, result["digest"])
     where = UNSEEN if difference is None else str(difference)
     told = {
-        "success": same, "mission": config.mission, "seed": config.seed, "complete": recording.complete,
+        "success": same, "mission": config.mission, "seed": config.seed,
+        "complete": recording.complete, "lost": recording.lost,
         "recorded_digest": digest, "digest": result["digest"], "first_difference": None if same else where,
         "others": others, "simulated_s": result["simulated_s"], "wall_s": result["wall_s"],
         "recording": record,
@@ -71,9 +72,7 @@ def _check(recording: "Recording") -> None:
     if recording.about.get("time") != "virtual":
         do = "Record one with `crazychoir run ... --fast --record FILE`; `crazychoir replay` shows this one again."
         raise ConfigError(str(recording.path), "a flight in real time", "one in virtual time, which repeats itself", do)
-    if not recording.complete:
-        text = f"{recording.path}: the recording was cut off: it is compared as far as it goes"
-        STDERR.print(text, style="yellow", markup=False, highlight=False, soft_wrap=True)
+    warn_of(recording, "it is compared as far as it goes")
 
 
 @contextlib.contextmanager

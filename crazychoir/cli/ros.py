@@ -11,12 +11,15 @@ from crazychoir.cli.look import SwarmOption, looking
 if TYPE_CHECKING:
     from crazychoir.bus.zenoh import Outside
     from crazychoir.cli.window import Window
+    from crazychoir.recording.rviz import Places
     from crazychoir.types import State, Vec
 
 ROUTER = "tcp/127.0.0.1:7447"
 NODE = "crazychoir"
 PATH_POINTS, PATH_EVERY = 600, 10
 """Places of a path, and messages between two paths."""
+READ = 2.0
+"""Places of a drone that are asked for, at least, within the time after which one is too old to be said."""
 
 
 def ros(
@@ -29,26 +32,32 @@ def ros(
     """Publish poses, paths, markers and transforms of a running swarm as rmw_zenoh does (experimental)."""
 
     async def work(window: "Window") -> None:
-        from crazychoir.bus.topics import STATE
         from crazychoir.bus.zenoh import Outside
 
-        states: dict[int, State] = {}
-
-        def hear(i: int, state: State, age: float) -> None:
-            states[i] = state
-
         ids = await window.find()
-        for i in ids:
-            window.read(STATE, i, partial(hear, i), rate)
         with Outside(connect) as outside:
-            bridge = Bridge(outside, domain, ids)
-            ends = window.clock.now() + seconds
-            async for _ in window.clock.ticks(rate):
-                bridge.publish(states, window.clock.now_ns() + window.clock.epoch_ns)
-                if window.clock.now() >= ends or not window.drones:
-                    return
+            await serve(window, Bridge(outside, domain, ids), ids, rate, seconds)
 
     looking(swarm, work)
+
+
+async def serve(window: "Window", bridge: "Bridge", ids: list[int], rate: float, seconds: float) -> None:
+    """Say where these drones are, until all have gone, or so many s are over."""
+    from crazychoir.bus.topics import STATE
+    from crazychoir.runtime.clock import SECOND
+
+    clock, places = window.clock, dict[int, tuple["State", int]]()
+
+    def hear(i: int, state: "State", age: float) -> None:
+        places[i] = state, clock.now_ns() + clock.epoch_ns - round(age * SECOND)
+
+    for i in ids:
+        window.read(STATE, i, partial(hear, i), max(rate, READ / STATE.max_age))
+    ends = clock.now() + seconds
+    async for _ in clock.ticks(rate):
+        bridge.publish(places, clock.now_ns() + clock.epoch_ns)
+        if clock.now() >= ends or not window.drones:
+            return
 
 
 class Bridge:
@@ -68,22 +77,29 @@ class Bridge:
             outside.token(self._publishers[topic].token)
         self._said = dict.fromkeys(topics, 0)
         self._ways: dict[int, deque[Vec]] = {i: deque(maxlen=PATH_POINTS) for i in ids}
+        self._shown: set[int] = set()
         self._count = 0
 
-    def publish(self, states: "dict[int, State]", now_ns: int) -> None:
-        """What is known now, ns after 1970."""
+    def publish(self, places: "Places", now_ns: int) -> None:
+        """What is known now, ns after 1970; a drone whose place is too old is taken out of the picture."""
+        from crazychoir.bus.topics import STATE
         from crazychoir.recording import rviz
+        from crazychoir.runtime.clock import SECOND
 
-        if not states:
-            return
-        for i, state in states.items():
+        since_ns = now_ns - STATE.max_age * SECOND
+        fresh = {i: (state, born_ns) for i, (state, born_ns) in places.items() if born_ns >= since_ns}
+        gone = sorted(self._shown - fresh.keys())
+        self._shown = set(fresh)
+        for i, (state, born_ns) in fresh.items():
             self._ways[i].append(state.p)
-            self._put(f"/drone{i}/pose", rviz.pose(state, now_ns), now_ns)
+            self._put(f"/drone{i}/pose", rviz.pose(state, born_ns), now_ns)
             if self._count % PATH_EVERY == 0:
-                self._put(f"/drone{i}/path", rviz.path(self._ways[i], now_ns), now_ns)
-        self._put("/tf", rviz.transforms(states, now_ns), now_ns)
-        self._put("/drones", rviz.markers(states, now_ns), now_ns)
-        self._count += 1
+                self._put(f"/drone{i}/path", rviz.path(self._ways[i], born_ns), now_ns)
+        if fresh:
+            self._put("/tf", rviz.transforms(fresh), now_ns)
+            self._count += 1
+        if fresh or gone:
+            self._put("/drones", rviz.markers(fresh, gone), now_ns)
 
     def _put(self, topic: str, data: bytes, now_ns: int) -> None:
         self._said[topic] += 1

@@ -22,6 +22,7 @@ from crazychoir.errors import ConfigError, CrazyChoirError, Refused
 
 if TYPE_CHECKING:
     from crazychoir.launch.score import Score
+    from crazychoir.recording.reading import Recording
     from crazychoir.types import Status
 
 T = TypeVar("T")
@@ -124,6 +125,14 @@ def interrupted(as_json: bool) -> NoReturn:
         write_json({"success": False, "error": text, "kind": "KeyboardInterrupt"})
     STDERR.print(text)
     raise typer.Exit(130)
+
+
+def warn_of(recording: "Recording", left: str) -> None:
+    """Say what a recording lacks: its end, and `left`, what is done with the rest; messages that were lost."""
+    said = [f"the recording was {recording.fault}: {left}"] if recording.fault else []
+    said += [f"messages lost while it was recorded: {recording.lost}"] if recording.lost else []
+    for text in said:
+        STDERR.print(f"{recording.path}: {text}", style="yellow", markup=False, highlight=False, soft_wrap=True)
 
 
 def result_table(results: dict[Any, dict[str, Any]]) -> Table:

@@ -1,8 +1,9 @@
 """Commands that pages have given, and their receipts: who has acknowledged, who has done it, who says nothing."""
 
 import asyncio
+import math
 from collections import deque
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Coroutine, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -19,7 +20,15 @@ SECONDS = {
     "arm": 5.0, "take-off": 30.0, "start": 5.0, "hold": 5.0, "go": 5.0, "land": 60.0, "home": 120.0, "go-to": 120.0,
 }  # fmt: skip
 """s to wait until each is done; others get REQUEST s."""
+MOTION = (*SECONDS, "fly")
+"""Orders that move a drone, or let it move: a stop of it withdraws them."""
+BESIDE = {
+    "arm": MOTION, "take-off": ("arm", "start", "go"), "start": ("arm", "take-off", "hold", "go"),
+    "go": ("arm", "take-off", "start"), "go-to": ("take-off", "hold"), "fly": ("take-off", "hold"),
+}  # fmt: skip
+"""By order: the older ones that still count beside it; it withdraws all others that nobody has acknowledged yet."""
 REQUEST, STOP, LOOK = 5.0, 10.0, 0.05
+"""s to wait for what is no motion; after which who has not acknowledged a stop is called silent; between two looks."""
 READY, RETRY = 15.0, 0.3
 """s for which a drone that is not ready yet is asked again, and between two times."""
 KEPT = 50
@@ -59,8 +68,36 @@ class Receipt:
         return bool(self.answers) and all(kind == DONE for kind, _ in self.answers.values())
 
 
+@dataclass(eq=False)
+class _Asked:
+    """An order to one drone that is still asked of it. begun: whether it has acknowledged it."""
+
+    receipt: Receipt
+    drone: int
+    begun: bool = False
+
+
+@dataclass(eq=False)
+class _Stop:
+    """A stop, or its clearing, that is still sent. targets: the addresses to which;  alone: see emergency_stop."""
+
+    receipt: Receipt
+    targets: list[int]
+    clear: bool
+    alone: bool
+    obeyed: dict[int, None] = field(default_factory=dict)
+
+    def has_obeyed(self, i: int) -> bool:
+        """Whether drone i has: its agent, and its body where an owner has that."""
+        return i in self.obeyed and (BODIES + i in self.obeyed or BODIES + i not in self.targets)
+
+
 class Desk:
-    """Gives commands; nothing here waits for them: their receipts grow."""
+    """Gives commands; nothing here waits for them: their receipts grow.
+
+    What is ordered later counts. A stop withdraws every open order that could move its drones, an order those older
+    ones that are contrary to it and not acknowledged yet: across an outage of the network none of them comes late.
+    """
 
     def __init__(self, place: Place, watch: Watch) -> None:
         self.place, self.watch = place, watch
@@ -68,6 +105,8 @@ class Desk:
         self.version = 0
         self._count = 0
         self._tasks: dict[asyncio.Task[None], None] = {}
+        self._asked: dict[_Asked, asyncio.Task[None]] = {}
+        self._stops: dict[_Stop, None] = {}
 
     def after(self, version: int) -> list[Receipt]:
         """The receipts that have changed since then, oldest first."""
@@ -75,21 +114,33 @@ class Desk:
 
     def order(
         self, verb: str, drones: Iterable[int] | None = None, seconds: float | None = None, words: str = "",
-        each: Callable[[int], Mapping[str, Any]] = lambda i: {},
+        each: Callable[[int], Mapping[str, Any]] = lambda i: {}, says: Callable[[Any], Any] = lambda detail: detail,
     ) -> Receipt:  # fmt: skip
-        """Command these drones, None: all; each: the arguments of each."""
+        """Command these drones, None: all; each: the arguments of each;  says: its answer, as the receipt tells it."""
         receipt = self._new(verb, self.place.config.ids if drones is None else drones, words)
         limit = SECONDS.get(verb, REQUEST) if seconds is None else seconds
+        if verb in MOTION:
+            beside = BESIDE.get(verb, ())
+            self._withdraw(receipt, verb, lambda asked: not asked.begun and asked.receipt.verb not in beside)
         for i in receipt.answers:
-            self._spawn(self._ask(receipt, i, verb, limit, each(i)))
+            asked = _Asked(receipt, i)
+            self._asked[asked] = self._spawn(self._ask(asked, limit, each(i), says))
         return receipt
 
     def stop(self, drones: Iterable[int] | None = None, clear: bool = False) -> Receipt:
-        """Emergency stop of these drones, None: of the swarm, in force until it is cleared; or clear it."""
+        """Emergency stop of these drones, None: of the swarm, in force until it is cleared; or clear it.
+
+        A stop is sent until it is acknowledged, cleared here, or given anew.
+        """
         config = self.place.config
-        meant = list(config.ids if drones is None else drones)
-        receipt = self._new("clear stop" if clear else "emergency stop", meant, "")
-        self._spawn(self._stop(receipt, meant, clear, alone=drones is not None and not clear))
+        receipt = self._new("clear stop" if clear else "emergency stop", config.ids if drones is None else drones, "")
+        bodies = [BODIES + i for i in config.elsewhere if i in receipt.answers]
+        stop = _Stop(receipt, [*receipt.answers, *bodies], clear, alone=drones is not None and not clear)
+        self._replace(stop)
+        if not clear:
+            self._withdraw(receipt, "stop")
+        self._stops[stop] = None
+        self._spawn(self._stop(stop))
         return receipt
 
     async def settled(self, receipt: Receipt) -> Receipt:
@@ -111,10 +162,35 @@ class Desk:
         self._changed(receipt)
         return receipt
 
-    def _spawn(self, work: Any) -> None:
+    def _spawn(self, work: Coroutine[Any, Any, None]) -> asyncio.Task[None]:
         task = asyncio.get_running_loop().create_task(work)
         self._tasks[task] = None
         task.add_done_callback(lambda done: self._tasks.pop(done, None))
+        return task
+
+    def _withdraw(self, newer: Receipt, by: str, which: Callable[[_Asked], bool] = lambda asked: True) -> None:
+        """Ask the drones of a newer order no more for the motions that they were asked for."""
+        for asked, task in list(self._asked.items()):
+            if asked.drone in newer.answers and asked.receipt.verb in MOTION and which(asked):
+                del self._asked[asked]
+                task.cancel()
+                self._withdrawn(asked.receipt, asked.drone, by)
+
+    def _replace(self, newer: _Stop) -> None:
+        """Send older stops, and clears, to its targets no more; a stop of the swarm stays beside one of some drones."""
+        told = dict.fromkeys(newer.targets)
+        for older in self._stops:
+            if newer.alone and not (older.alone or older.clear):
+                continue
+            older.targets[:] = [j for j in older.targets if j not in told]
+            for i in newer.receipt.answers:
+                if older.receipt.answers.get(i, (DONE, ""))[0] in (SENT, SILENT):
+                    self._withdrawn(older.receipt, i, newer.receipt.verb)
+
+    def _withdrawn(self, receipt: Receipt, i: int, by: str) -> None:
+        """It is no trouble, and not worth a line of the log."""
+        receipt.answers[i] = REFUSED, f"withdrawn by {by}"
+        self._changed(receipt)
 
     def _changed(self, receipt: Receipt) -> None:
         self.version += 1
@@ -127,62 +203,71 @@ class Desk:
             if kind in (REFUSED, SILENT):
                 self.watch.add(f"{receipt.verb}: {kind}: {words}", "warning", i)
 
-    async def _ask(self, receipt: Receipt, i: int, verb: str, seconds: float, arguments: Mapping[str, Any]) -> None:
-        place = self.place
-        timer = place.clock.call_at(
-            place.clock.now_ns() + round(ACKNOWLEDGED * 1e9), self._unheard, receipt, i, drone=i
-        )
+    async def _ask(
+        self, asked: _Asked, seconds: float, arguments: Mapping[str, Any], says: Callable[[Any], Any]
+    ) -> None:  # fmt: skip
+        clock, receipt, i = self.place.clock, asked.receipt, asked.drone
+        timer = clock.call_at(clock.now_ns() + round(ACKNOWLEDGED * 1e9), self._unheard, receipt, i, drone=i)
         try:
-            answer = await self._answered(receipt, i, verb, seconds, arguments)
+            answer = await self._answered(asked, seconds, arguments)
         except TimeoutError:
             self._answer(receipt, i, SILENT, f"no answer within {seconds:g} s; is its agent running?")
             return
         finally:
             timer.cancel()
+            self._asked.pop(asked, None)
         if answer.kind == ACCEPTED:
             self._answer(receipt, i, REFUSED, f"not done within {seconds:g} s")
         else:
-            self._answer(receipt, i, answer.kind, "" if answer.detail is None else answer.detail)
+            detail = says(answer.detail) if answer.kind == DONE else answer.detail
+            self._answer(receipt, i, answer.kind, "" if detail is None else detail)
 
-    async def _answered(
-        self, receipt: Receipt, i: int, verb: str, seconds: float, arguments: Mapping[str, Any]
-    ) -> Answer:  # fmt: skip
+    async def _answered(self, asked: _Asked, seconds: float, arguments: Mapping[str, Any]) -> Answer:
         """What it says at last; who is not ready yet is asked again, for at most READY s."""
-        clock, commander = self.place.clock, self.place.commander
+        clock, commander, verb = self.place.clock, self.place.commander, asked.receipt.verb
         began, asks = clock.now(), clock.now() + min(seconds, READY)
         while True:
             left = began + seconds - clock.now()
-            answer = await commander.request(i, verb, left, lambda: self._answer(receipt, i, ACCEPTED), **arguments)
+            answer = await commander.request(asked.drone, verb, left, lambda: self._begun(asked), **arguments)
             waits = answer.kind == REFUSED and str(answer.detail).startswith(NOT_READY)
             if not waits or clock.now() + RETRY >= asks:
                 return answer
+            asked.begun = False
             await clock.sleep(RETRY)
+
+    def _begun(self, asked: _Asked) -> None:
+        asked.begun = True
+        self._answer(asked.receipt, asked.drone, ACCEPTED)
 
     def _unheard(self, receipt: Receipt, i: int) -> None:
         if receipt.answers[i][0] == SENT:
             self._answer(receipt, i, SENT, f"not acknowledged within {ACKNOWLEDGED:g} s; resent")
 
-    async def _stop(self, receipt: Receipt, meant: list[int], clear: bool, alone: bool) -> None:
-        """Agents and the bodies at owners; a drone has obeyed when both have."""
-        place = self.place
-        bodies = [i for i in place.config.elsewhere if i in meant]
-        obeyed: dict[int, None] = {}
-        targets = [*meant, *(BODIES + i for i in bodies)]
-        order = place.commander.emergency_stop(targets, clear, STOP, alone, obeyed)
+    async def _stop(self, stop: _Stop) -> None:
+        """Agents and the bodies at owners; a drone has obeyed when both have. A clear that comes late helps nobody."""
+        clock, limit = self.place.clock, STOP if stop.clear else math.inf
+        timer = clock.call_at(clock.now_ns() + round(STOP * 1e9), self._silent, stop)
+        order = self.place.commander.emergency_stop(stop.targets, stop.clear, limit, stop.alone, stop.obeyed)
         sending = asyncio.ensure_future(order)
         try:
             while not sending.done():
-                self._tell_obeyed(receipt, bodies, obeyed, clear)
-                await place.clock.sleep(LOOK)
-            self._tell_obeyed(receipt, bodies, obeyed, clear)
+                self._tell_obeyed(stop)
+                await clock.sleep(LOOK)
+            self._tell_obeyed(stop)
         finally:
             sending.cancel()
-        for i, (kind, _) in receipt.answers.items():
-            if kind != DONE:
-                body = "; its body has obeyed" if BODIES + i in obeyed else ""
-                self._answer(receipt, i, SILENT, f"no acknowledgement within {STOP:g} s{body}")
+            timer.cancel()
+            del self._stops[stop]
 
-    def _tell_obeyed(self, receipt: Receipt, bodies: list[int], obeyed: Mapping[int, None], clear: bool) -> None:
-        for i in receipt.answers:
-            if i in obeyed and (i not in bodies or BODIES + i in obeyed):
-                self._answer(receipt, i, DONE, "cleared" if clear else "motors off")
+    def _silent(self, stop: _Stop) -> None:
+        """Who is waited for no more; a stop goes on being sent."""
+        still = "" if stop.clear else ", still sent"
+        for i, (kind, _) in stop.receipt.answers.items():
+            if kind == SENT:
+                body = "; its body has obeyed" if BODIES + i in stop.obeyed else ""
+                self._answer(stop.receipt, i, SILENT, f"no acknowledgement within {STOP:g} s{still}{body}")
+
+    def _tell_obeyed(self, stop: _Stop) -> None:
+        for i, (kind, _) in stop.receipt.answers.items():
+            if kind in (SENT, SILENT) and stop.has_obeyed(i):
+                self._answer(stop.receipt, i, DONE, "cleared" if stop.clear else "motors off")

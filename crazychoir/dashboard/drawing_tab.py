@@ -42,7 +42,7 @@ def build(about: dict[str, Any]) -> None:
     text("<h3>Fly it</h3>")
     with row():
         text(
-            field("offset_x", "From drone to drone: x", 0, "m", step=0.1)
-            + field("offset_y", "y", 0.5, "m", step=0.1) + field("offset_z", "z", 0, "m", step=0.1)
+            field("offset_x", "Offset x from drone to drone", 0, "m", step=0.1)
+            + field("offset_y", "Offset y", 0.5, "m", step=0.1) + field("offset_z", "Offset z", 0, "m", step=0.1)
         )  # fmt: skip
         button("Fly it with the chosen drones", "sketch.fly()", color="positive")

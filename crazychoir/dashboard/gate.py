@@ -1,9 +1,10 @@
 """Who may come in: every request passes here before anything else sees it.
 
-Refused: hosts that the page is not served at (a name that was bound to this address), other sites' requests, bodies
-that are too large, and, where a password is wanted, whoever has not given it.
+Refused: hosts that the page is not served at (a name that was bound to this address), other sites' requests, but for
+a link to the page, bodies that are too large, and, where a password is wanted, whoever has not given it.
 """
 
+import asyncio
 import hmac
 import secrets
 from collections.abc import Awaitable, Callable, MutableMapping
@@ -22,11 +23,18 @@ App = Callable[[Scope, Receive, Send], Awaitable[None]]
 MOST_BODY = 1 << 18
 """Bytes of a request's body, and of one message of a page."""
 COOKIE, LOGIN = "crazychoir", "/login"
-MOST_SESSIONS = 256
-PAUSE = 1.0
-"""s after a wrong password in which no other is looked at."""
+MOST_SESSIONS, SESSION = 256, 12 * 3600.0
+"""SESSION: s, for which a password that was given counts."""
+PAUSE, PATIENCE = 1.0, 3.0
+"""s between two passwords that one address gives; for which one waits for its turn, at most."""
+MOST_ADDRESSES = 1024
+"""Whose last password is remembered."""
+MOST_LOGIN, LOGIN_SECONDS = 1 << 12, 5.0
+"""Bytes, and s, of a password on its way."""
 LOOPBACK = ("localhost", "127.0.0.1", "[::1]")
 SAFE = ("GET", "HEAD")
+ELSEWHERE = ("cross-site", "same-site")
+"""What a browser says of a request that another site makes, on this host too; see Fetch Metadata, W3C."""
 HEADERS = [
     (b"x-frame-options", b"DENY"), (b"x-content-type-options", b"nosniff"), (b"referrer-policy", b"same-origin"),
     (b"content-security-policy", b"frame-ancestors 'none'; base-uri 'self'; form-action 'self'; object-src 'none'"),
@@ -42,7 +50,7 @@ input,button{font:inherit;width:100%;padding:.5rem;margin:.3rem 0;box-sizing:bor
 
 
 class TooLarge(Exception):
-    """A body went on beyond MOST_BODY."""
+    """A body went on beyond what is allowed."""
 
 
 class Gate:
@@ -56,8 +64,8 @@ class Gate:
         self, app: App, clock: Clock, hosts: tuple[str, ...] | None, password: str | None = None, tls: bool = False
     ) -> None:
         self.app, self.clock, self.hosts, self.password, self.tls = app, clock, hosts, password, tls
-        self._sessions: dict[str, None] = {}
-        self._next = 0.0  # s, when a password is looked at again
+        self._sessions: dict[str, float] = {}  # s, when each is over
+        self._next: dict[str, float] = {}  # s, by address: when its next password is looked at
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """One connection."""
@@ -81,8 +89,11 @@ class Gate:
         if self.hosts is not None and host not in self.hosts:
             return 421, f"not served at {host!r}; at {', '.join(self.hosts)}"
         asks = scope["type"] == "websocket" or scope["method"] not in SAFE
-        if asks and (origin is None or origin.partition("://")[2] != host):
+        own = origin is not None and origin.partition("://")[2] == host
+        if asks and not own:
             return 403, "a request of another site, or of none, which only pages of this one may make"
+        if not own and (origin is not None or _of_another_site(headers)):
+            return 403, "a request of another site, which may do no more than link to this one"
         length = headers.get("content-length", "0")
         if not length.isdecimal() or int(length) > MOST_BODY:
             return 413, f"more than {MOST_BODY} bytes"
@@ -93,7 +104,7 @@ class Gate:
             cookie = SimpleCookie(headers.get("cookie", ""))
         except CookieError:
             return False
-        return COOKIE in cookie and cookie[COOKIE].value in self._sessions
+        return COOKIE in cookie and self.clock.now() < self._sessions.get(cookie[COOKIE].value, 0.0)
 
     async def _through(self, scope: Scope, receive: Receive, send: Send) -> None:
         """To the application, which gets no more than MOST_BODY bytes."""
@@ -123,43 +134,77 @@ class Gate:
 
     async def _login(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["method"] != "POST" or scope["path"] != LOGIN:
-            await _answer(send, 401, FORM.replace("SAID", "").encode(), b"text/html; charset=utf-8")
+            await _form(send, 401)
             return
-        body = b""
-        while True:
-            event = await receive()
-            body += event.get("body", b"")
-            if len(body) > MOST_BODY:
-                await _refuse(scope, send, 413, f"more than {MOST_BODY} bytes")
-                return
-            if not event.get("more_body"):
-                break
+        try:
+            async with asyncio.timeout(LOGIN_SECONDS):
+                body = await _body(receive, MOST_LOGIN)
+        except TooLarge:
+            await _refuse(scope, send, 413, f"more than {MOST_LOGIN} bytes")
+            return
+        except TimeoutError:
+            await _refuse(scope, send, 408, f"no whole request within {LOGIN_SECONDS:g} s")
+            return
+        address = scope["client"][0] if scope.get("client") else ""
+        wait = self._turn(address)
+        if wait > PATIENCE:
+            await _form(send, 429, "Too many tries: wait a moment.")
+            return
+        await self.clock.sleep(wait)
         given = parse_qs(body.decode("utf-8", "replace")).get("password", [""])[0]
-        now = self.clock.now()
-        if now < self._next:
-            said, status = "Too many tries: wait a moment.", 429
-        elif self.password is not None and hmac.compare_digest(given.encode(), self.password.encode()):
+        if self.password is not None and hmac.compare_digest(given.encode(), self.password.encode()):
+            self._next.pop(address, None)
             await self._welcome(send)
-            return
         else:
-            self._next = now + PAUSE
-            said, status = "That is not the password.", 401
-        await _answer(send, status, FORM.replace("SAID", said).encode(), b"text/html; charset=utf-8")
+            await _form(send, 401, "That is not the password.")
+
+    def _turn(self, address: str) -> float:
+        """s until the password is looked at that this address has given now: nobody waits for what others try."""
+        now = self.clock.now()
+        wait = max(0.0, self._next.pop(address, 0.0) - now)
+        self._next[address] = now + wait + (PAUSE if wait <= PATIENCE else 0.0)
+        while len(self._next) > MOST_ADDRESSES:
+            del self._next[next(iter(self._next))]
+        return wait
 
     async def _welcome(self, send: Send) -> None:
         session = secrets.token_urlsafe(32)
         while len(self._sessions) >= MOST_SESSIONS:
             del self._sessions[next(iter(self._sessions))]
-        self._sessions[session] = None
-        cookie = f"{COOKIE}={session}; Path=/; HttpOnly; SameSite=Strict{'; Secure' if self.tls else ''}"
+        self._sessions[session] = self.clock.now() + SESSION
+        limits = f"Max-Age={SESSION:.0f}; Path=/; HttpOnly; SameSite=Strict{'; Secure' if self.tls else ''}"
+        cookie = f"{COOKIE}={session}; {limits}"
         await _answer(send, 303, b"", b"text/plain", [(b"location", b"/"), (b"set-cookie", cookie.encode())])
+
+
+def _of_another_site(headers: dict[str, str]) -> bool:
+    """Whether a browser says so, and it is more than a link that was followed."""
+    link = headers.get("sec-fetch-mode") == "navigate" and headers.get("sec-fetch-dest") == "document"
+    return headers.get("sec-fetch-site") in ELSEWHERE and not link
+
+
+async def _body(receive: Receive, most: int) -> bytes:
+    """All of it, or what had come when the visitor left; raises TooLarge."""
+    body, more = b"", True
+    while more:
+        event = await receive()
+        body += event.get("body", b"")
+        more = event.get("more_body", False)
+        if len(body) > most:
+            raise TooLarge
+    return body
+
+
+async def _form(send: Send, status: int, said: str = "") -> None:
+    await _answer(send, status, FORM.replace("SAID", said).encode(), b"text/html; charset=utf-8")
 
 
 async def _refuse(scope: Scope, send: Send, status: int, why: str) -> None:
     if scope["type"] == "websocket":
         await send({"type": "websocket.close", "code": 1008, "reason": why})
     else:
-        await _answer(send, status, f"crazychoir: {why}\n".encode(), b"text/plain; charset=utf-8")
+        unread = [(b"connection", b"close")] if status in (408, 413) else []
+        await _answer(send, status, f"crazychoir: {why}\n".encode(), b"text/plain; charset=utf-8", unread)
 
 
 async def _answer(

@@ -1,7 +1,8 @@
 """What one page asks for, done: commands at the desk, drawings planned, files read and written."""
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Coroutine
+from functools import partial
 from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
@@ -19,18 +20,20 @@ from crazychoir.dashboard.asks import (
     Order,
     Save,
     Stop,
+    Strokes,
 )
 from crazychoir.dashboard.desk import Desk
 from crazychoir.dashboard.polls import TaskBoard
 from crazychoir.errors import ConfigError
-from crazychoir.guidance.sketch import Planned, beside, loaded, messages, planned, saved
+from crazychoir.guidance.sketch import Planned, beside, check_apart, loaded, messages, planned, saved
 from crazychoir.planning.drawing import Pen
 from crazychoir.swarm.config import SwarmConfig
 from crazychoir.swarm.graph import span
-from crazychoir.swarm.impairment import changes
+from crazychoir.swarm.impairment import changes, in_words
 
 P = ParamSpec("P")
 T = TypeVar("T")
+Work = Callable[[], Coroutine[Any, Any, dict[str, Any] | None]]
 SCOPE = 2
 """Drones that name a link."""
 REACHES = 60.0
@@ -43,10 +46,10 @@ class Operator:
     def __init__(self, config: SwarmConfig, desk: Desk, board: TaskBoard) -> None:
         self.config, self.desk, self.board = config, desk, board
         self._plan: Planned | None = None
-        self._drawn = 0
+        self._drawn, self._planning = 0, asyncio.Lock()
 
-    async def asked(self, message: Message) -> dict[str, Any] | None:
-        """Do it; raises ConfigError, with why not."""
+    def asked(self, message: Message) -> Work | None:
+        """Do it, or return the work that takes a while; raises ConfigError, with why not."""
         match message:
             case Order(verb, drones):
                 self.desk.order(verb, self._those(drones))
@@ -55,24 +58,25 @@ class Operator:
             case GoTo():
                 self._go_to(message)
             case Draw():
-                return await self._draw(message)
+                self._plan, self._drawn = None, self._drawn + 1
+                return partial(self._draw, message, self._drawn)
             case Fly():
                 self._fly(message)
             case Load(name, text):
-                return {"strokes": await _aside(loaded, text, name)}
+                return partial(_loaded, name, text)
             case Save(strokes, kind):
-                return {"saved": saved([np.array(stroke) for stroke in strokes], kind), "kind": kind}
+                return partial(_saved, strokes, kind)
             case Impair():
                 self._impair(message)
             case AddTask(pickup, delivery, load):
                 words = f"{list(pickup)} to {list(delivery)}" if delivery else f"{list(pickup)}"
-                await self.board.ask("task_add", words, pickup=pickup, delivery=delivery, load=load)
+                self.board.begin("task_add", words, pickup=pickup, delivery=delivery, load=load)
             case CancelTask(j):
-                await self.board.ask("task_cancel", str(j), id=j)
+                self.board.begin("task_cancel", str(j), id=j)
         return None
 
     def _impair(self, message: Impair) -> None:
-        """Every drone is told: each simulates the network of what it sends."""
+        """Every drone is told: each simulates the network of what it sends, and says what is in force there then."""
         drones = self._those(message.drones)
         told: dict[str, Any] = {"clear": True} if message.clear else {}
         given = {name: value for name in ("loss", "delay") if (value := getattr(message, name)) is not None}
@@ -80,31 +84,37 @@ class Operator:
         if message.cut:
             if drones is None:
                 raise ConfigError("cut off", "no drones", "the drones of one side")
-            told["partitions"] = [{"since": 0.0, "a": list(drones)}]
+            told["cut"] = {"since": 0.0, "a": list(drones)}
             words.append("cut off")
         elif drones is not None and len(drones) > SCOPE:
             raise ConfigError("drones", f"{len(drones)} of them", "none for all links, one for its links, two for one")
         elif drones is not None:
             told |= {"drone": drones[0]} if len(drones) == 1 else {"edge": list(drones)}
         words.append(span(drones) if drones else "all links")
-        self.desk.order("impair", words=", ".join(words), each=lambda i: told | changes(given))
+        self.desk.order(
+            "impair", words=", ".join(words), each=lambda i: told | changes(given),
+            says=lambda network: "; ".join(in_words(network)),
+        )  # fmt: skip
 
     def _go_to(self, message: GoTo) -> None:
-        places = beside(message.p, message.offset, self._checked(message.drones))
+        drones = self._checked(message.drones)
+        check_apart(drones, message.offset, self.config)
+        places = beside(message.p, message.offset, drones)
         self.desk.order(
             "go-to", places, words=f"{list(message.p)} m", each=lambda i: {"p": places[i], "yaw": message.yaw}
         )
 
-    async def _draw(self, message: Draw) -> dict[str, Any] | None:
-        """Plan in a thread: the page of nobody waits for it. What was drawn since counts alone."""
-        self._plan, self._drawn = None, self._drawn + 1
-        number = self._drawn
+    async def _draw(self, message: Draw, number: int) -> dict[str, Any] | None:
+        """Plan in a thread, one drawing at a time; of those that wait, and of what was planned, the newest counts."""
         pen = Pen(
             height=message.height, lift=message.lift, yaw=message.yaw, timing=message.timing,
             smoothing=message.smoothing,
         )  # fmt: skip
         limits = {"v_max": message.v_max, "a_max": message.a_max, "slower": message.slower}
-        plan = await _aside(planned, message.strokes, pen, self.config, **limits)
+        async with self._planning:
+            if number != self._drawn:
+                return None
+            plan = await _aside(planned, message.strokes, pen, self.config, **limits)
         if number != self._drawn:
             return None
         self._plan = plan
@@ -128,6 +138,14 @@ class Operator:
             if i not in self.config.ids:
                 raise ConfigError("drones", i, span(self.config.ids))
         return tuple(dict.fromkeys(drones))
+
+
+async def _loaded(name: str, text: str) -> dict[str, Any]:
+    return {"strokes": await _aside(loaded, text, name)}
+
+
+async def _saved(strokes: Strokes, kind: str) -> dict[str, Any]:
+    return {"saved": await _aside(saved, [np.array(stroke) for stroke in strokes], kind), "kind": kind}
 
 
 async def _aside(work: Callable[P, T], *arguments: P.args, **named: P.kwargs) -> T:

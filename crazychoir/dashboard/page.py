@@ -21,6 +21,11 @@ VERBS = {
 HEAD = """<link rel="stylesheet" href="/own/page.css"><script type="module">
 import { start } from "/own/page.js"; start();</script>"""
 
+SAID = """<p id="stopped" role="alert"></p><p id="trouble" role="alert"></p><p id="newest" role="status"></p>"""
+CLEAR = """<dialog id="clear" aria-labelledby="clear-what"><form method="dialog"><p id="clear-what">Is the
+emergency stop to end? Space still stops all.</p><button value="no" autofocus>Cancel</button>
+<button value="yes">End it</button></form></dialog>"""
+
 
 class Page:
     """The same for all browsers; about: what SwarmModel.about says."""
@@ -56,6 +61,8 @@ class Page:
             button("Light or dark", "turn()", "flat dense")
             button("Clear stop", "clearStop()", "outline")
             button("STOP ALL (space)", "stopAll()", color="negative").classes("stop")
+            text(CLEAR)
+            text(SAID).classes("said")
 
     def _fly(self) -> None:
         text('<h2>Commands <span id="chosen" role="status"></span></h2>')
@@ -66,14 +73,14 @@ class Page:
         text("<h3>Go to a place</h3>")
         with row():
             text(
-                field("goal_x", "x", 0, "m", step=0.1) + field("goal_y", "y", 0, "m", step=0.1)
-                + field("goal_z", "z", self.about["height"], "m", step=0.1)
-                + field("apart_y", "y from drone to drone", 0.5, "m", step=0.1)
+                field("goal_x", "Place x", 0, "m", step=0.1) + field("goal_y", "Place y", 0, "m", step=0.1)
+                + field("goal_z", "Place z", self.about["height"], "m", step=0.1)
+                + field("apart_y", "Offset y from drone to drone", 0.5, "m", step=0.1)
             )  # fmt: skip
             button("Go there", "goTo()")
             text('<span class="field"><label for="pick">A click on the floor says where</label>'
                  '<input id="pick" type="checkbox"></span>')  # fmt: skip
-        text('<h3>Receipts</h3><ul id="receipts" class="lines" aria-live="polite"></ul>')
+        text('<h3>Receipts</h3><ul id="receipts" class="lines"></ul>')
 
     def _plots(self) -> None:
         ids = {str(i): f"drone {i}" for i in self.about["ids"]}
@@ -87,8 +94,8 @@ def _tasks() -> None:
             '<span class="field"><label for="placing">Clicks on the floor: pickup, then delivery</label>'
             '<input id="placing" type="checkbox"></span>'
             + choice("task_kind", "A task is", {"two": "pickup and delivery", "one": "done at one place"})
-            + field("pickup_x", "Pickup x", 0, "m", step=0.1) + field("pickup_y", "y", 0, "m", step=0.1)
-            + field("delivery_x", "Delivery x", 1, "m", step=0.1) + field("delivery_y", "y", 1, "m", step=0.1)
+            + field("pickup_x", "Pickup x", 0, "m", step=0.1) + field("pickup_y", "Pickup y", 0, "m", step=0.1)
+            + field("delivery_x", "Delivery x", 1, "m", step=0.1) + field("delivery_y", "Delivery y", 1, "m", step=0.1)
             + field("load", "Load", 1, "", min=0, step=0.5)
         )  # fmt: skip
         button("Add task", "tasks.add()")

@@ -1,5 +1,6 @@
 """What no topic says, asked for now and then while somebody looks on: the tasks, and what each link has lost."""
 
+import asyncio
 import math
 from typing import Any
 
@@ -60,6 +61,7 @@ class TaskBoard(Actor):
         self.tasks: list[dict[str, Any]] | None = None
         """As TaskSource lists them; None for a mission without."""
         self._k, self._again = 0, -math.inf
+        self._asking: dict[asyncio.Task[Receipt], None] = {}
 
     async def run(self) -> None:
         """Ask one drone, the next one if it does not answer."""
@@ -76,6 +78,12 @@ class TaskBoard(Actor):
                 self._again = self.desk.place.clock.now() + LATER
         else:
             self.tasks = answer["tasks"]
+
+    def begin(self, verb: str, words: str, **arguments: Any) -> None:
+        """`ask`, and wait for nothing: whoever wants it may be gone before it is done."""
+        task = asyncio.get_running_loop().create_task(self.ask(verb, words, **arguments))
+        self._asking[task] = None
+        task.add_done_callback(lambda done: self._asking.pop(done, None))
 
     async def ask(self, verb: str, words: str, **arguments: Any) -> Receipt:
         """Ask one drone, then others if it refuses; who does not answer may have done it: nobody else is asked then."""

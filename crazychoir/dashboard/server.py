@@ -31,6 +31,10 @@ PORT, PORTS = 8765, 20
 STATIC = Path(__file__).with_name("static")
 GRACE = 1
 """s that open connections get at the end."""
+MOST_CONNECTIONS = 512
+"""Beyond which requests are refused; lines that are open go on."""
+USUAL = {"http": 80, "https": 443}
+"""Ports that no address names."""
 
 
 class Link(Protocol):
@@ -83,6 +87,24 @@ class Served:
         except ValueError:
             return False
 
+    @property
+    def scheme(self) -> str:
+        """Of its address."""
+        return "http" if self.certificate is None else "https"
+
+    @property
+    def name(self) -> str:
+        """The host, as in an address."""
+        return f"[{self.host}]" if ":" in self.host else self.host
+
+    def hosts(self, port: int) -> tuple[str, ...] | None:
+        """What browsers of this machine may call it, served at this port; None: any name, for those that come in."""
+        if not self.loopback:
+            return None
+        names = tuple(dict.fromkeys((*LOOPBACK, self.name)))
+        bare = names if port == USUAL[self.scheme] else ()
+        return (*(f"{name}:{port}" for name in names), *bare)
+
     def bound(self) -> socket.socket:
         """Listening; raises ConfigError for an address that is not ours, or a port that is taken."""
         ports = [self.port] if self.port is not None else range(PORT, PORT + PORTS)
@@ -105,17 +127,14 @@ async def serve(place: Outlook, served: Served, say: Callable[[str], None]) -> N
     stream = Stream(model, desk, watch, links, board)
     listening = served.bound()
     port = listening.getsockname()[1]
-    scheme = "http" if served.certificate is None else "https"
-    hosts = tuple(f"{name}:{port}" for name in LOOPBACK) if served.loopback else None
     app = _app(stream, lambda: Operator(config, desk, board), Page(model.about()))
-    gate = Gate(app, clock, hosts, served.password, tls=scheme == "https")
+    gate = Gate(app, clock, served.hosts(port), served.password, tls=served.scheme == "https")
     server = uvicorn.Server(uvicorn.Config(
         gate, log_level="warning", lifespan="on", ws_max_size=MOST_BODY, ws_per_message_deflate=False, ws_max_queue=8,
-        timeout_graceful_shutdown=GRACE, server_header=False,
+        timeout_graceful_shutdown=GRACE, server_header=False, proxy_headers=False, limit_concurrency=MOST_CONNECTIONS,
         ssl_certfile=served.certificate, ssl_keyfile=served.key,
     ))  # fmt: skip
-    shown = f"[{served.host}]" if ":" in served.host else served.host
-    say(f"page of swarm {config.name}: {scheme}://{shown}:{port}; Ctrl-C ends it, and the swarm flies on")
+    say(f"page of swarm {config.name}: {served.scheme}://{served.name}:{port}; Ctrl-C ends it, and the swarm flies on")
     streaming = asyncio.create_task(Supervisor(clock, "page").run([stream, links, board]))
     try:
         await server.serve(sockets=[listening])

@@ -2,27 +2,31 @@
 
 import asyncio
 import logging
+import math
 from collections import deque
+from collections.abc import Callable, Coroutine
 from dataclasses import asdict
 from typing import Any, Protocol
 
 import msgspec
 
-from crazychoir.dashboard.asks import Message, read
+from crazychoir.dashboard.asks import Message, Stop, read
 from crazychoir.dashboard.desk import Desk
 from crazychoir.dashboard.model import RATE, SwarmModel
 from crazychoir.dashboard.polls import Links, TaskBoard
 from crazychoir.dashboard.watch import Watch
 from crazychoir.errors import CrazyChoirError
 from crazychoir.runtime.actor import Actor
+from crazychoir.runtime.clock import Clock
 
 log = logging.getLogger(__name__)
 TABLES = 2.0
 """Hz, of the table of drones."""
 MOST_PAGES = 32
-MOST_ASKED = 60
-"""Messages of one page in PER_SECONDS s, beyond which it is closed."""
-PER_SECONDS = 2.0
+MOST_ASKED, FLOOD = 60, 600
+"""Messages of one page in PER_SECONDS s: beyond which they are refused, all but stops, and with which it is closed."""
+PER_SECONDS, TOLD = 2.0, 1.0
+"""TOLD: s, between two times that a page is told so."""
 POLICY, TOO_MANY = 1008, 1013
 """Codes of a WebSocket's end: it has broken a rule; try again later."""
 
@@ -47,12 +51,46 @@ class Socket(Protocol):
         ...
 
 
+Work = Callable[[], Coroutine[Any, Any, dict[str, Any] | None]]
+"""What takes a while; says what the page that asked for it alone should know."""
+
+
 class Answering(Protocol):
     """Who does what a page asks for."""
 
-    async def asked(self, message: Message) -> dict[str, Any] | None:
-        """Do it; returns what this page alone should know, raises CrazyChoirError with why not."""
+    def asked(self, message: Message) -> Work | None:
+        """Do it, or return the work that takes a while; both raise CrazyChoirError with why not."""
         ...
+
+
+class _Pace:
+    """How much one page asks for."""
+
+    def __init__(self, clock: Clock) -> None:
+        self.clock = clock
+        self._all, self._taken = deque[float](maxlen=FLOOD), deque[float](maxlen=MOST_ASKED)
+        self._told = -math.inf
+
+    def takes(self) -> bool:
+        """Count one message more; whether it is not one too many."""
+        now = self.clock.now()
+        self._all.append(now)
+        if len(self._taken) == MOST_ASKED and now - self._taken[0] < PER_SECONDS:
+            return False
+        self._taken.append(now)
+        return True
+
+    def tells(self) -> bool:
+        """Whether it is time to say that it is too much."""
+        now = self.clock.now()
+        due = now - self._told >= TOLD
+        self._told = now if due else self._told
+        return due
+
+    @property
+    def flood(self) -> bool:
+        """Whether it is so much that the page must be closed."""
+        return len(self._all) == FLOOD and self._all[-1] - self._all[0] < PER_SECONDS
 
 
 class Stream(Actor):
@@ -134,29 +172,64 @@ class Stream(Actor):
                 await socket.send_text(self.table.decode())
 
     async def _hear(self, socket: Socket, answering: Answering) -> None:
-        """Nothing that is asked waits for what was asked before: a stop may come while a drawing is planned."""
-        times: deque[float] = deque(maxlen=MOST_ASKED)
+        """Nothing that is asked waits for what was asked before: a stop may come while a drawing is planned.
+
+        Commands are given before the next message is read, though their page be gone by then.
+        """
+        pace = _Pace(self.clock)
         async with asyncio.TaskGroup() as group:
             while True:
                 text = await socket.receive_text()
-                now = self.clock.now()
-                if len(times) == MOST_ASKED and now - times[0] < PER_SECONDS:
-                    await socket.close(POLICY, f"more than {MOST_ASKED} messages in {PER_SECONDS:g} s")
+                reply = self._asked(text, answering, pace)
+                if pace.flood:
+                    await socket.close(POLICY, f"{FLOOD} messages in {PER_SECONDS:g} s")
                     raise ConnectionError("closed")
-                times.append(now)
-                group.create_task(self._reply(socket, text, answering))
+                if reply is not None:
+                    group.create_task(self._reply(socket, reply))
 
-    async def _reply(self, socket: Socket, text: str, answering: Answering) -> None:
-        reply = await self._replied(text, answering)
-        if reply is not None:
-            await socket.send_text(_text(reply))
-
-    async def _replied(self, text: str, answering: Answering) -> dict[str, Any] | None:
+    def _asked(self, text: str, answering: Answering, pace: _Pace) -> Work | dict[str, Any] | None:
+        """What the page is told, at once or when the work is done."""
+        message = _message(text)
+        if not isinstance(message, Stop) and not pace.takes():
+            why = f"what a page asks for beyond {MOST_ASKED} messages in {PER_SECONDS:g} s"
+            return self._not_done(why) if pace.tells() else None
+        if isinstance(message, Exception):
+            return self._refused(message)
         try:
-            return await answering.asked(read(text))
-        except (msgspec.ValidationError, msgspec.DecodeError, CrazyChoirError) as error:
-            self.watch.add(f"not done: {error}", "warning")
-            return {"refused": str(error)}
+            return answering.asked(message)
+        except Exception as error:  # noqa: BLE001 - the page is told; its line stays
+            return self._refused(error)
+
+    async def _reply(self, socket: Socket, reply: Work | dict[str, Any]) -> None:
+        told = reply if isinstance(reply, dict) else await self._done(reply)
+        if told is not None:
+            await socket.send_text(_text(told))
+
+    async def _done(self, work: Work) -> dict[str, Any] | None:
+        try:
+            return await work()
+        except Exception as error:  # noqa: BLE001 - the page is told; its line stays
+            return self._refused(error)
+
+    def _refused(self, error: Exception) -> dict[str, Any]:
+        """Why not; what nobody has foreseen goes to the log with its place."""
+        why = str(error)
+        if not isinstance(error, CrazyChoirError | msgspec.MsgspecError):
+            why = f"{type(error).__name__}: {error}"
+            log.error("what a page asked for failed: %s", why, exc_info=error)
+        return self._not_done(why)
+
+    def _not_done(self, why: str) -> dict[str, Any]:
+        self.watch.add(f"not done: {why}", "warning")
+        return {"refused": why}
+
+
+def _message(text: str) -> Message | Exception:
+    """The message, or why it is none."""
+    try:
+        return read(text)
+    except Exception as error:  # noqa: BLE001 - whatever a text breaks, its page is told
+        return error
 
 
 def _gone(error: BaseException) -> bool:

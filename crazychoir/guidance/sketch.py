@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 
 from crazychoir.errors import ConfigError
-from crazychoir.guidance.steering import path_message
+from crazychoir.guidance.steering import MOST_PIECES, path_message
 from crazychoir.math3d import Mat
 from crazychoir.planning.drawing import Pen, drawing
 from crazychoir.planning.feasibility import Limits, check, peaks, references
 from crazychoir.planning.piecewise import Piecewise
-from crazychoir.planning.stroke import csv_of, parse_strokes
+from crazychoir.planning.stroke import csv_of, parse_strokes, thinned
 from crazychoir.planning.svg import parse_svg, svg_of
 from crazychoir.swarm.config import SwarmConfig
 from crazychoir.swarm.tables import Collision
@@ -26,8 +26,16 @@ YAW_RATE = 2.0
 """rad/s, of a path along whose direction a drone looks."""
 SHOWN = 400
 """Places of a path on the page."""
+STEP = 0.002
+"""m between two places of a stroke that was loaded, at least."""
+LOADED = 5000
+"""Rows of all strokes of a file, if they are fewer than half as many: what a page can send at once."""
 PACE = 0.02
 """s between two places of a stroke that says no times."""
+MOST_ROWS = 20_000
+"""Of all strokes of a drawing."""
+LONGEST = 1800.0
+"""s, of the flight along a drawing: a battery lasts for a fifth of that."""
 
 
 @dataclass(frozen=True)
@@ -59,16 +67,44 @@ def planned(
 ) -> Planned:
     """The flight along the strokes, in `slower` times the time that its limits ask for; raises ConfigError.
 
+    What is far too large is refused before it costs more than a look at its rows.
     strokes: each (n, 3), rows t s, x, y m;  v_max m/s, a_max m/s2: at most those of [flight].
     """
     flight, fence = config.flight, config.fence
     v_max, a_max = min(v_max, flight.speed_limit), min(a_max, flight.acceleration_limit)
     limits = Limits(v_max=v_max, a_max=a_max, yaw_rate_max=YAW_RATE, low=fence.min, high=fence.max)
-    made = drawing([np.array(stroke) for stroke in strokes], pen, limits)
+    drawn = [np.array(stroke, dtype=float) for stroke in strokes]
+    _check_size(drawn, pen, limits, slower)
+    made = drawing(drawn, pen, limits, LONGEST / slower)
     path = made.path.slowed(slower)
     check(path, limits)
     most = peaks(path)
     return Planned(path, made.deviation, most["speed"], most["acceleration"])
+
+
+def _check_size(strokes: list[Mat], pen: Pen, limits: Limits, slower: float) -> None:
+    """Raise a ConfigError for too many rows, places beyond the fence, lines too long for a message or for LONGEST.
+
+    The hand may stray beyond the fence by the smoothing: what is flown is looked at again.
+    """
+    if (rows := sum(map(len, strokes))) > MOST_ROWS:
+        raise ConfigError("drawing", f"{rows} rows", f"at most {MOST_ROWS}", "Draw less at once.")
+    for n, stroke in enumerate(strokes):
+        places = np.column_stack([stroke[:, 1:3], np.full(len(stroke), pen.height)])
+        near = np.clip(places, limits.low, limits.high)
+        limits.check_places(np.where(np.abs(places - near) > pen.smoothing, places, near), f"strokes[{n}]")
+    lines, longest = sum(_length(stroke[:, 1:3]) for stroke in strokes), MOST_PIECES * pen.spacing
+    if lines > 2.0 * longest:  # much of it may be tremor
+        raise ConfigError("drawing", f"{lines:.0f} m", f"at most {longest:.0f} m", "Draw less at once.")
+    way = _length(np.vstack([np.empty((0, 2)), *(stroke[:, 1:3] for stroke in strokes)]))
+    seconds = slower * (way + 2.0 * pen.lift * max(len(strokes) - 1, 0)) / limits.v_max
+    if seconds > LONGEST:
+        do = "Draw less at once, or let it be faster."
+        raise ConfigError("drawing", f"{way:.0f} m, which take {seconds:.0f} s", f"at most {LONGEST:.0f} s", do)
+
+
+def _length(places: Mat) -> float:
+    return float(np.linalg.norm(np.diff(places, axis=0), axis=1).sum())
 
 
 def beside(p: Sequence[float], offset: Offset, drones: Sequence[int]) -> dict[int, list[float]]:
@@ -89,17 +125,23 @@ def messages(path: Piecewise, drones: Sequence[int], offset: Offset, config: Swa
     Refused, too, where two would fly so near that one had to give way to the other all the time; leaders of a formation
     fly it side by side from where they are.
     """
-    led = all(config.drone(i).leader for i in drones)
-    if len(drones) > 1 and not led and config.collision.method != "off" and _near(offset, config.collision):
-        (a, _, c), margin = config.collision.semi_axes, config.collision.margin
-        allowed = f"{2.0 * a + margin:g} m aside, or {2.0 * c:g} m above, from one drone to the next"
-        raise ConfigError("offset", list(offset), allowed, "Set it, or send the path to one drone.")
+    if not all(config.drone(i).leader for i in drones):
+        check_apart(drones, offset, config)
     limits, told = Limits(low=config.fence.min, high=config.fence.max), {}
     for i, by in beside((0.0, 0.0, 0.0), offset, drones).items():
         moved = shifted(path, by)
         limits.check_places(references(moved)[1][:, 0:3], f"path of drone {i}")
         told[i] = path_message(moved)
     return told
+
+
+def check_apart(drones: Sequence[int], offset: Offset, config: SwarmConfig) -> None:
+    """Raise ConfigError where two of several drones would be nearer than the collision filter lets them be."""
+    collision = config.collision
+    if len(drones) > 1 and collision.method != "off" and _near(offset, collision):
+        (a, _, c), margin = collision.semi_axes, collision.margin
+        allowed = f"{2.0 * a + margin:g} m aside, or {2.0 * c:g} m above, from one drone to the next"
+        raise ConfigError("offset", list(offset), allowed, "Set it, or send one drone alone.")
 
 
 def _near(offset: Offset, collision: Collision) -> bool:
@@ -109,12 +151,16 @@ def _near(offset: Offset, collision: Collision) -> bool:
 
 
 def loaded(text: str, name: str) -> list[list[list[float]]]:
-    """The strokes of a CSV or SVG text, rows t s, x, y m; raises ConfigError."""
+    """The strokes of a CSV or SVG text, rows t s, x, y m, thinned; raises ConfigError."""
     if name.lower().endswith(".svg"):
-        return [_timed(stroke).round(4).tolist() for stroke in parse_svg(text, name)]
-    if name.lower().endswith(".csv"):
-        return [stroke.round(4).tolist() for stroke in parse_strokes(text, name)]
-    raise ConfigError("file", name, "a name that ends in .csv or .svg")
+        strokes = [_timed(stroke) for stroke in parse_svg(text, name)]
+    elif name.lower().endswith(".csv"):
+        strokes = parse_strokes(text, name)
+    else:
+        raise ConfigError("file", name, "a name that ends in .csv or .svg")
+    length = sum(float(np.linalg.norm(np.diff(stroke[:, 1:], axis=0), axis=1).sum()) for stroke in strokes)
+    step = max(STEP, length / max(LOADED - 2 * len(strokes), 1))
+    return [stroke[thinned(stroke[:, 1:], step)].round(4).tolist() for stroke in strokes]
 
 
 def saved(strokes: list[Mat], kind: str) -> str:

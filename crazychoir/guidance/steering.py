@@ -18,6 +18,7 @@ from crazychoir.types import Vec
 POLL = 0.05
 LATE = 60.0
 """s beyond the planned time of a flight that an operator's goal may take, among others that are in the way."""
+STOPPED = "emergency stop in force: no flight until `crazychoir stop --clear`"
 PIECE = 8 * (4 * (DEGREE + 1) + 1)
 MOST_PIECES = MAX_PAYLOAD // PIECE - 10
 """Of a path that travels in one message."""
@@ -52,6 +53,7 @@ class Steering:
             goal = msgspec.convert(arguments, Goal)
         except msgspec.ValidationError as error:
             self._refuse(f"go-to: {error}; allowed: p [x, y, z] m, yaw rad, duration s")
+        self._require_cleared()
         self._require_steerable()
         await self._reach(np.array(goal.p), goal.yaw, goal.duration, self._turn())
         return "there"
@@ -61,6 +63,7 @@ class Steering:
 
         A leader of a formation that flies its mission takes the path into that.
         """
+        self._require_cleared()
         try:
             path = Piecewise(arguments["coefficients"], arguments["durations"])
             if self.drone.pilot.airborne and not self.drone.pilot.steerable:
@@ -82,6 +85,11 @@ class Steering:
     def _turn(self) -> int:
         self._count += 1
         return self._count
+
+    def _require_cleared(self) -> None:
+        """A stop that is in force is not flown against, whoever's motors still turn."""
+        if self.drone.port.bus.stopped:
+            self._refuse(STOPPED)
 
     def _require_steerable(self) -> None:
         pilot = self.drone.pilot
@@ -112,6 +120,7 @@ class Steering:
         await self.drone.pilot.clock.sleep(POLL, drone=self.drone.id)
         if turn != self._count:
             self._refuse("it does what was commanded later")
+        self._require_cleared()
         if not self.drone.pilot.steerable:
             pilot = self.drone.pilot
             self._refuse(f"it goes on with its mission: {pilot.note}" if pilot.obeys else f"it is {pilot.mode.value}")

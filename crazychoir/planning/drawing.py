@@ -69,13 +69,16 @@ class Drawing:
     acceleration: float
 
 
-def drawing(strokes: Sequence[npt.ArrayLike], pen: Pen = Pen(), limits: Limits = STANDARD) -> Drawing:
+def drawing(
+    strokes: Sequence[npt.ArrayLike], pen: Pen = Pen(), limits: Limits = STANDARD, longest: float = math.inf
+) -> Drawing:
     """The smooth flight along drawn strokes, each from rest to rest from its first drawn point to its last.
 
     A stroke is thinned and split where it turns sharply, where the drone stops. The tremor of a part is smoothed out,
     the part cut into equal lengths, timed, interpolated by a spline of degree 7 and slowed down as the limits need.
     Strokes are joined by straight flights, at the same height or lifted; one of a single place is a dot, flown to.
-    strokes: (k, 2) rows x, y m, or (k, 3) rows t s, x, y m, world;  limits: v_max and a_max finite.
+    strokes: (k, 2) rows x, y m, or (k, 3) rows t s, x, y m, world;  limits: v_max and a_max finite;  longest: s, of
+    the flight; one that takes longer is refused as soon as that is known.
     Errors: ConfigError.
     """
     limits.check_timed("drawing")
@@ -85,14 +88,18 @@ def drawing(strokes: Sequence[npt.ArrayLike], pen: Pen = Pen(), limits: Limits =
     lines: list[Piecewise] = []
     parts: list[Piecewise] = []
     here: FullState | None = None
+    spent = 0.0
     for t, xy in drawn:
         for n, (clock, places) in enumerate(split(t, xy, pen.spacing)):
-            line = _line(clock, places, pen, limits) if len(places) > 1 else None
+            line = _line(clock, places, pen, limits, spent, longest) if len(places) > 1 else None
             begin = line.sample(0.0) if line else _dot(places[0], pen, here)
-            parts += _transfer(here, begin, 0.0 if n else pen.lift, limits) if here else []
+            new = _transfer(here, begin, 0.0 if n else pen.lift, limits) if here else []
             if line:
                 lines.append(line)
-                parts.append(line)
+                new.append(line)
+            parts += new
+            spent += sum(part.duration for part in new)
+            _check_time(spent, longest)
             here = line.sample(line.duration) if line else begin
     if len(lines) == 0:
         raise ConfigError("drawing: strokes", f"{len(drawn)}, of one place each", "at least one line")
@@ -101,12 +108,19 @@ def drawing(strokes: Sequence[npt.ArrayLike], pen: Pen = Pen(), limits: Limits =
     return Drawing(path, _deviation(lines, [xy for _, xy in drawn if len(xy) > 1]), most["speed"], most["acceleration"])
 
 
-def _line(t: Vec, xy: Mat, pen: Pen, limits: Limits) -> Piecewise:
-    """One part of a stroke from rest to rest, as fast as the limits allow."""
+def _check_time(seconds: float, longest: float) -> None:
+    if seconds > longest:
+        do = "Draw less at once, with fewer corners, or let it be faster."
+        raise ConfigError("drawing", f"{seconds:.0f} s or more", f"at most {longest:.0f} s", do)
+
+
+def _line(t: Vec, xy: Mat, pen: Pen, limits: Limits, spent: float, longest: float) -> Piecewise:
+    """One part of a stroke from rest to rest, as fast as the limits allow; spent: s, of the parts before it."""
     places, clock = _even(xy, t, pen)
     durations = _durations(places, limits)
     if pen.timing == "drawn":
         durations = np.maximum(durations, _drawn_pace(clock) * durations.mean())
+    _check_time(spent + float(durations.sum()), longest)
     space = np.column_stack([places, np.full(len(places), pen.height)])
     yaws = np.full(len(places), pen.yaw) if pen.yaw != "along" else _directions(places)
     flight = spline(np.cumsum([0.0, *durations]), space, yaws, degree=7)

@@ -40,13 +40,23 @@ def parse_svg(text: str, where: str, scale: float = SCALE) -> list[Mat]:
     Transformations are not followed. Errors: ConfigError, with `where`.
     """
     shapes = _Shapes()
-    shapes.feed(text)
-    strokes = [stroke for d in shapes.paths for stroke in _strokes(d, where)]
+    try:
+        shapes.feed(text)
+    except (AssertionError, ValueError) as error:  # "<![a[", or a character by a number of 5000 digits
+        raise ConfigError(where, f"a text that is no SVG: {error}", SHAPES) from error
+    try:
+        with np.errstate(divide="raise", over="raise", invalid="raise"):
+            strokes = [stroke for d in shapes.paths for stroke in _strokes(d, where)]
+    except ArithmeticError as error:
+        raise ConfigError(where, f"places that are too far off: {error}", SHAPES) from error
     if not strokes:
         raise ConfigError(where, "no line", SHAPES)
     if sum(map(len, strokes)) > MOST_POINTS:
         raise ConfigError(where, f"{sum(map(len, strokes))} places", f"at most {MOST_POINTS}")
-    return [np.array(stroke) * (scale, -scale) + 0.0 for stroke in strokes]
+    drawn = [np.array(stroke) * (scale, -scale) + 0.0 for stroke in strokes]
+    if not all(np.isfinite(stroke).all() for stroke in drawn):
+        raise ConfigError(where, "places that are not finite", SHAPES)
+    return drawn
 
 
 def svg_of(strokes: Sequence[Mat], scale: float = SCALE) -> str:
@@ -91,7 +101,7 @@ def _commands(d: str, where: str) -> Iterator[tuple[str, list[float]]]:
         if other:
             raise ConfigError(where, f"path data with {other!r}", SHAPES)
         if number:
-            if not name or NUMBERS[name.upper()] == 0:
+            if not name or NUMBERS[name.upper()] == 0 or not math.isfinite(float(number)):
                 raise ConfigError(where, f"path data with {number} after {name or 'nothing'!r}", SHAPES)
             numbers.append(float(number))
             if len(numbers) == NUMBERS[name.upper()]:

@@ -30,14 +30,15 @@ class Difference:
         return f"at {self.t:.3f} s in {self.topic}: {self.field}: {self.first} first, {self.second} then"
 
 
-def first_difference(one: Path, other: Path, complete: bool = True) -> Difference | None:
+def first_difference(one: Path, other: Path) -> Difference | None:
     """The first difference of two recordings, None if there is none.
 
-    complete: whether the first one is; if it was cut off, what the second one has beyond its end is no difference.
+    If the first one was cut off, or is spoilt, what the second one has beyond that is no difference.
     Raises ConfigError for files that are no recordings.
     """
-    for first, second in zip_longest(told(one), told(other)):
-        if first is None and not complete:
+    firsts = told(one)
+    for first, second in zip_longest(firsts, told(other)):
+        if first is None and firsts.fault:
             return None
         if first is None:
             return _alone(second, NOTHING, MESSAGE)

@@ -24,6 +24,7 @@ ABOUT = "crazychoir"
 """Name of the record that says what was flown."""
 OUTCOME = "crazychoir outcome"
 """Name of the record that says what came of it."""
+UNKNOWN = "nobody has said why"
 SWARM_FILE, MISSION_FILE = "swarm.json", "mission.py"
 SUFFIX = ".mcap"
 LARGEST = 4 << 20
@@ -68,6 +69,8 @@ class RecordingFile:
         self.path, self.durable = path, durable
         self.written = 0
         """Messages in the file."""
+        self.lost = 0
+        """Messages that are not, as who records them counts."""
         self.error = ""
         self._fd = _create(path)
         self._turn = threading.Lock()
@@ -86,6 +89,8 @@ class RecordingFile:
     def write(self, entries: Sequence[Entry]) -> None:
         """Add these as chunks of their own."""
         with self._turn:
+            if self._fd < 0:
+                self.lost += len(entries)
             if self._fd < 0 or self.error or not entries:
                 return
             try:
@@ -94,13 +99,16 @@ class RecordingFile:
                 self.error = f"{type(error).__name__}: {error}"
 
     def close(self, outcome: Mapping[str, str] | None = None) -> None:
-        """End the file with what came of it, and with its index; one without a message goes."""
+        """End the file with what came of it, and with its index; one without a message goes.
+
+        outcome: texts, of which `ended` is why; how many messages were lost is always said beside them.
+        """
         with self._turn:
             if self._fd < 0:
                 return
             if self.written and not self.error:
-                if outcome:
-                    self._writer.metadata(OUTCOME, outcome)
+                said = {"lost": str(self.lost), "ended": UNKNOWN, **(outcome or {})}
+                self._writer.metadata(OUTCOME, said)
                 self._writer.finish()
                 self._put(sync=self.durable)
             os.close(self._fd)

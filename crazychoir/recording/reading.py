@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Metadata, Schema
 
@@ -18,10 +17,9 @@ from crazychoir.recording.messages import MESSAGES, usual
 from crazychoir.recording.records import (
     DO,
     MESSAGE,
-    content_of,
+    Records,
     of_another_program,
     opened,
-    records,
     records_of,
     stream,
 )
@@ -53,8 +51,9 @@ class Recording:
     """A file of a flight.
 
     about: what was flown;  swarm: the swarm file, as text;  mission: the text of the mission's file;  outcome: what
-    came of the flight, of a complete recording in virtual time;  complete: whether the recording was ended in order;
-    topics: by (drone, topic).
+    came of it, of a complete recording: why it `ended`, and of a flight in virtual time its `digest`;  lost: messages
+    that are not in it;  chunks: of messages, that are whole;  fault: where it is cut off or spoilt, empty if it was
+    ended in order;  topics: by (drone, topic).
     """
 
     path: Path
@@ -62,8 +61,15 @@ class Recording:
     swarm: str = ""
     mission: str = ""
     outcome: dict[str, str] = field(default_factory=dict)
-    complete: bool = False
+    lost: int = 0
+    chunks: int = 0
+    fault: str = "not read"
     topics: dict[tuple[int, str], Values] = field(default_factory=dict)
+
+    @property
+    def complete(self) -> bool:
+        """Whether it was ended in order, and all is there."""
+        return not self.fault
 
     @property
     def drones(self) -> list[int]:
@@ -94,45 +100,53 @@ def read(path: Path, topics: tuple[str, ...]) -> Recording:
 
 
 def header(path: Path) -> Recording:
-    """A recording without its messages: what was flown, and what came of it; raises ConfigError for what is none."""
+    """A recording without its messages: what was flown, what came of it, and whether all its chunks are whole.
+
+    Raises ConfigError for what is no recording, or has no message.
+    """
     with opened(path) as content:
         recording = _read(path, content, ())
     if not recording.about:
         raise of_another_program(path)
+    if not recording.chunks:
+        found = f"no message: it was {recording.fault or 'ended in order'}"
+        raise ConfigError(str(path), found, "a recording of a flight", DO)
     return recording
 
 
 def _read(path: Path, content: mmap.mmap, topics: tuple[str, ...]) -> Recording:
-    recording, found = Recording(path), _Series(path, topics)
-    for opcode, body in records(content):
+    recording, found, whole = Recording(path), _Series(path, topics), Records(content)
+    for opcode, body in whole:
         try:
-            _take(recording, found, opcode, stream(body))
+            _take(recording, found, opcode, body)
         except ConfigError:
             raise
         except Exception:  # noqa: BLE001 - whatever is wrong with a record, what lies before it counts
+            whole.spoilt()
             break
-    recording.topics = found.values()
+    recording.topics, recording.fault = found.values(), whole.fault
     return recording
 
 
-def _take(recording: Recording, found: "_Series", opcode: int, body: ReadDataStream) -> None:
+def _take(recording: Recording, found: "_Series", opcode: int, body: bytes) -> None:
     match opcode:
         case Opcode.METADATA:
-            told = Metadata.read(body)
+            told = Metadata.read(stream(body))
             if told.name == ABOUT:
                 recording.about = told.metadata
             elif told.name == OUTCOME:
                 recording.outcome = told.metadata
+                recording.lost = int(told.metadata.get("lost", 0))
         case Opcode.ATTACHMENT:
-            attached = Attachment.read(body)
+            attached = Attachment.read(stream(body))
             if attached.name == SWARM_FILE:
                 recording.swarm = attached.data.decode()
             elif attached.name == MISSION_FILE:
                 recording.mission = attached.data.decode(errors="replace")
-        case Opcode.CHUNK if recording.about and found.topics:
-            found.add(content_of(body))
-        case Opcode.FOOTER:
-            recording.complete = True
+        case Opcode.CHUNK if recording.about:
+            recording.chunks += 1
+            if found.topics:
+                found.add(body)
 
 
 class _Series:

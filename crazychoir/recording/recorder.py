@@ -43,7 +43,8 @@ class Recorder(Actor):
 
     observer: an address on a bus without drones, which asks for everything over the network; None on the bus of the
     drones themselves: then each drone reads its own topics, which no other drone and no count of messages notices.
-    source: the address that says a topic of drone i.  outcome: what the file says at its end of what came of it.
+    source: the address that says a topic of drone i.  outcome: what the file says at its end of what came of it, beside
+    how many messages were lost, and why it ended: `ended`.
     """
 
     name = "recorder"
@@ -54,7 +55,7 @@ class Recorder(Actor):
         outcome: Callable[[], Mapping[str, str]] = dict, topics: Sequence[str] = OBSERVABLE,
     ) -> None:  # fmt: skip
         self.bus, self.clock, self.file = bus, bus.clock, file
-        self.lost, self._outcome = 0, outcome
+        self.ended, self._outcome = "its flight has ended", outcome
         self._series: dict[tuple[int, str, Any], tuple[Series, Pack]] = {}
         self._waiting: list[Entry] = []
         self._bytes = 0
@@ -77,7 +78,7 @@ class Recorder(Actor):
 
     async def on_stop(self) -> None:
         """Write the rest and the index."""
-        await self.clock.compute(self._finish, self._waiting, self._outcome())
+        await self.clock.compute(self._finish, self._waiting, {"ended": self.ended, **self._outcome()})
 
     def _finish(self, batch: list[Entry], outcome: Mapping[str, str]) -> None:
         self.file.write(batch)
@@ -86,7 +87,7 @@ class Recorder(Actor):
     def result(self) -> dict[str, Any]:
         """What came of it."""
         file = self.file
-        return asdict(Recorded(str(file.path), file.written, self.lost, file.error))
+        return asdict(Recorded(str(file.path), file.written, file.lost, file.error))
 
     def _open(self, drone: int, topic: Topic, kind: Any) -> tuple[Series, Pack]:
         """The messages of one type under one topic: each type has a series of its own."""
@@ -114,7 +115,7 @@ class Recorder(Actor):
         self._waiting.append(Entry(series, came_ns, born_ns, data))
 
     def _lose(self, why: str) -> None:
-        self.lost += 1
+        self.file.lost += 1
         if not self._said:
             self._said = True
             log.warning("recording %s: a message is lost: %s; further ones are counted", self.file.path, why)

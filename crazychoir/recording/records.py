@@ -8,6 +8,7 @@ from io import BytesIO
 from pathlib import Path
 
 from mcap.data_stream import ReadDataStream
+from mcap.opcode import Opcode
 from mcap.records import Chunk
 from mcap.stream_reader import get_chunk_data_stream
 from mcap.writer import MCAP0_MAGIC
@@ -57,9 +58,40 @@ def records_of(chunk: bytes) -> Iterator[tuple[int, bytes]]:
     return records(chunk, 0)
 
 
-def content_of(chunk: ReadDataStream) -> bytes:
-    """The records of a chunk, unpacked; raises what it likes where they are spoilt."""
-    unpacked, length = get_chunk_data_stream(Chunk.read(chunk), validate_crc=True)
+class Records:
+    """(opcode, body) of the records of a recording, as far as they are whole; the body of a chunk: its own, unpacked.
+
+    at: the byte at which the last one begins;  fault: why no more follow, empty after the footer of a recording that
+    was ended in order.
+    """
+
+    def __init__(self, content: mmap.mmap | bytes) -> None:
+        self._content = content
+        self.at, self.fault = 0, "not read to its end"
+
+    def __iter__(self) -> Iterator[tuple[int, bytes]]:
+        after = len(MCAP0_MAGIC)
+        for opcode, body in records(self._content):
+            self.at, after = after, after + _RECORD.size + len(body)
+            try:
+                content = _unpacked(body) if opcode == Opcode.CHUNK else body
+            except Exception:  # noqa: BLE001 - whatever is wrong with a chunk, what lies before it counts
+                self.spoilt()
+                return
+            yield opcode, content
+            if opcode == Opcode.FOOTER:
+                self.fault = ""
+                return
+        self.fault = f"cut off at byte {after}"
+
+    def spoilt(self) -> None:
+        """The last one cannot be read."""
+        self.fault = f"spoilt at byte {self.at}"
+
+
+def _unpacked(chunk: bytes) -> bytes:
+    """The records of a chunk; raises what it likes where they are spoilt."""
+    unpacked, length = get_chunk_data_stream(Chunk.read(stream(chunk)), validate_crc=True)
     return unpacked.read(length)
 
 

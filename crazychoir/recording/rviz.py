@@ -1,6 +1,6 @@
 """What RViz shows of a swarm, as messages of ROS 2: poses, paths, a ball and a name a drone, transforms."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
@@ -39,9 +39,12 @@ bool mesh_use_embedded_materials""",
 }
 """How the bytes lie; sequences of messages that stay empty stand as bytes."""
 SPHERE, TEXT = 2, 9
+ADD, DELETE = 0, 2
 BALL, LETTERS = 0.1, 0.12
 """m: the size of a ball, and of a name above it."""
 FRAME = "world"
+Places = Mapping[int, tuple[State, int]]
+"""By drone: its state, and when that was born, ns after 1970."""
 
 
 def pose(state: State, born_ns: int) -> bytes:
@@ -58,26 +61,31 @@ def path(places: Sequence[Vec], born_ns: int) -> bytes:
     return Layout([*head, Leaf("count", "uint32"), *poses], {}).pack(flat)
 
 
-def transforms(states: Mapping[int, State], born_ns: int) -> bytes:
+def transforms(places: Places) -> bytes:
     """tf2_msgs/TFMessage: world -> drone3."""
-    rows = [(*_header(born_ns), f"drone{i}", *x.p.tolist(), *x.q.tolist()) for i, x in sorted(states.items())]
+    rows = [(*_header(ns), f"drone{i}", *x.p.tolist(), *x.q.tolist()) for i, (x, ns) in sorted(places.items())]
     return _packed("geometry_msgs/TransformStamped", rows, counted=True)
 
 
-def markers(states: Mapping[int, State], born_ns: int) -> bytes:
-    """visualization_msgs/MarkerArray: a ball where each drone is, and its number above."""
+def markers(places: Places, gone: Iterable[int] = ()) -> bytes:
+    """visualization_msgs/MarkerArray: a ball where each drone is, and its number above; of who has gone no more."""
     rows = []
-    for i, state in sorted(states.items()):
-        rows.append(_marker(i, "drones", SPHERE, state.p, BALL, "", born_ns))
-        rows.append(_marker(i, "names", TEXT, state.p + np.array([0.0, 0.0, BALL]), LETTERS, str(i), born_ns))
+    for i, (state, ns) in sorted(places.items()):
+        rows.append(_marker(i, "drones", SPHERE, state.p, BALL, "", ns))
+        rows.append(_marker(i, "names", TEXT, state.p + np.array([0.0, 0.0, BALL]), LETTERS, str(i), ns))
+    for i in gone:
+        for space, kind in (("drones", SPHERE), ("names", TEXT)):
+            rows.append(_marker(i, space, kind, np.zeros(3), BALL, "", 0, DELETE))
     return _packed("visualization_msgs/Marker", rows, counted=True)
 
 
-def _marker(i: int, space: str, kind: int, p: Vec, size: float, text: str, born_ns: int) -> tuple[object, ...]:
+def _marker(
+    i: int, space: str, kind: int, p: Vec, size: float, text: str, born_ns: int, action: int = ADD
+) -> tuple[object, ...]:
     place = (*p.tolist(), 0.0, 0.0, 0.0, 1.0)
     looks = (size, size, size, (0.0, 0.447, 0.698, 1.0), 1, 0, False)
     nothing: tuple[object, ...] = ([], [], "", 0, 0, "", "", [], [])
-    return (*_header(born_ns), space, i, kind, 0, *place, *looks, *nothing, text, "", "", [], False)
+    return (*_header(born_ns), space, i, kind, action, *place, *looks, *nothing, text, "", "", [], False)
 
 
 def _header(born_ns: int) -> tuple[int, int, str]:

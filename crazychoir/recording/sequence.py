@@ -11,7 +11,7 @@ from mcap.records import Channel, Schema
 
 from crazychoir.errors import ConfigError
 from crazychoir.recording.cdr import Leaf, definitions_of, leaves, unpacked
-from crazychoir.recording.records import DO, MESSAGE, content_of, opened, records, records_of, stream
+from crazychoir.recording.records import DO, MESSAGE, Records, opened, records_of, stream
 
 
 @dataclass(frozen=True)
@@ -52,31 +52,43 @@ class Told:
         return unpacked(self.source.fields, self.data)
 
 
-def told(path: Path, topics: Collection[str] | None = None) -> Iterator[Told]:
-    """The messages of all whole chunks, or those of some topics; raises ConfigError for a file that is no recording."""
-    with opened(path) as content:
-        schemas: dict[int, Schema] = {}
-        sources: dict[int, Source] = {}
-        for opcode, body in records(content):
-            if opcode != Opcode.CHUNK:
-                continue
-            try:
-                chunk = content_of(stream(body))
-            except Exception:  # noqa: BLE001 - whatever is wrong with a chunk, what lies before it counts
-                return
-            for kind, record in records_of(chunk):
-                match kind:
-                    case Opcode.MESSAGE:
-                        channel, _, came_ns, born_ns = MESSAGE.unpack_from(record)
-                        source = sources[channel]
-                        if topics is None or source.topic in topics:
-                            yield Told(source, came_ns, born_ns, record[MESSAGE.size :])
-                    case Opcode.SCHEMA:
-                        schema = Schema.read(stream(record))
-                        schemas[schema.id] = schema
-                    case Opcode.CHANNEL:
-                        opened_now = Channel.read(stream(record))
-                        sources[opened_now.id] = _source(path, opened_now, schemas)
+class Messages:
+    """The messages of all whole chunks, or those of some topics; raises ConfigError for a file that is no recording.
+
+    fault: when all were told, where the file is cut off or spoilt; empty if it was ended in order.
+    """
+
+    def __init__(self, path: Path, topics: Collection[str] | None = None) -> None:
+        self.path, self.topics, self.fault = path, topics, "not read"
+
+    def __iter__(self) -> Iterator[Told]:
+        with opened(self.path) as content:
+            whole, sources, schemas = Records(content), dict[int, Source](), dict[int, Schema]()
+            for opcode, body in whole:
+                if opcode == Opcode.CHUNK:
+                    yield from self._of_chunk(body, sources, schemas)
+            self.fault = whole.fault
+
+    def _of_chunk(self, chunk: bytes, sources: dict[int, Source], schemas: dict[int, Schema]) -> Iterator[Told]:
+        """What it tells, after those sources and schemas, to which it adds its own."""
+        for opcode, record in records_of(chunk):
+            match opcode:
+                case Opcode.MESSAGE:
+                    channel, _, came_ns, born_ns = MESSAGE.unpack_from(record)
+                    source = sources[channel]
+                    if self.topics is None or source.topic in self.topics:
+                        yield Told(source, came_ns, born_ns, record[MESSAGE.size :])
+                case Opcode.SCHEMA:
+                    schema = Schema.read(stream(record))
+                    schemas[schema.id] = schema
+                case Opcode.CHANNEL:
+                    opened_now = Channel.read(stream(record))
+                    sources[opened_now.id] = _source(self.path, opened_now, schemas)
+
+
+def told(path: Path, topics: Collection[str] | None = None) -> Messages:
+    """The messages of a recording, or those of some topics."""
+    return Messages(path, topics)
 
 
 def _source(path: Path, channel: Channel, schemas: dict[int, Schema]) -> Source:

@@ -125,7 +125,9 @@ def _draw_law(figure: "Figure", flight: Flight, work: Work) -> None:
     """How far each drone is from where its law has ended, on a logarithmic axis."""
     axes, times, last = figure.add_subplot(), law_times(work), 0.0
     for line, track in lines(flight):
-        begin, end = times.get(track.drone, (0.0, 0.0))
+        if track.drone not in times:
+            continue
+        begin, end = times[track.drone]
         during = (track.t >= begin) & (track.t <= end)
         if np.any(during):
             p = track.p[during]

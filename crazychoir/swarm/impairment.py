@@ -35,6 +35,33 @@ def changes(options: Mapping[str, float | None]) -> dict[str, float | None]:
     return given if loss is None else given | dict.fromkeys(LOSSES) | _losses(loss, burst)
 
 
+def in_words(network: Mapping[str, Any]) -> list[str]:
+    """What `Impairment.describe` says is set, a line a rule."""
+    lines = [_rule_in_words(rule) for rule in network["rules"]]
+    lines += [_partition_in_words(cut) for cut in network["partitions"]]
+    return lines or ["nothing: perfect"]
+
+
+def _rule_in_words(rule: Mapping[str, Any]) -> str:
+    scope = ""
+    if "edge" in rule:
+        scope = (" to " if rule.get("directed") else " and ").join(map(str, rule["edge"])) + ": "
+    elif "drone" in rule:
+        scope = f"drone {rule['drone']}: "
+    effects = {name: f"{value:g}" for name, value in rule.items() if name not in ("edge", "drone", "directed")}
+    if "p_bad_good" in rule:
+        worse, better = rule["p_good_bad"], rule["p_bad_good"]
+        effects = {name: text for name, text in effects.items() if name not in ("p_good_bad", "p_bad_good", "loss_bad")}
+        effects["loss"] = f"{worse / (worse + better):g} in bursts of {1.0 / better:g}"
+    return scope + ", ".join(f"{name} {text}" for name, text in effects.items())
+
+
+def _partition_in_words(cut: Mapping[str, Any]) -> str:
+    a, b = (", ".join(map(str, side)) for side in (cut["a"], cut["b"]))
+    until = "the end" if cut["until"] is None else f"{cut['until']:g} s"
+    return f"{a} apart from {b or 'the others'}, from {cut['since']:g} s after GO to {until}"
+
+
 def _effects(table: dict[str, Any]) -> dict[str, float]:
     effects = {name: float(table[name]) for name in PLAIN if table.get(name)}
     return effects | (_losses(float(table["loss"]), table.get("burst")) if table.get("loss") else {})

@@ -23,8 +23,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from playwright.async_api import async_playwright
 from system.agents import Program, flying
+from system.browsers import FLAGS
 from system.pages import dashboard, looking_on, six
-from system.test_browser import FLAGS
 
 from crazychoir.bus.commands import CommandServer
 from crazychoir.bus.hello import VERSION

@@ -119,6 +119,7 @@ class Commands:
             "heard_by": heard_by,
             "refused": self.refused,
             "received": boxes,
+            "messages": sum(port.counters.received for port in self.link.bus.ports.values()),
             "counters": vars(self.link.counters),
         }
 

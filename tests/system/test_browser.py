@@ -1,8 +1,6 @@
 """The page in a real browser, used as an operator would; what he sees is checked in the swarm, too."""
 
 import asyncio
-import contextlib
-import shutil
 
 import numpy as np
 import pytest
@@ -11,11 +9,9 @@ from system.agents import flying, until
 for package in ("nicegui", "playwright"):
     pytest.importorskip(package, reason="the page in a browser needs: pip install 'crazychoir[dashboard,test]'")
 
-from playwright.async_api import async_playwright  # noqa: E402 - see above
+from system.browsers import CHROMIUM, browser, draw_word, receipt, says  # noqa: E402 - see above
 from system.pages import dashboard, looking_on, six  # noqa: E402
 
-CHROMIUM = shutil.which("chromium")
-FLAGS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 PHONE = {"width": 390, "height": 844}
 pytestmark = [
     pytest.mark.system,
@@ -23,48 +19,6 @@ pytestmark = [
     pytest.mark.timeout(300),
     pytest.mark.skipif(CHROMIUM is None, reason="no chromium: apt-get install chromium"),
 ]
-
-
-@contextlib.asynccontextmanager
-async def browser(address, shots, **options):
-    """A page in the browser, without an error on its console; its pictures are kept in a folder."""
-    async with async_playwright() as playwright:
-        chromium = await playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
-        page = await chromium.new_page(**{"viewport": {"width": 1400, "height": 900}, **options})
-        page.set_default_timeout(30_000)
-        errors = []
-        page.on("pageerror", lambda error: errors.append(str(error)))
-        page.on("console", lambda line: errors.append(line.text) if line.type == "error" else None)
-        page.on("requestfailed", lambda request: errors.append(request.url))
-        page.on("request", lambda request: None if address[5:] in request.url else errors.append(request.url))
-        page.shot = lambda name: page.screenshot(path=shots / f"{name}.png")
-        await page.goto(address)
-        await page.wait_for_function("window.choir?.seen.received > 5 && choir.seen.drones.length")
-        yield page
-        await chromium.close()
-        assert [error for error in errors if not error.startswith(("data:", "blob:"))] == []
-
-
-async def receipt(page, text, seconds=60.0):
-    """The newest receipt, when it says so."""
-    await page.wait_for_function(
-        "text => document.querySelector('#receipts li')?.textContent.includes(text)", arg=text, timeout=1000 * seconds
-    )
-    return await page.inner_text("#receipts li >> nth=0")
-
-
-async def draw_word(page):
-    """`hi`, by mouse, in the middle of the canvas."""
-    box = await page.locator("#sketch").bounding_box()
-    x0, y0 = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
-    h_line = [(-70, -50), (-70, 40)]
-    h_arch = [(-70, 5), (-60, -12), (-45, -15), (-30, -5), (-28, 15), (-28, 40)]
-    for stroke in (h_line, h_arch, [(20, -15), (20, 40)], [(20, -45), (23, -45)]):
-        await page.mouse.move(x0 + stroke[0][0], y0 + stroke[0][1])
-        await page.mouse.down()
-        for x, y in stroke[1:]:
-            await page.mouse.move(x0 + x, y0 + y, steps=8)
-        await page.mouse.up()
 
 
 def lost(team, since):
@@ -79,6 +33,9 @@ async def test_six_take_off_and_one_flies_a_word_that_was_drawn_and_space_stops_
         program, address = await dashboard(team.path)
         try:
             async with browser(address, tmp_path) as page, looking_on(address) as seen:
+                await page.wait_for_function("choir.seen.drones.every(drone => drone.phase === 'on ground')")
+                await page.click("text='Arm'")
+                assert "done: ready" in await receipt(page, "ready")
                 await page.click("text=Take off")
                 assert "done: hovering" in await receipt(page, "hovering")
                 await page.shot("1_taken_off")
@@ -133,9 +90,13 @@ async def test_six_take_off_and_one_flies_a_word_that_was_drawn_and_space_stops_
                 assert "impair loss 0.3" in await receipt(page, "impair")
                 await page.shot("5_loss")
 
-                await page.focus("#goal_x")
+                await page.click("#tab-draw")
+                await page.focus("#height")
                 await page.keyboard.press("Space")
+                assert "emergency stop" in await says(page, "header [role=alert]", "motors off")
                 assert "emergency stop" in await receipt(page, "motors off")
+                await page.shot("6_stopped")
+                await page.click("#tab-fly")
                 await page.wait_for_function("choir.seen.drones.every(drone => drone.phase === 'stopped')")
                 assert {status["phase"] for status in team.newest()} == {"stopped"}
                 await page.focus('input[aria-label="drone 2"]')
@@ -143,7 +104,7 @@ async def test_six_take_off_and_one_flies_a_word_that_was_drawn_and_space_stops_
                 assert not await page.is_checked('input[aria-label="drone 2"]'), "space does nothing else"
                 stops = page.locator("#receipts li:has-text('emergency stop')")
                 await stops.nth(1).wait_for()
-                await page.shot("6_stopped")
+                await page.shot("7_stopped")
         finally:
             await program.kill()
 
@@ -200,6 +161,7 @@ async def test_it_fits_a_phone_is_labelled_and_its_colours_can_be_told_apart(tmp
                     await page.shot(f"phone_{scheme}")
                     nameless = await page.evaluate(NAMELESS)
                     assert nameless == []
+                    assert await page.evaluate(ALIKE) == []
                     assert await page.evaluate(CONTRASTS) == []
         finally:
             await program.kill()
@@ -210,6 +172,14 @@ NAMELESS = """
   const label = one.getAttribute("aria-label") || one.labels?.length || one.textContent.trim();
   return !label;
 }).map((one) => one.outerHTML)
+"""
+ALIKE = """
+[...document.querySelectorAll("[role=tabpanel]")].flatMap((panel) => {
+  const controls = [...panel.querySelectorAll("button, input, select, canvas, [role=img]")];
+  const name = (one) => one.getAttribute("aria-label") ?? one.labels?.[0]?.textContent ?? one.textContent.trim();
+  const names = controls.map(name);
+  return names.filter((name, k) => names.indexOf(name) !== k);
+})
 """
 CONTRASTS = """
 (() => {

@@ -142,6 +142,7 @@ async def test_the_page_of_loopback_is_closed_to_other_sites_other_names_and_ove
         assert (await asyncio.to_thread(asks, address))[0] == 200
         for words, status in (
             ({"headers": {"Host": "evil.example"}}, 421), ({"method": "POST"}, 403),
+            ({"headers": {"Origin": "http://evil.example"}}, 403), ({"headers": {"Sec-Fetch-Site": "same-site"}}, 403),
             ({"method": "POST", "headers": {"Origin": "http://evil.example"}}, 403),
             ({"method": "POST", "headers": {"Origin": address}, "data": b"x" * (1 << 19)}, 413),
         ):  # fmt: skip

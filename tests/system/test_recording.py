@@ -220,7 +220,7 @@ def test_a_replay_is_seen_as_a_swarm_and_recorded_anew(recorded, tmp_path):
             file, topics = new_recording(new, config, None, virtual=False), ("state", "truth", "result")
             recorder = Recorder(link.bus, config.ids, file, window.address, config.source, topics=topics)
             recording = asyncio.create_task(Supervisor(clock, "record").run([recorder]))
-            await _until_gone(window, recorder, 100.0)
+            assert (await _until_gone(window, recorder, 100.0)).startswith("no drone was there")
             recording.cancel()
             await asyncio.wait([recording])
         return await replaying, recorder.result()

@@ -55,7 +55,7 @@ def test_what_a_router_of_ros_hears(router):
         assert sum("/NN/" in token for token in tokens) == 1
         bridge.publish({}, NS)
         for _ in range(2):
-            bridge.publish({3: State.at((1.0, 2.0, 3.0))}, NS)
+            bridge.publish({3: (State.at((1.0, 2.0, 3.0)), NS - 1)}, NS)
         until(lambda: len(samples) == 7)
     heard = [(str(s.key_expr).split("/"), s.payload.to_bytes(), s.attachment.to_bytes()) for s in samples]
     topics = ["/".join(key[1:-2]) for key, *_ in heard]
@@ -70,3 +70,4 @@ def test_what_a_router_of_ros_hears(router):
     pose = next(data for key, data, _ in heard if "pose" in key)
     found = fields(store.deserialize_cdr(pose, "geometry_msgs/msg/PoseStamped"))
     assert list(found["pose"]["position"].values()) == np.arange(1.0, 4.0).tolist()
+    assert found["header"]["stamp"]["nanosec"] == NS % 1_000_000_000 - 1, "when it was measured"

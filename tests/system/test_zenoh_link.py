@@ -19,10 +19,10 @@ import zenoh
 from system.link_process import consensus_here, endings_here, linked, wall_clock
 
 from crazychoir.bus.codec import encode
-from crazychoir.bus.frames import Envelope, Frame, encode_frame
+from crazychoir.bus.frames import MAX_DESTINATIONS, Envelope, Frame, encode_frame
 from crazychoir.bus.hello import Hello
 from crazychoir.bus.local import Bus
-from crazychoir.bus.topics import HELLO, LOG, RESULT, ROUND, STATE, STATUS
+from crazychoir.bus.topics import ESTOP, HELLO, LOG, RESULT, ROUND, STATE, STATUS
 from crazychoir.bus.zenoh import ZenohLink
 from crazychoir.errors import ConfigError, Refused
 from crazychoir.launch.network import free_ports
@@ -278,6 +278,15 @@ async def test_a_busy_port_is_named(ground: Ground) -> None:
         f"listen endpoint = {where}: Address already in use; it must be a free port of an address of this host. "
         "Is another agent with this id running here? Stop it, or set another base_port in the swarm file."
     )
+
+
+async def test_a_stop_of_more_drones_than_one_message_names_reaches_them_all(ground: Ground) -> None:
+    link, there = await ground.link([0]), range(1, MAX_DESTINATIONS + 100)
+    child = await ground.child(list(there))
+    await until(ground.knows(link))
+    link.bus.ports[0].send(ESTOP, tuple(there), encode(False), 1, "f1")
+    assert (await child.when("messages"))["messages"] == len(there)
+    assert link.counters.unsendable == 0
 
 
 async def test_hostile_frames_are_counted_and_nothing_breaks(ground: Ground) -> None:

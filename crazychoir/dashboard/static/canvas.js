@@ -1,7 +1,19 @@
 // Curves on a canvas, and numbers of fields.
-import { colour } from "./line.js";
+import { colour, tell } from "./line.js";
 
-export const number = (id) => Number(document.getElementById(id).value);
+const field = (id) => document.getElementById(id);
+
+// NaN of a field that is empty, or that the browser cannot read.
+export const number = (id) => (field(id).value.trim() ? Number(field(id).value) : NaN);
+
+// Of these fields; null if one has none: it is marked, and nothing should be sent.
+export function numbers(...ids) {
+  const values = ids.map(number), none = ids.filter((id, k) => !Number.isFinite(values[k]));
+  for (const id of ids) field(id).setAttribute("aria-invalid", none.includes(id));
+  if (!none.length) return values;
+  tell("refused", `${none.map((id) => field(id).labels[0].textContent).join(", ")}: no number; nothing was sent`);
+  return null;
+}
 
 // A clean canvas in the resolution of the screen; null while it is not seen.
 export function prepared(canvas) {

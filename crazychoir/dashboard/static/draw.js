@@ -1,10 +1,12 @@
 // Strokes by hand, in metres; what planning makes of them, over them; and whom it is sent to.
 import { ask, chosen, colour, on, row, seen, selected, tell } from "./line.js";
-import { showPath } from "./scene.js";
-import { curves, number, prepared } from "./canvas.js";
+import { showPaths } from "./scene.js";
+import { curves, number, numbers, prepared } from "./canvas.js";
 
 const find = (id) => document.getElementById(id);
 const SETTINGS = ["height", "lift", "smoothing", "v_max", "a_max", "slower"];
+const OFFSET = ["offset_x", "offset_y", "offset_z"];
+const STEP = 0.002; // m between two points: a hand means no less
 let strokes = [], current = null, plan = null, began = 0, waiting = 0, canvas, scale = 100, middle = [0, 0];
 
 const toPixel = ([x, y]) => [canvas.clientWidth / 2 + scale * (x - middle[0]), canvas.clientHeight / 2 - scale * (y - middle[1])];
@@ -34,7 +36,7 @@ function paint() {
   const [low, high] = seen.about.fence;
   for (let x = Math.ceil(low[0]); x <= high[0]; x++) polyline(pen, [[x, low[1]], [x, high[1]]], colour(x ? "--rule" : "--faint"), 1);
   for (let y = Math.ceil(low[1]); y <= high[1]; y++) polyline(pen, [[low[0], y], [high[0], y]], colour(y ? "--rule" : "--faint"), 1);
-  if (plan) polyline(pen, plan.points, colour("--good"), 4);
+  for (const points of plan ? ways() : []) polyline(pen, points, colour("--good"), 4);
   for (const stroke of current ? [...strokes, current] : strokes) polyline(pen, stroke.map((row) => row.slice(1)), colour("--ink"), 1.5);
   pen.fillStyle = colour("--accent");
   seen.about.ids.forEach((i, k) => {
@@ -53,6 +55,14 @@ function point(event) {
   return [rounded((event.timeStamp - began) / 1000), rounded(x), rounded(y)];
 }
 
+const close = ([, a, b], [, x, y]) => Math.hypot(a - x, b - y) < STEP;
+
+// The last point is where the hand is, however near to the one before.
+function extend(stroke, point) {
+  if (stroke.length > 1 && close(stroke.at(-1), stroke.at(-2))) stroke.pop();
+  stroke.push(point);
+}
+
 function pointers() {
   canvas.addEventListener("pointerdown", (event) => {
     canvas.setPointerCapture(event.pointerId);
@@ -62,7 +72,7 @@ function pointers() {
   });
   canvas.addEventListener("pointermove", (event) => {
     if (!current) return;
-    for (const one of event.getCoalescedEvents?.().length ? event.getCoalescedEvents() : [event]) current.push(point(one));
+    for (const one of event.getCoalescedEvents?.().length ? event.getCoalescedEvents() : [event]) extend(current, point(one));
     paint();
   });
   const end = () => {
@@ -81,37 +91,49 @@ function said(text) {
 
 function changed() {
   plan = null;
-  showPath([]);
+  showPaths([]);
   curves(find("profile"), [], "");
   paint();
   clearTimeout(waiting);
   if (!strokes.length) return said("Nothing is drawn.");
   said("Planning ...");
   waiting = setTimeout(() => {
-    const yaw = find("yaw").value;
-    const settings = Object.fromEntries(SETTINGS.map((name) => [name, number(name)]));
+    const yaw = find("yaw").value, values = numbers(...SETTINGS);
+    if (!values) return;
+    const settings = Object.fromEntries(SETTINGS.map((name, k) => [name, values[k]]));
     ask({ ask: "draw", strokes, ...settings, yaw: yaw === "along" ? yaw : Number(yaw), timing: find("timing").value });
   }, 150);
 }
 
 const NEAR = 0.4, BELOW = 0.7;
 
+// Where each drone that is chosen would fly, the k-th k offsets away; without any, where one without offset would.
+function ways() {
+  const offset = OFFSET.map(number);
+  return (chosen() ?? [0]).map((i, k) => plan.points.map((point) => point.map((x, c) => (k ? x + k * offset[c] : x))));
+}
+
 // Who is in the way where it is now; it will be given way to, and the path is not flown to its end.
-function inTheWay(points) {
+function inTheWay(paths) {
   const others = seen.about.ids.filter((i) => !selected.has(i) && [...(row(i) ?? [])].slice(0, 3).every(Number.isFinite));
   const near = (p, [x, y, z]) => Math.hypot(Math.hypot(p[0] - x, p[1] - y) / NEAR, (p[2] - z) / BELOW) < 1;
-  return others.filter((i) => row(i)[2] > seen.about.ground + 0.1 && points.some((point) => near(row(i), point)));
+  return others.filter((i) => row(i)[2] > seen.about.ground + 0.1 && paths.some((points) => points.some((point) => near(row(i), point))));
 }
 
 function planned(made) {
   plan = made;
-  showPath(made.points);
-  const others = inTheWay(made.points);
-  const warning = others.length ? `. In the way, where they are now: drone ${others.join(", ")}` : "";
-  said(`${made.duration} s, at most ${made.speed} m/s and ${made.acceleration} m/s², at most ${Math.round(1000 * made.deviation)} mm beside what was drawn${warning}`);
   curves(find("profile"), [
     { name: "speed, m/s", values: made.speeds, tint: "--accent" }, { name: "acceleration, m/s²", values: made.accelerations, tint: "--warn" },
   ], `${made.duration.toFixed(1)} s`);
+  show();
+}
+
+function show() {
+  if (!plan) return;
+  const paths = ways(), others = inTheWay(paths), { duration, speed, acceleration, deviation } = plan;
+  showPaths(paths);
+  const warning = others.length ? `. In the way, where they are now: drone ${others.join(", ")}` : "";
+  said(`${duration} s, at most ${speed} m/s and ${acceleration} m/s², at most ${Math.round(1000 * deviation)} mm beside what was drawn${warning}`);
   paint();
 }
 
@@ -131,7 +153,8 @@ export const sketch = {
   fly: () => {
     if (!chosen()) return tell("refused", "fly: choose the drones that are to fly it, in the table");
     if (!plan) return tell("refused", "fly: nothing is planned");
-    ask({ ask: "fly", drones: chosen(), offset: ["offset_x", "offset_y", "offset_z"].map(number) });
+    const offset = numbers(...OFFSET);
+    if (offset) ask({ ask: "fly", drones: chosen(), offset });
   },
 };
 
@@ -141,13 +164,16 @@ export function start() {
   new ResizeObserver(fit).observe(canvas);
   find("area").addEventListener("change", fit);
   for (const name of [...SETTINGS, "yaw", "timing"]) find(name).addEventListener("change", changed);
+  for (const name of OFFSET) find(name).addEventListener("change", show);
   find("file").addEventListener("change", async ({ target }) => {
     const [file] = target.files;
     if (file) ask({ ask: "load", name: file.name, text: await file.text() });
     target.value = "";
   });
   on("about", fit);
+  on("connected", (there) => there && strokes.length && changed()); // a new line begins without a plan
   on("plan", planned);
+  on("selected", show);
   on("strokes", (loaded) => { strokes = loaded; changed(); });
   on("saved", (saved) => download(saved));
   on("refused", (why) => strokes.length && !plan && said(why));

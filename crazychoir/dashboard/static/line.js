@@ -1,10 +1,14 @@
-// The line to the server: frames, news, and what this page asks for.
+// The line to the server: frames, news, and what this page asks for. It is closed, and opened anew, when no frames come.
 
 export const seen = { about: null, rows: null, at: 0, drones: [], received: 0 };
 export const selected = new Set();
+const LOOK = 250, QUIET = 4, FIRST = 20; // ms between two looks; so many without a frame: the line is dead, or was never there
+const MOST = 1 << 18; // bytes of a message: the server closes the line at a longer one
 const listeners = {};
 let socket = null;
 let again = 0.5;
+let quiet = 0;
+let there = false;
 
 export function on(kind, listener) {
   (listeners[kind] ??= []).push(listener);
@@ -14,12 +18,17 @@ export function tell(kind, value) {
   for (const listener of listeners[kind] ?? []) listener(value);
 }
 
+function refuse(why) {
+  tell("refused", `${why}: nothing was sent`);
+  return false;
+}
+
 export function ask(message) {
-  if (socket?.readyState !== WebSocket.OPEN) {
-    tell("refused", "not connected: nothing was sent");
-    return false;
-  }
-  socket.send(JSON.stringify(message));
+  if (socket?.readyState !== WebSocket.OPEN) return refuse("not connected");
+  const text = JSON.stringify(message), bytes = new Blob([text]).size;
+  if (bytes > MOST) return refuse(`${message.ask}: too large, ${Math.ceil(bytes / 1024)} KiB of at most ${MOST / 1024}`);
+  socket.send(text);
+  tell("asked", message);
   return true;
 }
 
@@ -46,6 +55,12 @@ export function row(i) {
 }
 
 function frame(data) {
+  quiet = 0;
+  if (!there) {
+    there = true;
+    again = 0.5;
+    tell("connected", true);
+  }
   seen.at = new DataView(data).getFloat64(0, true);
   seen.rows = new Float32Array(data, 8);
   seen.received += 1;
@@ -60,16 +75,34 @@ function news(message) {
   }
 }
 
-export function connect() {
+function open() {
   const address = new URL("/line", location.href);
   address.protocol = location.protocol === "https:" ? "wss:" : "ws:";
-  socket = new WebSocket(address);
-  socket.binaryType = "arraybuffer";
-  socket.onopen = () => { again = 0.5; tell("connected", true); };
-  socket.onmessage = ({ data }) => (typeof data === "string" ? news(JSON.parse(data)) : frame(data));
-  socket.onclose = () => {
-    tell("connected", false);
-    setTimeout(connect, 1000 * again);
-    again = Math.min(2 * again, 5);
-  };
+  const line = (socket = new WebSocket(address));
+  quiet = -FIRST;
+  line.binaryType = "arraybuffer";
+  line.onmessage = ({ data }) => line === socket && (typeof data === "string" ? news(JSON.parse(data)) : frame(data));
+  line.onclose = () => line === socket && lose();
+}
+
+// Not by waiting for the other end, which may never answer.
+function lose() {
+  const line = socket;
+  socket = null;
+  there = false;
+  line.close();
+  tell("connected", false);
+  setTimeout(open, 1000 * again);
+  again = Math.min(2 * again, 5);
+}
+
+// Looks are counted, not seconds: one that comes late, as in a browser that was busy, leaves time for frames that have come.
+function look() {
+  if (socket && !document.hidden && ++quiet > QUIET) lose();
+}
+
+export function connect() {
+  document.addEventListener("visibilitychange", () => (quiet = Math.min(quiet, 0)));
+  setInterval(look, LOOK);
+  open();
 }

@@ -1,8 +1,9 @@
 // The page, put together. Space stops all, wherever the focus is but in a text.
 import { ask, chosen, connect, on, seen, select, tell } from "./line.js";
-import { number } from "./canvas.js";
+import { number, numbers } from "./canvas.js";
 import * as draw from "./draw.js";
 import * as plots from "./plots.js";
+import * as receipts from "./receipts.js";
 import * as scene from "./scene.js";
 import * as table from "./table.js";
 import * as tasks from "./tasks.js";
@@ -35,20 +36,33 @@ function tabs() {
 const TEXTS = ["text", "search", "password", "email", "url"];
 const writes = (element) => element.isContentEditable || element.tagName === "TEXTAREA" || TEXTS.includes(element.type);
 
+const SETTLED = 200; // ms: an arrow key that is held changes a slider 31 times a second
+const settling = {};
+
 // What buttons call.
 const choir = {
   order: (verb) => ask({ ask: "order", verb, drones: chosen() }),
-  stopAll: () => ask({ ask: "stop" }),
+  stopAll: () => {
+    ask({ ask: "stop" });
+    find("clear").close("no");
+  },
   stopChosen: () => (chosen() ? ask({ ask: "stop", drones: chosen() }) : tell("refused", "motors off: choose drones, or stop all")),
-  clearStop: () => confirm("Let drones take off again?") && ask({ ask: "stop", clear: true }),
+  clearStop: () => {
+    find("clear").returnValue = "no";
+    find("clear").show();
+  },
   goTo: () => {
     if (!chosen()) return tell("refused", "go to: choose drones in the table");
-    ask({ ask: "go-to", drones: chosen(), p: ["goal_x", "goal_y", "goal_z"].map(number), offset: [0, number("apart_y"), 0] });
+    const values = numbers("goal_x", "goal_y", "goal_z", "apart_y");
+    if (values) ask({ ask: "go-to", drones: chosen(), p: values.slice(0, 3), offset: [0, values[3], 0] });
   },
   turn: () => Quasar.Dark.toggle(),
   network: {
     cut: () => (chosen() ? ask({ ask: "impair", drones: chosen(), cut: true }) : tell("refused", "cut off: choose drones")),
-    clear: () => ask({ ask: "impair", clear: true }),
+    clear: () => {
+      for (const id in settling) clearTimeout(settling[id]);
+      return ask({ ask: "impair", clear: true });
+    },
   },
   sketch: draw.sketch,
   tasks: tasks.tasks,
@@ -63,7 +77,11 @@ function sliders() {
     show();
   }
   for (const [id, unit] of [["loss", 100], ["delay", 1000]]) {
-    find(id).addEventListener("change", () => ask({ ask: "impair", [id]: number(id) / unit, drones: chosen() }));
+    find(id).addEventListener("change", () => {
+      const message = { ask: "impair", [id]: number(id) / unit, drones: chosen() };
+      clearTimeout(settling[id]);
+      settling[id] = setTimeout(() => ask(message), SETTLED);
+    });
   }
 }
 
@@ -76,6 +94,13 @@ function keys() {
     if (!event.repeat) choir.stopAll();
   }, true);
   window.addEventListener("keyup", (event) => isStop(event) && event.preventDefault(), true);
+}
+
+// Not a modal one: all may be stopped meanwhile, by mouse too.
+function dialog() {
+  const clear = find("clear");
+  clear.addEventListener("close", () => clear.returnValue === "yes" && ask({ ask: "stop", clear: true }));
+  clear.addEventListener("keydown", ({ key }) => key === "Escape" && clear.close("no"));
 }
 
 function theme() {
@@ -94,14 +119,16 @@ function begin() {
   tabs();
   keys();
   sliders();
+  dialog();
   theme();
-  table.start({ table: find("drones"), said: find("receipts"), lines: find("log"), level: find("level"), caption: find("chosen") });
+  table.start({ table: find("drones"), lines: find("log"), level: find("level"), caption: find("chosen") });
   on("connected", (there) => {
     find("connection").textContent = there ? "connected" : "NOT CONNECTED: this page shows nothing new, and cannot stop anything";
     find("connection").dataset.there = there;
+    document.body.toggleAttribute("data-lost", !there);
   });
   on("links", (lost) => (seen.links = lost));
-  for (const part of [draw, plots, tasks]) part.start();
+  for (const part of [receipts, draw, plots, tasks]) part.start();
   scene.start(find("scene"));
   connect();
 }

@@ -165,8 +165,8 @@ function connectEdges(rows) {
   position.needsUpdate = color.needsUpdate = true;
 }
 
-export function showPath(points) {
-  const ends = points.slice(1).flatMap((point, k) => [...points[k], ...point]);
+export function showPaths(paths) {
+  const ends = paths.flatMap((points) => points.slice(1).flatMap((point, k) => [...points[k], ...point]));
   path.geometry.dispose();
   path.geometry = new THREE.BufferGeometry();
   path.geometry.setAttribute("position", new THREE.Float32BufferAttribute(ends, 3));

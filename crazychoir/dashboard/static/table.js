@@ -1,4 +1,4 @@
-// The drones in words: a table with a box to choose each; receipts of commands; the log.
+// The drones in words: a table with a box to choose each; the log.
 import { chosen, on, seen, select, selected } from "./line.js";
 
 const COLUMNS = [
@@ -19,7 +19,7 @@ export function make(tag, attributes = {}, ...children) {
   return element;
 }
 
-function set(element, text) {
+export function set(element, text) {
   const value = String(text ?? "");
   if (element.textContent !== value) element.textContent = value;
 }
@@ -39,6 +39,7 @@ function build(table, about) {
     body.append(row);
   }
   table.replaceChildren(make("caption", {}, "Drones; choose those that commands are for, none for all"), make("thead", {}, head), body);
+  select([...selected].filter((i) => about.ids.includes(i)));
 }
 
 function fill(drones) {
@@ -48,40 +49,6 @@ function fill(drones) {
     row.dataset.phase = drone.heard ? drone.phase : "not heard";
     COLUMNS.forEach(([, text], c) => set(cells[c], text(drone)));
   }
-}
-
-function words(receipt) {
-  const groups = {};
-  for (const [i, [kind, said]] of Object.entries(receipt.answers)) {
-    const text = typeof said === "string" ? said : said.id == null ? "" : `task ${said.id}${said.note ? `: ${said.note}` : ""}`;
-    const long = text.length > 90 ? `${text.slice(0, 87)}...` : text;
-    (groups[kind + (long ? `: ${long}` : "")] ??= []).push(i);
-  }
-  return Object.entries(groups).map(([said, ids]) => `${ids.length > 8 ? `${ids.length} drones` : ids.join(", ")} ${said}`).join("; ");
-}
-
-const states = (receipt) => Object.values(receipt.answers).map(([kind]) => kind);
-
-function outcome(receipt) {
-  const kinds = states(receipt);
-  if (kinds.every((kind) => kind === "done")) return "done";
-  if (kinds.some((kind) => kind === "refused" || kind === "silent")) return "bad";
-  return "open";
-}
-
-function receipts(list, changed) {
-  for (const receipt of changed) {
-    const id = `receipt-${receipt.number}`;
-    const text = `${receipt.verb} ${receipt.words} → ${words(receipt)}`.replace("  ", " ");
-    let item = document.getElementById(id);
-    if (!item) {
-      item = make("li", { id });
-      list.prepend(item);
-    }
-    item.dataset.outcome = outcome(receipt);
-    set(item, `${item.dataset.outcome === "done" ? "✓" : item.dataset.outcome === "bad" ? "✗" : "…"} ${text}`);
-  }
-  while (list.children.length > 30) list.lastChild.remove();
 }
 
 const LEVELS = ["info", "warning", "error"];
@@ -96,13 +63,11 @@ function log(list, level, lines) {
   while (list.children.length > 500) list.lastChild.remove();
 }
 
-export function start({ table, said, lines, level, caption }) {
+export function start({ table, lines, level, caption }) {
   on("about", (about) => build(table, about));
   on("drones", fill);
-  on("receipts", (changed) => receipts(said, changed));
   on("log", (list) => log(lines, level, list));
-  on("connected", (there) => there && (lines.replaceChildren(), said.replaceChildren()));
-  on("refused", (why) => said.prepend(make("li", { "data-outcome": "bad" }, `✗ ${why}`)));
+  on("about", () => lines.replaceChildren());
   on("selected", (ids) => {
     for (const [i, { box, row }] of rows) {
       box.checked = selected.has(i);

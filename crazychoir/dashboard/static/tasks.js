@@ -1,5 +1,5 @@
 // Tasks: added by clicks on the floor or by numbers, listed, cancelled; and goals that are clicked.
-import { number } from "./canvas.js";
+import { numbers } from "./canvas.js";
 import { ask, on } from "./line.js";
 import { make } from "./table.js";
 
@@ -9,8 +9,11 @@ let pickup = null, shown = "";
 
 export const tasks = {
   add: () => {
-    const delivery = find("task_kind").value === "one" ? null : [number("delivery_x"), number("delivery_y")];
-    return ask({ ask: "add-task", pickup: [number("pickup_x"), number("pickup_y")], delivery, load: number("load") });
+    const both = find("task_kind").value === "two";
+    const values = numbers("load", "pickup_x", "pickup_y", ...(both ? ["delivery_x", "delivery_y"] : []));
+    if (!values) return;
+    const [load, x, y, ...delivery] = values;
+    ask({ ask: "add-task", pickup: [x, y], delivery: both ? delivery : null, load });
   },
 };
 

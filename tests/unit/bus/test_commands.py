@@ -1,4 +1,5 @@
 import asyncio
+import math
 
 import numpy as np
 import pytest
@@ -266,6 +267,43 @@ async def test_a_late_repeat_of_a_clear_does_not_undo_a_later_stop(clock):
         swarm.servers[1].port.deliver(ESTOP.number, OBSERVER, encode(clear), number, "f1", 0, 0.0)
     assert swarm.bus.stopped
     assert swarm.stops == [(1, True), (1, False), (1, True)]
+
+
+@virtual
+async def test_a_clear_that_comes_after_a_newer_stop_does_not_count_nor_a_stop_after_a_newer_clear(clock):
+    swarm = Swarm(clock, 1)
+    came = losing(swarm.operator.port, lambda *message: False)
+    said = {"stop": encode(False), "alone": encode(commands.ALONE), "clear": encode(True)}
+
+    def hear(number, what, channel="f1"):
+        swarm.servers[1].port.deliver(ESTOP.number, OBSERVER, said[what], number, channel, 0, 0.0)
+
+    hear(3, "stop")
+    hear(2, "clear")
+    assert (swarm.bus.stopped, swarm.stops) == (True, [(1, True)])
+    hear(5, "clear")
+    hear(4, "stop")
+    assert (swarm.bus.stopped, swarm.stops) == (False, [(1, True), (1, False)])
+    hear(7, "alone")
+    hear(6, "stop")
+    assert (swarm.bus.stopped, len(swarm.stops)) == (True, 4), "one of the swarm counts after one of its own"
+    hear(1, "clear", "f2")
+    assert not swarm.bus.stopped, "another life of the operator"
+    assert len(came) == 7, "all are acknowledged"
+    for life in range(2 * commands.REMEMBERED):
+        hear(1, "stop", f"{life:x}")
+    assert len(swarm.servers[1]._newest) == commands.REMEMBERED
+
+
+@virtual
+async def test_who_is_taken_out_of_a_stop_s_targets_is_told_no_more(clock):
+    swarm, targets = Swarm(clock, 1), [1, 2, 3]
+    stopping = asyncio.create_task(swarm.operator.emergency_stop(targets, deadline=math.inf))
+    await clock.sleep(100.0)
+    assert not stopping.done()
+    targets.remove(2)
+    targets.remove(3)
+    assert await stopping == []
 
 
 @virtual

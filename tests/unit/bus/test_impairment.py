@@ -219,6 +219,20 @@ def test_the_queue_of_a_bandwidth_knows_no_go():
     assert waits == pytest.approx([0.1, 0.2, 0.3])
 
 
+def test_a_cut_is_added_to_the_partitions_once():
+    impairment = Impairment(1, partitions=[Partition(5.0, 9.0, (0,), (1,))])
+    for drone in (2, 3, 3):
+        impairment.update({"cut": {"a": [drone]}})
+    assert [partition["a"] for partition in impairment.describe()["partitions"]] == [(0,), (2,), (3,)]
+    impairment.update({"clear": True, "cut": {"since": 1.0, "until": 2.0, "a": [4], "b": [5]}})
+    assert impairment.partitions == (Partition(1.0, 2.0, (4,), (5,)),)
+    impairment.update({"partitions": [], "loss": 0.1})
+    assert impairment.partitions == ()
+    for wrong in (3, {"a": []}, {"from": 3}):
+        with pytest.raises(ConfigError, match="partition"):
+            impairment.update({"cut": wrong})
+
+
 def test_a_partition_with_one_side_is_against_everybody_else():
     impairment = Impairment(1, partitions=[Partition(0.0, 1.0, (0, 1))])
     impairment.begin(0.0)

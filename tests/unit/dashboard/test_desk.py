@@ -24,6 +24,12 @@ class Swarm:
         self.watch = Watch(clock)
         self.desk = Desk(self, self.watch)
 
+    def deaf(self, i):
+        """Drone i hears nothing until the function that is returned is called."""
+        port = self.bus.ports[i]
+        deliver, port.deliver = port.deliver, lambda *message: None
+        return lambda: setattr(port, "deliver", deliver)
+
     def executor(self, i):
         async def execute(verb, arguments):
             if i == 1:
@@ -100,7 +106,7 @@ async def test_a_stop_is_heard_by_all_that_are_there_and_the_silent_are_named(cl
     assert receipt.answers == {0: (DONE, "motors off"), 1: (DONE, "motors off"), 2: (SENT, "")}
     assert swarm.bus.stopped
     await swarm.desk.settled(receipt)
-    assert receipt.answers[2] == (SILENT, f"no acknowledgement within {STOP:g} s")
+    assert receipt.answers[2] == (SILENT, f"no acknowledgement within {STOP:g} s, still sent")
     cleared = await swarm.desk.settled(swarm.desk.stop([0, 1], clear=True))
     assert cleared.done()
     assert not swarm.bus.stopped
@@ -115,9 +121,117 @@ async def test_a_stop_of_one_drone_does_not_keep_the_others_on_the_ground(clock)
 
 
 @virtual
+async def test_a_stop_is_sent_until_it_is_heard_however_late(clock):
+    swarm = Swarm(clock)
+    hears = swarm.deaf(0)
+    receipt = await swarm.desk.settled(swarm.desk.stop())
+    await clock.sleep(300.0)
+    assert receipt.answers[0] == (SILENT, f"no acknowledgement within {STOP:g} s, still sent")
+    version = swarm.desk.version
+    hears()
+    await clock.sleep(0.3)
+    assert swarm.stopped == [(1, True), (0, True)]
+    assert receipt.answers[0] == (DONE, "motors off")
+    assert swarm.desk.after(version) == [receipt]
+    swarm.desk.close()
+
+
+@virtual
+async def test_a_stop_ends_when_it_is_cleared_or_given_anew_and_one_of_some_leaves_that_of_the_swarm(clock):
+    swarm = Swarm(clock)
+    hears = swarm.deaf(0)
+    first, second = swarm.desk.stop(), swarm.desk.stop()
+    assert first.answers[0] == (REFUSED, "withdrawn by emergency stop")
+    alone = swarm.desk.stop([0])
+    await clock.sleep(1.0)
+    assert (second.answers[0], alone.answers[0]) == ((SENT, ""), (SENT, ""))
+    assert len(swarm.desk._stops) == 2
+    swarm.bus.stopped = False
+    hears()
+    await clock.sleep(1.0)
+    assert second.answers[0] == alone.answers[0] == (DONE, "motors off")
+    assert swarm.bus.stopped, "whichever came last"
+    hears = swarm.deaf(1)
+    third = swarm.desk.stop([1])
+    cleared = swarm.desk.stop(clear=True)
+    assert third.answers == {1: (REFUSED, "withdrawn by clear stop")}
+    await swarm.desk.settled(cleared)
+    assert cleared.answers[0] == (DONE, "cleared")
+    assert cleared.answers[1] == (SILENT, f"no acknowledgement within {STOP:g} s")
+    await clock.sleep(0.5)
+    told = list(swarm.stopped)
+    hears()
+    await clock.sleep(1.0)
+    assert swarm.stopped == told, "neither the stop nor the clear comes late"
+    swarm.desk.close()
+
+
+@virtual
+async def test_a_stop_withdraws_whatever_would_move_its_drones(clock):
+    swarm = Swarm(clock)
+    hears = swarm.deaf(1)
+    going = swarm.desk.order("go-to", [0, 1], each=lambda i: {"p": [0, 0, 1]})
+    flying, worse = swarm.desk.order("fly", [1], 500.0), swarm.desk.order("impair", [1], each=lambda i: {"loss": 0.1})
+    await clock.sleep(0.2)
+    assert going.answers == {0: (ACCEPTED, ""), 1: (REFUSED, "withdrawn by fly")}
+    lines = swarm.watch.count
+    swarm.desk.stop([1])
+    assert flying.answers == {1: (REFUSED, "withdrawn by stop")}
+    assert worse.answers == {1: (SENT, "")}, "it moves nothing"
+    swarm.desk.stop()
+    assert going.answers[0] == (REFUSED, "withdrawn by stop")
+    assert swarm.watch.count == lines, "no trouble"
+    hears()
+    await clock.sleep(1.0)
+    assert (1, True) in swarm.stopped
+    assert swarm.desk._asked == {}
+    assert not going.open
+    swarm.desk.close()
+
+
+@virtual
+async def test_what_is_ordered_later_counts_when_the_network_is_back(clock):
+    swarm = Swarm(clock)
+    hears = swarm.deaf(0)
+    go, hold = swarm.desk.order("go", [0]), swarm.desk.order("hold", [0])
+    assert go.answers == {0: (REFUSED, "withdrawn by hold")}
+    await clock.sleep(0.5)
+    going = swarm.desk.order("go-to", [0], each=lambda i: {"p": [0, 0, 1]})
+    assert hold.answers[0][0] == SENT, "who flies somewhere is held"
+    hears()
+    await swarm.desk.settled(hold)
+    await swarm.desk.settled(going)
+    assert sorted(verb for verb, _ in swarm.obeyed) == ["go-to", "hold"]
+    landing = swarm.desk.order("land", [0])
+    await clock.sleep(0.2)
+    swarm.desk.order("hold", [0])
+    assert landing.answers == {0: (ACCEPTED, "")}, "it says by itself what comes of it"
+    swarm.desk.close()
+
+
+@virtual
+async def test_who_is_to_be_asked_again_is_not_when_something_else_was_ordered(clock):
+    swarm, asked = Swarm(clock), []
+
+    async def later(verb, arguments):
+        asked.append(verb)
+        if verb == "take-off":
+            raise Refused("drone 0", f"{NOT_READY}: waiting for the others")
+
+    CommandServer(swarm.bus.ports[0], later, print)
+    receipt = swarm.desk.order("take-off", [0])
+    await clock.sleep(1.0)
+    await swarm.desk.settled(swarm.desk.order("land", [0]))
+    assert receipt.answers == {0: (REFUSED, "withdrawn by land")}
+    await clock.sleep(5.0)
+    assert asked[-1] == "land"
+
+
+@virtual
 async def test_a_page_is_told_what_has_changed_since_it_was_told_last(clock):
     swarm = Swarm(clock)
     first = swarm.desk.order("land", [0])
+    await clock.sleep(0.2)
     told = swarm.desk.version
     assert swarm.desk.after(0) == [first]
     assert swarm.desk.after(told) == []

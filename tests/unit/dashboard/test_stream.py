@@ -6,14 +6,16 @@ import pytest
 from virtual_time import virtual
 
 from crazychoir.bus.commands import Commander, CommandServer
+from crazychoir.bus.impairment import Impairment
 from crazychoir.bus.local import OBSERVER, Bus
+from crazychoir.bus.rules import Partition
 from crazychoir.bus.topics import STATE
 from crazychoir.dashboard import operator
 from crazychoir.dashboard.desk import Desk
 from crazychoir.dashboard.model import RATE, SwarmModel
 from crazychoir.dashboard.operator import Operator
 from crazychoir.dashboard.polls import LATER, Links, TaskBoard
-from crazychoir.dashboard.stream import MOST_ASKED, MOST_PAGES, POLICY, TOO_MANY, Stream
+from crazychoir.dashboard.stream import FLOOD, MOST_ASKED, MOST_PAGES, PER_SECONDS, POLICY, TOO_MANY, Stream
 from crazychoir.dashboard.watch import Watch
 from crazychoir.errors import Refused
 from crazychoir.swarm.config import SwarmConfig
@@ -71,6 +73,8 @@ class Server:
         if verb == "links":
             self.sent += 10
             return {1: [self.sent, 3 * self.sent // 10]} if i == 0 else {}
+        if verb == "impair":
+            return Impairment(1).describe()
         if i == 0 and verb.startswith("task"):
             raise Refused("drone 0", "this drone flies no more; ask another one")
         return {"tasks": [{"id": 4}]} if verb == "task_list" else {"id": 4}
@@ -200,17 +204,102 @@ async def test_of_two_drawings_the_newer_counts_whichever_is_planned_first(clock
         patch.setattr(operator, "_aside", aside)
         for height in (0.5, 0.7):
             page.asks.put_nowait({"ask": "draw", "strokes": [[[0, 0, 0], [1, 1, 0]]], "height": height})
-        await clock.sleep(3.0)
+        await clock.sleep(3.5)
     assert [plan["points"][-1] for plan in page.told("plan")] == [[1.0, 0.0, 0.7]]
     await server.end()
 
 
 @virtual
-async def test_a_page_that_asks_without_end_is_closed(clock):
+async def test_one_drawing_is_planned_at_a_time_and_the_newest_of_those_that_wait(clock):
+    server, planning, most, begun = Server(clock), [], [], []
+    page = server.page()
+
+    async def aside(work, strokes, pen, config, **limits):
+        planning.append(pen.height)
+        begun.append(pen.height)
+        most.append(len(planning))
+        await clock.sleep(1.0)
+        planning.remove(pen.height)
+        return work(strokes, pen, config, **limits)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(operator, "_aside", aside)
+        for height in (0.5, 0.6, 0.7, 0.8):
+            page.asks.put_nowait({"ask": "draw", "strokes": [[[0, 0, 0], [1, 1, 0]]], "height": height})
+            await clock.sleep(0.1)
+        await clock.sleep(3.0)
+    assert (begun, max(most)) == ([0.5, 0.8], 1)
+    assert [plan["points"][-1] for plan in page.told("plan")] == [[1.0, 0.0, 0.8]]
+    await server.end()
+
+
+@virtual
+async def test_what_a_page_asks_for_without_end_is_refused_but_never_a_stop(clock):
     server = Server(clock)
     page = server.page()
     await clock.sleep(0.1)
-    for _ in range(MOST_ASKED + 1):
+    for _ in range(MOST_ASKED + 100):
+        page.asks.put_nowait({"ask": "order", "verb": "hold", "drones": [0]})
+    page.asks.put_nowait({"ask": "stop"})
+    page.asks.put_nowait({"ask": "order", "verb": "land", "drones": [1]})
+    await clock.sleep(0.2)
+    assert len(server.desk.receipts) > 1
+    assert server.desk.receipts[-1].verb == "emergency stop"
+    assert server.bus.stopped
+    (refused,) = page.told("refused")
+    assert str(MOST_ASKED) in refused
+    assert page.closed is None
+    await clock.sleep(PER_SECONDS)
+    page.asks.put_nowait({"ask": "order", "verb": "land", "drones": [1]})
+    await clock.sleep(0.2)
+    assert server.those("land") == [(1, "land", {})]
+    await server.end()
+
+
+@virtual
+async def test_what_was_asked_for_is_done_though_its_page_is_gone(clock):
+    server = Server(clock)
+    page = server.page()
+    await clock.sleep(1.5)
+    for words in ({"ask": "order", "verb": "hold"}, {"ask": "add-task", "pickup": [1.0, 2.0]}, {"ask": "stop"}, None):
+        page.asks.put_nowait(words)
+    await page.serving
+    assert [receipt.verb for receipt in server.desk.receipts][:2] == ["hold", "emergency stop"]
+    await clock.sleep(1.0)
+    assert server.bus.stopped
+    assert server.those("task_add")
+    await server.end()
+
+
+@virtual
+async def test_what_nobody_has_foreseen_is_refused_with_its_reason_and_the_page_stays(clock):
+    server = Server(clock)
+    page = server.page()
+
+    def fails(*arguments, **named):
+        raise AssertionError("unknown status keyword 'a' in marked section")
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(operator, "loaded", fails)
+        patch.setattr(operator, "beside", fails)
+        page.asks.put_nowait({"ask": "load", "name": "a.svg", "text": "<![a["})
+        page.asks.put_nowait({"ask": "go-to", "drones": [1], "p": [0, 0, 1]})
+        await clock.sleep(0.5)
+    why = "AssertionError: unknown status keyword 'a' in marked section"
+    assert page.told("refused") == [why, why]
+    page.asks.put_nowait({"ask": "order", "verb": "land", "drones": [1]})
+    await clock.sleep(0.5)
+    assert server.those("land")
+    assert not page.serving.done()
+    await server.end()
+
+
+@virtual
+async def test_a_page_that_floods_its_line_is_closed(clock):
+    server = Server(clock)
+    page = server.page()
+    await clock.sleep(0.1)
+    for _ in range(FLOOD):
         page.asks.put_nowait("{")
     await clock.sleep(0.5)
     assert page.closed == POLICY
@@ -272,9 +361,35 @@ async def test_the_network_is_changed_for_all_links_for_one_drone_s_or_for_one(c
     told = [arguments for i, verb, arguments in server.those("impair") if i == 0]
     assert [{key: value for key, value in one.items() if value is not None} for one in told] == [
         {"loss": 0.3}, {"loss": 0.5, "delay": 0.1, "drone": 1}, {"loss": 0.0, "edge": [2, 0]},
-        {"partitions": [{"since": 0.0, "a": [0]}]}, {"clear": True},
+        {"cut": {"since": 0.0, "a": [0]}}, {"clear": True},
     ]  # fmt: skip
     assert len(server.those("impair")) == 15, "every drone is told"
+    await server.end()
+
+
+@virtual
+async def test_drones_are_cut_off_beside_those_that_are_and_the_receipt_says_what_is_in_force(clock):
+    server, network = Server(clock), Impairment(1, partitions=[Partition(5.0, 9.0, (1,), (2,))])
+
+    async def execute(i, verb, arguments):
+        if verb == "impair":
+            network.update(arguments)
+            return network.describe()
+
+    server.execute = execute
+    page = server.page()
+    for drones in ([0], [2], [2]):
+        page.asks.put_nowait({"ask": "impair", "cut": True, "drones": drones})
+    await clock.sleep(0.5)
+    receipt = server.desk.receipts[-1]
+    assert receipt.words == "cut off, 2"
+    assert receipt.answers[0] == (
+        "done", "1 apart from 2, from 5 s after GO to 9 s; 0 apart from the others, from 0 s after GO to the end; "
+        "2 apart from the others, from 0 s after GO to the end",
+    )  # fmt: skip
+    page.asks.put_nowait({"ask": "impair", "clear": True})
+    await clock.sleep(0.5)
+    assert server.desk.receipts[-1].answers[0] == ("done", "nothing: perfect")
     await server.end()
 
 
@@ -306,6 +421,10 @@ async def test_what_was_planned_and_shown_is_flown(clock):
     ((i, _, arguments),) = server.those("fly")
     assert i == 1
     assert abs(arguments["durations"].sum() - plan["duration"]) < 0.01
+    page.asks.put_nowait({"ask": "draw", "strokes": [stroke], "height": 0.9})
+    page.asks.put_nowait({"ask": "fly", "drones": [2]})
+    await clock.sleep(0.5)
+    assert len(server.those("fly")) == 1, "not what was drawn before"
     page.asks.put_nowait({"ask": "save", "strokes": [stroke], "kind": "svg"})
     await clock.sleep(0.2)
     (text,) = page.told("saved")

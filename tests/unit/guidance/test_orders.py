@@ -337,6 +337,23 @@ def test_the_newer_command_counts_and_a_hold_ends_a_flight():
     play(There, scene)
 
 
+def test_nothing_is_flown_on_command_while_a_stop_is_in_force():
+    async def scene(operator):
+        await operator.order("take-off")
+        flying = asyncio.create_task(told(operator, "go-to", 0, p=[0.0, 3.0, 0.6]))
+        await operator.clock.sleep(0.5)
+        operator.agent.bus.stopped = True  # of the swarm: it has not reached these motors yet
+        for verb, arguments in (("go-to", {"p": [0.0, 1.0, 0.6]}), ("fly", way((0, 0, 1), (0, 1, 1)))):
+            kind, why = await told(operator, verb, 1, **arguments)
+            assert (kind, why.startswith("emergency stop in force")) == (REFUSED, True), why
+        assert (await flying)[1].startswith("emergency stop in force")
+        operator.agent.bus.stopped = False
+        assert await told(operator, "go-to", 1, p=[1.0, 1.0, 0.6]) == (DONE, "there")
+        await operator.order("land")
+
+    play(There, scene)
+
+
 def test_what_cannot_be_flown_is_refused_before_anything_moves():
     async def scene(operator):
         await operator.order("take-off")

@@ -1,8 +1,13 @@
+import json
+
 import numpy as np
 import pytest
 
+from crazychoir.dashboard.asks import Draw, read
+from crazychoir.dashboard.gate import MOST_BODY
 from crazychoir.errors import ConfigError
-from crazychoir.guidance.sketch import loaded, messages, planned, saved, shifted
+from crazychoir.guidance import sketch
+from crazychoir.guidance.sketch import LOADED, MOST_ROWS, loaded, messages, planned, saved, shifted
 from crazychoir.planning.drawing import Pen
 from crazychoir.planning.feasibility import Limits, keeps
 from crazychoir.planning.piecewise import Piecewise
@@ -45,6 +50,49 @@ def test_a_drawing_that_leaves_the_fence_or_is_no_line_is_refused():
         planned((((0.0, 1.0, 1.0),),), Pen(), config_of())
 
 
+@pytest.fixture
+def unplanned(monkeypatch):
+    """Nothing may be planned."""
+
+    def drawing(*arguments):
+        pytest.fail("planned")
+
+    monkeypatch.setattr(sketch, "drawing", drawing)
+
+
+LONG = [[(0.0, 4.0 * (-1.0) ** k, 0.0) for k in range(25)]]  # 192 m
+
+
+@pytest.mark.parametrize(
+    ("strokes", "pen", "limits", "words"),
+    [
+        ([[(0.0, 0.0, 0.0), (1.0, 900.0, 0.0)]], {}, {}, r"strokes\[0\]\[1\]: found \[900.0, 0.0, 1.0\]; .*fence"),
+        ([[(0.0, 0.0, 0.0), (1.0, 4.03, 0.0)]], {"smoothing": 0.02}, {}, "fence"),
+        ([[(0.0, 0.0, 0.0), (1.0, float("nan"), 0.0)]], {}, {}, "fence"),
+        (LONG, {}, {"v_max": 0.1}, "192 m, which take 1920 s; allowed: at most 1800 s"),
+        (LONG, {}, {"v_max": 0.5, "slower": 5.0}, "1920 s"),
+        ([[(0.0, 0.0, 0.0)]] * 200, {"lift": 2.0}, {"v_max": 0.4}, "0 m, which take 1990 s"),
+        (LONG + LONG, {}, {"v_max": 1.0}, "384 m; allowed: at most 113 m"),
+        ([[(0.0, 0.0, 0.0)] * (MOST_ROWS + 1)], {}, {}, f"{MOST_ROWS + 1} rows"),
+    ],
+)
+def test_what_is_far_too_large_is_refused_before_it_is_planned(unplanned, strokes, pen, limits, words):
+    with pytest.raises(ConfigError, match=words):
+        planned(strokes, Pen(**pen), config_of(), **limits)
+
+
+def test_a_hand_may_stray_beyond_the_fence_by_what_is_smoothed():
+    line = [(0.1 * k, 0.1 * k - 2.0, 3.99) for k in range(30)]
+    line[15] = (1.5, -0.5, 4.01)
+    planned([line], Pen(smoothing=0.02), config_of())
+
+
+def test_a_drawing_full_of_corners_is_refused_when_its_time_is_known():
+    corners = [[(0.0, 0.1 * (k // 2), 0.1 * ((k + 1) // 2)) for k in range(60)]]
+    with pytest.raises(ConfigError, match=r"s or more; allowed: at most 90 s"):
+        planned(corners, Pen(), config_of(), a_max=0.02, slower=20.0)
+
+
 def test_each_drone_flies_it_beside_the_one_before():
     config = config_of()
     path = planned((WAVE,), Pen(), config).path
@@ -82,6 +130,32 @@ def test_strokes_are_saved_and_loaded():
             columns = slice(0 if timed else 1, 3)
             assert np.array(again)[:, columns] == pytest.approx(stroke[:, columns], abs=2e-4)
             assert (np.diff(np.array(again)[:, 0]) > 0.0).all()
+
+
+def circles(n, metres, count):
+    """n places, t s, x, y m, on circles of so many metres each, `count` times."""
+    turn = np.linspace(0.0, 2.0 * np.pi * count, n)
+    return np.column_stack([0.01 * np.arange(n), np.cos(turn) * metres / 6.28, np.sin(turn) * metres / 6.28])
+
+
+@pytest.mark.parametrize("kind", ["csv", "svg"])
+def test_what_is_loaded_is_thinned_to_what_a_page_may_have_planned(kind):
+    (stroke,) = loaded(saved([circles(6000, 3.0, 1)], kind), f"a.{kind}")
+    places = np.array(stroke)[:, 1:]
+    assert 1000 < len(places) <= 1501, "2 mm apart"
+    assert places[[0, -1]] == pytest.approx(np.array([[3.0 / 6.28, 0.0]] * 2), abs=1e-4)
+    far = [circles(7000, 500.0, 20) + np.array([0.0, 0.0, 1e-3 * k]) for k in range(2 if kind == "csv" else 1)]
+    strokes = loaded(saved(far, kind), f"a.{kind}")
+    assert 2500 < sum(map(len, strokes)) <= LOADED
+    asked = json.dumps({"ask": "draw", "strokes": strokes})
+    assert len(asked) < MOST_BODY
+    assert isinstance(read(asked), Draw)
+
+
+def test_a_file_of_very_many_strokes_keeps_both_ends_of_each():
+    drawn = [np.array([[0.0, 0.01 * k, 0.0], [0.1, 0.01 * k, 0.1], [0.2, 0.01 * k, 0.2]]) for k in range(3000)]
+    strokes = loaded(saved(drawn, "csv"), "a.csv")
+    assert [len(stroke) for stroke in strokes] == [2] * 3000
 
 
 @pytest.mark.parametrize(

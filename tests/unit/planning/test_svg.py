@@ -99,3 +99,16 @@ def test_strokes_are_read_as_they_were_written(tmp_path):
 def test_a_file_that_cannot_be_read_is_named(tmp_path):
     with pytest.raises(ConfigError, match=r"none\.svg"):
         read_svg(tmp_path / "none.svg")
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [("<![a[", "found"), (f'<path d="&#{"9" * 5000};"/>', "no SVG"), ('<path d="M0 0L1e999 0"/>', "1e999"),
+     ('<path d="M0 0L1.7e308 0l1.7e308 0"/>', "not finite"), ('<path d="M0 0A1e200 1e200 0 0 1 5 5"/>', "too far off"),
+     ('<path d="M0 0A1e100 1e100 0 0 1 5 5"/>', "too far off"),
+     ('<path d="M0 0A1e-200 1e-200 0 0 1 1e-200 0"/>', "too far off")],
+)  # fmt: skip
+def test_what_cannot_be_reckoned_with_is_refused_by_name(text, words):
+    with pytest.raises(ConfigError, match=words) as raised:
+        parse_svg(text, "a.svg")
+    assert "a.svg" in str(raised.value)

@@ -71,8 +71,23 @@ def test_one_that_was_cut_off_is_compared_as_far_as_it_goes(original, tmp_path):
     content = original.read_bytes()
     cut.write_bytes(content[: len(content) // 3])
     assert 0 < len(list(told(cut))) < len(FLIGHT)
-    assert first_difference(cut, original, complete=False) is None
-    assert first_difference(cut, original) is not None
+    assert first_difference(cut, original) is None
+    assert str(first_difference(original, cut)).endswith("end: the message first, no message then")
+
+
+def test_the_messages_say_why_there_are_no_more(original, tmp_path):
+    whole, content = told(original), original.read_bytes()
+    assert whole.fault == "not read"
+    assert (len(list(whole)), whole.fault) == (len(FLIGHT), "")
+    found, chunks = [], [at for at in range(len(content)) if content[at : at + 4] == b"\x28\xb5\x2f\xfd"]
+    for spoilt, text in ((b"", "cut off"), (b"\xff" + content[chunks[5] + 1 :], "spoilt")):
+        path = tmp_path / f"{text}.mcap"
+        path.write_bytes(content[: chunks[5]] + spoilt)
+        messages = told(path, ("status",))
+        found.append([message.values()["round"] for message in messages])
+        assert messages.fault == f"{text} at byte {chunks[5] - 49 - len('zstd')}"
+        assert first_difference(path, original) is None
+    assert found == [[0, 1], [0, 1]]
 
 
 def test_no_recording(tmp_path):

@@ -7,9 +7,9 @@ import pytest
 from ros2_decoders import by_mcap_ros2, by_rosbags
 
 from crazychoir.errors import ConfigError
-from crazychoir.recording.file import Entry, RecordingFile, Series
+from crazychoir.recording.file import UNKNOWN, Entry, RecordingFile, Series
 from crazychoir.recording.messages import MESSAGES, packer
-from crazychoir.recording.reading import read
+from crazychoir.recording.reading import header, read
 from crazychoir.types import Pose, State
 
 ABOUT = {"version": "1.2", "mission": "probe", "seed": "3", "time": "virtual"}
@@ -48,6 +48,31 @@ def test_a_file_says_what_was_flown(tmp_path):
     assert len(recording.of(2, "truth")) == 0
     assert by_mcap_ros2(path) == by_rosbags(path)
     assert [name for name, *_ in by_rosbags(path)] == 3 * ["/drone0/truth"] + 2 * ["/drone1/truth"]
+
+
+@pytest.mark.parametrize(
+    ("lost", "said", "outcome"),
+    [
+        (0, None, {"lost": "0", "ended": UNKNOWN}),
+        (7, {"ended": "Ctrl-C", "digest": "ab"}, {"lost": "7", "ended": "Ctrl-C", "digest": "ab"}),
+    ],
+)
+def test_it_always_says_what_it_lacks_and_how_it_ended(tmp_path, lost, said, outcome):
+    path = tmp_path / "a.mcap"
+    file = opened(path)
+    file.write(entries(truth(), 0, 3))
+    file.lost += lost
+    file.close(said)
+    recording = header(path)
+    assert (recording.outcome, recording.lost, recording.complete) == (outcome, lost, True)
+
+
+def test_what_comes_after_the_end_is_lost(tmp_path):
+    file = opened(tmp_path / "a.mcap")
+    file.write(entries(truth(), 0, 3))
+    file.close()
+    file.write(entries(truth(), 3, 5))
+    assert (file.written, file.lost, file.error) == (3, 2, "")
 
 
 def test_a_file_is_never_written_over(tmp_path):

@@ -6,7 +6,7 @@ from mcap.writer import Writer
 from crazychoir.errors import ConfigError
 from crazychoir.recording.file import Entry, RecordingFile, Series
 from crazychoir.recording.messages import MESSAGES, packer
-from crazychoir.recording.reading import read
+from crazychoir.recording.reading import header, read
 from crazychoir.types import State
 
 CHUNKS, EACH = 5, 20
@@ -71,6 +71,33 @@ def test_a_spoilt_chunk_ends_it(tmp_path, content):
         spoilt = bytearray(content)
         spoilt[at] ^= 0x10
         assert found(tmp_path / "a.mcap", bytes(spoilt)) == (list(range(2 * EACH)), False)
+
+
+def test_a_header_says_whether_all_is_whole(tmp_path, content):
+    path = tmp_path / "a.mcap"
+    path.write_bytes(content)
+    whole = header(path)
+    assert (whole.complete, whole.fault, whole.chunks, whole.topics) == (True, "", CHUNKS, {})
+    third = chunk(content, 2)
+    spoilt = bytearray(content)
+    spoilt[third + 20] ^= 0x10
+    path.write_bytes(spoilt)
+    begin = third - 49 - len("zstd")  # of the record
+    assert (header(path).complete, header(path).fault, header(path).chunks) == (False, f"spoilt at byte {begin}", 2)
+    path.write_bytes(content[:third])
+    assert (header(path).fault, header(path).chunks) == (f"cut off at byte {begin}", 2)
+    ended = content.replace(b"lost\x01\0\0\x000", b"lost\x01\0\0\0x")
+    assert ended != content
+    path.write_bytes(ended)
+    assert header(path).fault.startswith("spoilt at byte"), "how many it lacks cannot be read"
+
+
+def test_what_ended_before_its_first_chunk_has_no_header(tmp_path, content):
+    path = tmp_path / "a.mcap"
+    begin = chunk(content, 0) - 49 - len("zstd")
+    path.write_bytes(content[:begin])
+    with pytest.raises(ConfigError, match=rf"no message: it was cut off at byte {begin}; allowed: a recording"):
+        header(path)
 
 
 def test_spoilt_anywhere_it_is_read_or_refused(tmp_path, content):

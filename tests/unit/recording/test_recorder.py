@@ -30,6 +30,7 @@ from crazychoir.bus.topics import (
 )
 from crazychoir.recording import recorder as module
 from crazychoir.recording.file import RecordingFile
+from crazychoir.recording.reading import header
 from crazychoir.recording.recorder import Recorder
 from crazychoir.runtime.clock import run_virtual, run_wall
 from crazychoir.runtime.supervisor import Supervisor
@@ -168,6 +169,7 @@ def test_what_cannot_be_written_hurts_nobody(tmp_path, caplog):
 
     result = recorded(tmp_path / "a.mcap", work)
     assert (result["messages"], result["lost"]) == (1, 4)
+    assert header(tmp_path / "a.mcap").outcome == {"lost": "4", "ended": "its flight has ended"}
     assert len(caplog.records) == 1
     assert "status of drone 0" in caplog.text
 

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from crazychoir.bus.local import BODIES, OBSERVER, Bus
-from crazychoir.bus.topics import STATE, STATUS, TRUTH
+from crazychoir.bus.topics import COMMAND, STATE, STATUS, TRUTH
 from crazychoir.recording.file import Entry, RecordingFile, Series
 from crazychoir.recording.messages import MESSAGES, Exchanged, packer
 from crazychoir.recording.replayer import Replayer
 from crazychoir.runtime.clock import run_virtual
 from crazychoir.runtime.mailbox import Call
-from crazychoir.types import State, Status
+from crazychoir.types import FPQR, State, Status, Vel
 
 BEGAN = 1_700_000_000_000_000_000
 STEP = 50_000_000
@@ -84,6 +84,26 @@ def test_step_by_step(path):
             assert [value.p[0] for _, topic, value, _ in heard if topic == "state"][-1] == last
         await running
         assert asked == [2, 6, 26]
+
+    run_virtual(main)
+
+
+def test_all_types_of_a_topic_are_said_on_it_by_drones_that_nobody_has_opened(tmp_path):
+    path = tmp_path / "a.mcap"
+    file, entries = RecordingFile(path, {"version": "1"}, "{}", False), []
+    for name, value in (("command", FPQR(np.arange(4.0))), ("command/vel", Vel(np.arange(4.0) + 5.0))):
+        series = Series(3, name, MESSAGES[type(value)])
+        entries.append(Entry(series, BEGAN, BEGAN + STEP, packer(series.message, 3)(value, BEGAN + STEP)))
+    file.write(entries)
+    file.close()
+
+    async def main(clock):
+        bus, heard = Bus(clock), []
+        bus.port(OBSERVER + 1)
+        bus.subscribe(COMMAND, 3, OBSERVER + 1, Call(clock, lambda value, age: heard.append((value, age))))
+        await Replayer(bus, path).run()
+        assert [(type(value), value.flat.tolist()) for value, _ in heard] == [(FPQR, [0, 1, 2, 3]), (Vel, [5, 6, 7, 8])]
+        assert [age for _, age in heard] == [0.0, 0.0], "nothing is born after it has come"
 
     run_virtual(main)
 

@@ -5,6 +5,7 @@ from collections import Counter
 
 import numpy as np
 import pytest
+from mcap.reader import make_reader
 from ros2_decoders import by_mcap_ros2, fields
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
@@ -70,6 +71,18 @@ def test_a_bag_is_read_by_what_ros_2_defines(recording, tmp_path):
     told = json.loads(status["data"])
     assert (told["phase"], told["cost"]) == ("mission", None), "what is not finite is null"
     assert json.loads(by_topic["/drone3/command"][1]["data"])["rates.y"] == 2.0
+    assert by_topic["/drone3/log"] == ("std_msgs/msg/String", {"data": "a line"}), "as it was"
+    kind, state = by_topic["/drone3/state"]
+    assert (kind, state["child_frame_id"]) == ("nav_msgs/msg/Odometry", "drone3")
+    assert state["twist"]["twist"]["angular"] == {"x": 7.0, "y": 8.0, "z": 9.0}
+
+
+def test_each_message_keeps_the_time_when_it_was_born(recording, tmp_path):
+    bag = convert(recording, tmp_path / "new" / "folder" / "bag")
+    with bag.path.open("rb") as file:
+        times = [(m.log_time, m.publish_time) for *_, m in make_reader(file).iter_messages()]
+    assert {came - born for came, born in times} == {5}
+    assert (len(times), times[-1]) == (bag.count, (len(SAID) * TENTH + 5, len(SAID) * TENTH))
 
 
 def test_transforms_say_where_drones_were_in_truth_or_by_their_estimate(recording, tmp_path):
@@ -78,6 +91,7 @@ def test_transforms_say_where_drones_were_in_truth_or_by_their_estimate(recordin
     assert [len(one) for one in moves] == [1, 1]
     (truth,), (estimate,) = moves
     assert (truth["child_frame_id"], truth["header"]["frame_id"]) == ("drone3", "world")
+    assert truth["header"]["stamp"] == {"sec": 0, "nanosec": 3 * TENTH}
     assert truth["transform"]["translation"] == {"x": 1.5, "y": 2.0, "z": 3.0}
     assert list(truth["transform"]["rotation"].values()) == pytest.approx(TURNED)
     assert (estimate["child_frame_id"], estimate["transform"]["translation"]["x"]) == ("drone12", 9.0)

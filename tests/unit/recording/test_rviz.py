@@ -15,7 +15,7 @@ NS = 12_345_000_000_678
 STAMP = {"sec": 12345, "nanosec": 678}
 STORE = get_typestore(Stores.ROS2_JAZZY)
 TURNED = [0.0, 0.0, float(np.sqrt(0.5)), float(np.sqrt(0.5))]
-STATES = {12: State(np.array([1, 2, 3, 0, 0, 0, *TURNED, 0, 0, 0])), 3: State.at((4.0, 5.0, 6.0))}
+PLACES = {12: (State(np.array([1, 2, 3, 0, 0, 0, *TURNED, 0, 0, 0])), NS), 3: (State.at((4.0, 5.0, 6.0)), NS + 9)}
 
 
 def read(kind, data):
@@ -26,7 +26,7 @@ def read(kind, data):
 
 
 def test_a_pose():
-    found = read("geometry_msgs/msg/PoseStamped", rviz.pose(STATES[12], NS))
+    found = read("geometry_msgs/msg/PoseStamped", rviz.pose(*PLACES[12]))
     assert found["header"] == {"stamp": STAMP, "frame_id": "world"}
     assert list(found["pose"]["position"].values()) == [1.0, 2.0, 3.0]
     assert list(found["pose"]["orientation"].values()) == TURNED
@@ -34,25 +34,37 @@ def test_a_pose():
 
 @pytest.mark.parametrize("n", [0, 1, 3])
 def test_a_path(n):
-    found = read("nav_msgs/msg/Path", rviz.path([np.full(3, float(k)) for k in range(n)], NS))
-    assert found["header"]["stamp"] == STAMP
-    assert [one["pose"]["position"]["y"] for one in found["poses"]] == list(range(n))
+    places = np.arange(3.0 * n).reshape(n, 3)
+    found = read("nav_msgs/msg/Path", rviz.path(list(places), NS))
+    assert found["header"] == {"stamp": STAMP, "frame_id": "world"}
+    assert [list(one["pose"]["position"].values()) for one in found["poses"]] == places.tolist()
+    assert [list(one["pose"]["orientation"].values()) for one in found["poses"]] == n * [[0.0, 0.0, 0.0, 1.0]]
+    assert [one["header"] for one in found["poses"]] == n * [found["header"]]
 
 
 def test_transforms():
-    found = read("tf2_msgs/msg/TFMessage", rviz.transforms(STATES, NS))["transforms"]
+    found = read("tf2_msgs/msg/TFMessage", rviz.transforms(PLACES))["transforms"]
     assert [one["child_frame_id"] for one in found] == ["drone3", "drone12"]
+    assert [one["header"] for one in found] == [
+        {"stamp": {**STAMP, "nanosec": 687}, "frame_id": "world"}, {"stamp": STAMP, "frame_id": "world"},
+    ]  # fmt: skip
     assert list(found[1]["transform"]["translation"].values()) == [1.0, 2.0, 3.0]
     assert list(found[1]["transform"]["rotation"].values()) == TURNED
 
 
 def test_markers():
-    found = read("visualization_msgs/msg/MarkerArray", rviz.markers(STATES, NS))["markers"]
-    assert [(one["ns"], one["id"], one["type"], one["text"]) for one in found] == [
-        ("drones", 3, 2, ""), ("names", 3, 9, "3"), ("drones", 12, 2, ""), ("names", 12, 9, "12"),
+    found = read("visualization_msgs/msg/MarkerArray", rviz.markers(PLACES, gone=[5]))["markers"]
+    assert [(one["ns"], one["id"], one["type"], one["action"], one["text"]) for one in found] == [
+        ("drones", 3, 2, 0, ""), ("names", 3, 9, 0, "3"), ("drones", 12, 2, 0, ""), ("names", 12, 9, 0, "12"),
+        ("drones", 5, 2, 2, ""), ("names", 5, 9, 2, ""),
     ]  # fmt: skip
+    assert [one["header"]["stamp"]["nanosec"] for one in found[:4]] == [687, 687, 678, 678]
+    assert {one["header"]["frame_id"] for one in found} == {"world"}
+    assert [list(one["scale"].values()) for one in found[:2]] == [3 * [0.1], 3 * [0.12]]
+    assert [one["frame_locked"] for one in found[:4]] == 4 * [0]
     assert found[0]["pose"]["position"] == {"x": 4.0, "y": 5.0, "z": 6.0}
-    assert found[0]["color"]["a"] == 1.0
+    assert list(found[0]["pose"]["orientation"].values()) == [0.0, 0.0, 0.0, 1.0]
+    assert list(found[0]["color"].values()) == pytest.approx([0.0, 0.447, 0.698, 1.0])
     assert found[3]["pose"]["position"]["z"] == pytest.approx(3.1)
 
 

@@ -9,7 +9,7 @@ from crazychoir.errors import ConfigError
 from crazychoir.recording.file import Entry, RecordingFile, Series
 from crazychoir.recording.messages import MESSAGES, Exchanged, packer
 from crazychoir.recording.sequence import told
-from crazychoir.recording.values import Values
+from crazychoir.recording.values import BY_TYPE, Values
 from crazychoir.types import (
     FPQR,
     FRPY,
@@ -72,3 +72,30 @@ def test_another_version_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr("crazychoir.recording.values.BY_TYPE", {})
     with pytest.raises(ConfigError, match=r"another geometry_msgs/msg/PoseStamped for /drone12/topic0.*version"):
         Values(path).of(next(iter(told(path))))
+
+
+def test_other_fields_under_the_same_name_are_refused(tmp_path, monkeypatch):
+    path = recorded(tmp_path / "a.mcap", SAID[:2])
+    monkeypatch.setitem(BY_TYPE, MESSAGES[Pose].type, MESSAGES[State])
+    values, (pose, state) = Values(path), told(path)
+    with pytest.raises(ConfigError, match="another geometry_msgs/msg/PoseStamped for /drone12/topic0"):
+        values.of(pose)
+    assert rounded(values.of(state)) == rounded(SAID[1]), "what is as it was is read"
+
+
+def test_what_nobody_says_again_is_no_value(tmp_path):
+    path = recorded(tmp_path / "a.mcap", [Exchanged(1, 2, 0, "sum", b"")])
+    with pytest.raises(ConfigError, match="another crazychoir_msgs/msg/Round"):
+        Values(path).of(next(iter(told(path))))
+
+
+def test_each_drone_has_values_of_its_own(tmp_path):
+    """A field of another length lies elsewhere in the bytes: what is known of one series is not taken for another."""
+    path = tmp_path / "a.mcap"
+    file, message = RecordingFile(path, {"version": "1"}, "{}", False), MESSAGES[State]
+    for drone in (3, 12345, 3):
+        series = Series(drone, "state", message)
+        file.write([Entry(series, 1, 1, packer(message, drone)(State.at((drone, 2, 1)), 1))])
+    file.close()
+    values = Values(path)
+    assert [values.of(message).p.tolist() for message in told(path)] == [[drone, 2, 1] for drone in (3, 12345, 3)]

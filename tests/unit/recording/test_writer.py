@@ -1,7 +1,10 @@
 """The bytes of a file: what others find in its index, its checksums, and messages out of order."""
 
 import pytest
+from mcap.opcode import Opcode
 from mcap.reader import make_reader
+from mcap.records import SummaryOffset
+from mcap.stream_reader import StreamReader
 
 from crazychoir.recording.writer import Writer
 
@@ -37,6 +40,12 @@ def test_others_find_everything_by_its_index(path):
         counts = summary.statistics
         assert (counts.message_count, counts.channel_message_counts) == (5, {1: 2, 2: 2, 3: 1})
         assert (counts.message_start_time, counts.message_end_time, counts.chunk_count) == (3, 20, 2)
+        assert (counts.schema_count, counts.channel_count) == (1, 3)
+        assert (counts.attachment_count, counts.metadata_count) == (1, 2)
+        assert [(one.name, one.encoding, one.data) for one in summary.schemas.values()] == [
+            ("a/msg/A", "ros2msg", SCHEMA.encode())
+        ]
+        assert [one.metadata for one in summary.channels.values()] == [{"drone": "one"}, {"drone": "two"}, {}]
         assert [one.metadata for one in reader.iter_metadata()] == [{"seed": "3"}, {"digest": "ab"}]
         assert [one.data for one in reader.iter_attachments()] == [b"{}"]
         found = [(channel.topic, m.log_time, m.publish_time, m.data) for _, channel, m in reader.iter_messages()]
@@ -51,6 +60,32 @@ def test_they_find_a_part_of_it(path):
         reader = make_reader(file, validate_crcs=True)
         late = [m.data for *_, m in reader.iter_messages(topics=["/two", "/three"], starting_at=4)]
     assert late == [b"seven", b""]
+
+
+def test_a_chunk_index_says_where_each_chunk_lies_and_what_times_it_has(path):
+    content = path.read_bytes()
+    with path.open("rb") as file:
+        one, other = make_reader(file).get_summary().chunk_indexes
+    assert [(x.message_start_time, x.message_end_time) for x in (one, other)] == [(3, 9), (7, 20)]
+    for index in (one, other):
+        begin, packed = index.chunk_start_offset, index.compressed_size
+        assert content[begin] == Opcode.CHUNK
+        assert int.from_bytes(content[begin + 1 : begin + 9], "little") + 9 == index.chunk_length
+        data = content[begin + index.chunk_length - packed : begin + index.chunk_length]
+        assert data[:4] == b"\x28\xb5\x2f\xfd", "as long as it is said"
+        assert content[begin + index.chunk_length] == Opcode.MESSAGE_INDEX
+
+
+def test_groups_of_the_summary_lie_one_after_the_other(path):
+    content = path.read_bytes()
+    with path.open("rb") as file:
+        groups = [one for one in StreamReader(file, emit_chunks=True).records if isinstance(one, SummaryOffset)]
+    start, offsets = (int.from_bytes(content[k : k + 8], "little") for k in (-28, -20))  # of the footer
+    assert [content[one.group_start] for one in groups] == [one.group_opcode for one in groups]
+    assert len(groups) == 6
+    ends = [one.group_start + one.group_length for one in groups]
+    assert [start, *ends] == [*(one.group_start for one in groups), offsets]
+    assert content[offsets] == Opcode.SUMMARY_OFFSET
 
 
 def test_a_message_index_says_where_each_message_lies(path):

@@ -1,0 +1,256 @@
+"""What the page says, sends and refuses to send, in a real browser; its server is there, and no drone."""
+
+import contextlib
+
+import numpy as np
+import pytest
+from system.agents import until
+
+for package in ("nicegui", "playwright"):
+    pytest.importorskip(package, reason="the page in a browser needs: pip install 'crazychoir[dashboard,test]'")
+
+from system.browsers import CHROMIUM, Wire, browser, draw_word, says  # noqa: E402 - see above
+from system.pages import COLUMNS, dashboard, six  # noqa: E402
+
+pytestmark = [
+    pytest.mark.system,
+    pytest.mark.real_time,
+    pytest.mark.timeout(180),
+    pytest.mark.skipif(CHROMIUM is None, reason="no chromium: apt-get install chromium"),
+]
+CONNECTED, LOST = '#connection[data-there="true"]', "body[data-lost]"
+TICKED = "[...document.querySelectorAll('#drones tbody input:checked')].map(box => box.ariaLabel)"
+
+
+@contextlib.asynccontextmanager
+async def looked_at(folder, **options):
+    """A page, its wire, and its server's process."""
+    path, wire = folder / "swarm.json", Wire()
+    path.write_text(six(processes=1).dumps())
+    program, address = await dashboard(path)
+    try:
+        async with browser(address, folder, wire, **options) as page:
+            yield page, wire, program
+    finally:
+        await program.kill()
+
+
+async def test_who_is_chosen_stays_ticked_on_a_new_line(tmp_path):
+    async with looked_at(tmp_path) as (page, wire, _):
+        await page.check('input[aria-label="drone 1"]')
+        await page.check('input[aria-label="drone 3"]')
+        lines = wire.lines
+        await wire.cut()
+        await until(lambda: wire.lines > lines, 10.0)
+        await page.wait_for_selector(CONNECTED)
+        assert await page.evaluate(TICKED) == ["drone 1", "drone 3"]
+        assert await page.inner_text("#chosen") == "for drone 1, 3"
+        await page.click("text=Hold")
+        assert wire.of("order")[-1]["drones"] == [1, 3]
+        await page.uncheck('input[aria-label="drone 1"]')
+        assert await page.evaluate("choir.chosen()") == [3]
+
+
+async def test_those_that_are_ticked_are_commanded_after_the_server_was_started_again(tmp_path):
+    async with looked_at(tmp_path, strict=False) as (page, _, program):
+        await page.check('input[aria-label="drone 1"]')
+        await program.kill()
+        await page.wait_for_selector(LOST)
+        again, _ = await dashboard(tmp_path / "swarm.json", "--port", page.url.split(":")[-1].strip("/"))
+        try:
+            await page.wait_for_selector(CONNECTED)
+            await page.wait_for_function(f"`${{{TICKED}}}` === `${{(choir.chosen() ?? []).map(i => `drone ${{i}}`)}}`")
+        finally:
+            await again.kill()
+
+
+async def test_a_line_on_which_no_frames_come_is_said_to_be_dead_and_opened_anew(tmp_path):
+    async with looked_at(tmp_path, strict=False) as (page, wire, _):
+        wire.dead = True
+        await page.keyboard.press("Space")
+        assert await page.inner_text("#newest") == "… emergency stop: sent"
+        await page.wait_for_selector(LOST, timeout=4_000)
+        assert "NOT CONNECTED" in await page.inner_text("#connection")
+        assert "emergency stop: no answer" in await says(page, "#trouble", "✗")
+        assert await page.locator(".view").evaluate("one => getComputedStyle(one).filter") == "grayscale(1)"
+        wire.dead = False
+        await page.wait_for_selector(CONNECTED, timeout=20_000)
+        assert await page.locator(LOST).count() == 0
+        await page.keyboard.press("Space")
+        await says(page, "#stopped", "emergency stop →")
+
+
+async def test_what_the_server_does_not_answer_is_told_within_a_second_or_so(tmp_path):
+    async with looked_at(tmp_path) as (page, wire, _):
+        wire.deaf = True
+        await page.click("text=Hold")
+        await says(page, "header [role=alert]", "hold: no answer of this page's server", 4.0)
+        assert await page.locator(CONNECTED).count() == 1
+        wire.deaf = False
+        await page.click("text=Land")
+        await says(page, "header [role=status]", "land →")
+        assert await page.inner_text("#trouble") == ""
+
+
+async def test_a_stop_and_who_does_not_answer_are_told_on_every_tab(tmp_path):
+    async with looked_at(tmp_path) as (page, *_):
+        await page.click("text=Hold")
+        await page.click("#tab-draw")
+        await says(page, "header [role=status]", "hold →")
+        await says(page, "header [role=alert]", "no answer within 5 s", 20.0)
+        await page.focus("#height")
+        await page.keyboard.press("Space")
+        await says(page, "header [role=alert]", "emergency stop →")
+        await page.shot("stopped")
+        assert await page.locator("#panel-draw").is_visible()
+        await page.click("#tab-network")
+        await page.click("text=Cut the chosen off")
+        assert "cut off: choose drones" in await says(page, "#trouble", "✗")
+        assert "emergency stop →" in await page.inner_text("#stopped")
+
+
+async def test_space_stops_all_while_it_is_asked_whether_a_stop_is_to_end(tmp_path):
+    async with looked_at(tmp_path) as (page, wire, _):
+        focused = "document.activeElement.textContent"
+        await page.click("text=Clear stop")
+        assert await page.evaluate(focused) == "Cancel"
+        await page.keyboard.press("Space")
+        await page.locator("#clear").wait_for(state="hidden")
+        await page.click("text=Clear stop")
+        await page.click("text=STOP ALL")
+        await page.locator("#clear").wait_for(state="hidden")
+        for key in ("Enter", "Escape"):
+            await page.click("text=Clear stop")
+            await page.keyboard.press(key)
+            await page.locator("#clear").wait_for(state="hidden")
+        assert wire.asked == [{"ask": "stop"}, {"ask": "stop"}]
+        await page.click("text=Clear stop")
+        await page.shot("clear")
+        await page.click("text=End it")
+        await until(lambda: wire.asked[2:] == [{"ask": "stop", "clear": True}], 5.0)
+
+
+async def test_a_field_without_a_number_is_marked_and_nothing_is_sent(tmp_path):
+    async with looked_at(tmp_path) as (page, wire, _):
+        await page.check('input[aria-label="drone 1"]')
+        await page.fill("#goal_x", "")
+        await page.click("text=Go there")
+        assert "Place x" in await says(page, "#trouble", "no number")
+        assert await page.get_attribute("#goal_x", "aria-invalid") == "true"
+        assert await page.get_attribute("#goal_y", "aria-invalid") == "false"
+        await page.fill("#goal_x", "1.5")
+        await page.click("text=Go there")
+        assert await page.get_attribute("#goal_x", "aria-invalid") == "false"
+        assert [message["p"][0] for message in wire.of("go-to")] == [1.5]
+        await page.click("#tab-tasks")
+        await page.fill("#delivery_y", "")
+        await page.click("text=Add task")
+        assert "Delivery y" in await says(page, "#trouble", "no number")
+        await page.click("#tab-draw")
+        await page.fill("#lift", "")
+        await draw_word(page)
+        assert "Lift" in await says(page, "#plan", "no number")
+        assert wire.of("add-task") == wire.of("draw") == []
+
+
+async def test_a_slider_that_is_moved_by_keys_asks_once_it_rests(tmp_path):
+    async with looked_at(tmp_path) as (page, wire, _):
+        await page.evaluate(MOVES)
+        await until(lambda: wire.asked, 5.0)
+        await page.wait_for_timeout(500)
+        assert [message["loss"] for message in wire.of("impair")] == [0.2]
+        await page.evaluate(f"{MOVES}; choir.network.clear()")
+        await page.wait_for_timeout(500)
+        assert wire.of("impair")[1:] == [{"ask": "impair", "clear": True}]
+
+
+MOVES = """
+for (let k = 1; k <= 20; k++) {
+  document.getElementById("loss").value = k;
+  document.getElementById("loss").dispatchEvent(new Event("change"));
+}
+"""
+
+
+async def test_a_drawing_of_very_many_points_is_thinned_and_what_is_too_large_is_not_sent(tmp_path):
+    async with looked_at(tmp_path) as (page, wire, _):
+        await page.click("#tab-draw")
+        box = await page.locator("#sketch").bounding_box()
+        await page.mouse.move(box["x"] + box["width"] / 2 + 60, box["y"] + box["height"] / 2)
+        await page.mouse.down()
+        await page.evaluate(CIRCLES)
+        await page.mouse.up()
+        await says(page, "#plan", "m/s²", 60.0)
+        (stroke,) = wire.of("draw")[-1]["strokes"]
+        places = np.array(stroke)[:, 1:]
+        assert 500 < len(places) < 5000
+        assert np.linalg.norm(np.diff(places[:-1], axis=0), axis=1).min() > 0.0019
+        before = len(wire.asked), wire.lines
+        assert not await page.evaluate('choir.ask({ ask: "load", name: "a.csv", text: "x".repeat(1 << 18) })')
+        assert "load: too large, 257 KiB of at most 256" in await says(page, "#trouble", "✗")
+        assert (len(wire.asked), wire.lines) == before
+
+
+CIRCLES = """
+() => {
+  const canvas = document.getElementById("sketch"), area = canvas.getBoundingClientRect();
+  const coalescedEvents = Array.from({ length: 6000 }, (_, k) => {
+    const turn = (2 * Math.PI * k) / 6000;
+    const x = area.left + area.width / 2 + 60 * Math.cos(turn), y = area.top + area.height / 2 + 60 * Math.sin(turn);
+    return new PointerEvent("pointermove", { clientX: x, clientY: y });
+  });
+  canvas.dispatchEvent(new PointerEvent("pointermove", { coalescedEvents }));
+}
+"""
+
+
+async def test_who_is_in_the_way_of_the_second_that_flies_a_drawing_is_named(tmp_path):
+    async with looked_at(tmp_path) as (page, wire, _):
+        wire.frame = hovering({5: (0.25, 1.5, 1.3)})
+        await page.click("#tab-draw")
+        await page.fill("#height", "1.3")
+        await page.fill("#offset_y", "1")
+        await draw_word(page)
+        await says(page, "#plan", "m/s²", 60.0)
+        await page.check('input[aria-label="drone 0"]')
+        assert "In the way" not in await says(page, "#plan", "m/s²")
+        await page.check('input[aria-label="drone 1"]')
+        assert "drone 5" in await says(page, "#plan", "In the way")
+        await page.shot("beside")
+        await page.fill("#offset_y", "-1")
+        await page.dispatch_event("#offset_y", "change")
+        await page.wait_for_function("!document.querySelector('#plan').textContent.includes('In the way')")
+
+
+def hovering(places):
+    """Frames in which drones are at these places; m, world."""
+
+    def frame(data):
+        rows = np.frombuffer(data, "<f4", offset=8).reshape(-1, COLUMNS).copy()
+        for k, place in places.items():
+            rows[k, 0:3] = place
+        return data[:8] + rows.tobytes()
+
+    return frame
+
+
+async def test_what_plans_cost_and_how_near_their_bound_is_are_drawn(tmp_path):
+    async with looked_at(tmp_path) as (page, wire, _):
+        await page.click("#tab-plots")
+        await page.evaluate(WRITTEN)
+        wire.page.send('{"costs": [[1.0, 2, 12.0, 8.0]]}')
+        wire.page.send('{"costs": [[2.0, 3, 10.0, 8.0]]}')
+        await page.wait_for_function("written.has('round 3, gap 20.0 %')")
+        assert await page.is_visible("text=mean cost of the plans, and bound (dashed), by round")
+
+
+WRITTEN = """
+(() => {
+  const fill = CanvasRenderingContext2D.prototype.fillText;
+  window.written = new Set();
+  CanvasRenderingContext2D.prototype.fillText = function (text, ...at) {
+    written.add(String(text));
+    return fill.call(this, text, ...at);
+  };
+})()
+"""
