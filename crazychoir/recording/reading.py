@@ -28,6 +28,7 @@ from crazychoir.types import Mat
 
 STAMP = 2
 """Numbers of a header's stamp."""
+FLIGHT = "a recording of a flight"
 
 
 @dataclass
@@ -88,14 +89,10 @@ class Recording:
 
 
 def read(path: Path, topics: tuple[str, ...]) -> Recording:
-    """The recording of these topics; raises ConfigError for what is none."""
-    with opened(path) as content:
-        recording = _read(path, content, topics)
-    if not recording.about:
-        raise of_another_program(path)
+    """The recording of these topics; raises ConfigError for what is none, or has none of them."""
+    recording = _whole(path, topics)
     if not recording.topics:
-        found = f"no {' and no '.join(topics)} of any drone"
-        raise ConfigError(str(path), found, "a recording of a flight", DO)
+        raise ConfigError(str(path), f"no {' and no '.join(topics)} of any drone", FLIGHT, DO)
     return recording
 
 
@@ -104,13 +101,17 @@ def header(path: Path) -> Recording:
 
     Raises ConfigError for what is no recording, or has no message.
     """
+    recording = _whole(path, ())
+    if not recording.chunks:
+        raise ConfigError(str(path), f"no message: it was {recording.fault or 'ended in order'}", FLIGHT, DO)
+    return recording
+
+
+def _whole(path: Path, topics: tuple[str, ...]) -> Recording:
     with opened(path) as content:
-        recording = _read(path, content, ())
+        recording = _read(path, content, topics)
     if not recording.about:
         raise of_another_program(path)
-    if not recording.chunks:
-        found = f"no message: it was {recording.fault or 'ended in order'}"
-        raise ConfigError(str(path), found, "a recording of a flight", DO)
     return recording
 
 

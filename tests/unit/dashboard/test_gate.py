@@ -204,8 +204,3 @@ async def test_what_is_no_request_goes_through(clock):
 
     await Gate(app, clock, (HOST,))({"type": "lifespan"}, None, None)
     assert through.is_set()
-
-
-def test_a_visitor_can_fail():
-    with pytest.raises(KeyError):
-        asyncio.run(read_all({}, None, None))

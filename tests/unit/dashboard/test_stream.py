@@ -95,6 +95,18 @@ class Server:
         await asyncio.gather(*self.actors, return_exceptions=True)
 
 
+def served(test):
+    """A test of a server with one page, in virtual time."""
+
+    async def story(clock):
+        server = Server(clock)
+        await test(clock, server, server.page())
+        await server.end()
+
+    story.__name__ = test.__name__
+    return virtual(story)
+
+
 @virtual
 async def test_each_page_gets_thirty_frames_a_second_and_a_slow_one_fewer_and_nobody_waits_for_it(clock):
     server = Server(clock)
@@ -145,10 +157,8 @@ async def test_a_command_of_one_page_shows_on_every_page_and_on_those_that_come_
     await server.end()
 
 
-@virtual
-async def test_what_is_malformed_or_wrong_is_refused_and_the_page_stays(clock):
-    server = Server(clock)
-    page = server.page()
+@served
+async def test_what_is_malformed_or_wrong_is_refused_and_the_page_stays(clock, server, page):
     bad = ["{", "[]", '{"ask":"explode"}', '{"ask":"order","verb":"land","drones":[7]}', '{"ask":"go-to","drones":[1]}',
            '{"ask":"draw","strokes":[[[0,0,1e9]]]}', '{"ask":"fly","drones":[1]}', '{"ask":"impair","loss":1.5}',
            '{"ask":"load","name":"a.svg","text":""}', '{"ask":"impair","drones":[0,1,2],"loss":0.1}',
@@ -162,13 +172,10 @@ async def test_what_is_malformed_or_wrong_is_refused_and_the_page_stays(clock):
     await clock.sleep(0.5)
     assert len(server.those("land")) == 3
     assert page.closed is None
-    await server.end()
 
 
-@virtual
-async def test_a_stop_waits_for_nothing_that_was_asked_before(clock):
-    server = Server(clock)
-    page = server.page()
+@served
+async def test_a_stop_waits_for_nothing_that_was_asked_before(clock, server, page):
     await clock.sleep(1.5)
     execute = server.execute
 
@@ -188,13 +195,10 @@ async def test_a_stop_waits_for_nothing_that_was_asked_before(clock):
     assert not server.those("task_add")
     await clock.sleep(5.0)
     assert server.those("task_add")
-    await server.end()
 
 
-@virtual
-async def test_of_two_drawings_the_newer_counts_whichever_is_planned_first(clock):
-    server = Server(clock)
-    page = server.page()
+@served
+async def test_of_two_drawings_the_newer_counts_whichever_is_planned_first(clock, server, page):
 
     async def aside(work, strokes, pen, config, **limits):
         await clock.sleep(2.0 if pen.height == 0.5 else 1.0)
@@ -206,7 +210,6 @@ async def test_of_two_drawings_the_newer_counts_whichever_is_planned_first(clock
             page.asks.put_nowait({"ask": "draw", "strokes": [[[0, 0, 0], [1, 1, 0]]], "height": height})
         await clock.sleep(3.5)
     assert [plan["points"][-1] for plan in page.told("plan")] == [[1.0, 0.0, 0.7]]
-    await server.end()
 
 
 @virtual
@@ -233,10 +236,8 @@ async def test_one_drawing_is_planned_at_a_time_and_the_newest_of_those_that_wai
     await server.end()
 
 
-@virtual
-async def test_what_a_page_asks_for_without_end_is_refused_but_never_a_stop(clock):
-    server = Server(clock)
-    page = server.page()
+@served
+async def test_what_a_page_asks_for_without_end_is_refused_but_never_a_stop(clock, server, page):
     await clock.sleep(0.1)
     for _ in range(MOST_ASKED + 100):
         page.asks.put_nowait({"ask": "order", "verb": "hold", "drones": [0]})
@@ -253,13 +254,10 @@ async def test_what_a_page_asks_for_without_end_is_refused_but_never_a_stop(cloc
     page.asks.put_nowait({"ask": "order", "verb": "land", "drones": [1]})
     await clock.sleep(0.2)
     assert server.those("land") == [(1, "land", {})]
-    await server.end()
 
 
-@virtual
-async def test_what_was_asked_for_is_done_though_its_page_is_gone(clock):
-    server = Server(clock)
-    page = server.page()
+@served
+async def test_what_was_asked_for_is_done_though_its_page_is_gone(clock, server, page):
     await clock.sleep(1.5)
     for words in ({"ask": "order", "verb": "hold"}, {"ask": "add-task", "pickup": [1.0, 2.0]}, {"ask": "stop"}, None):
         page.asks.put_nowait(words)
@@ -268,13 +266,10 @@ async def test_what_was_asked_for_is_done_though_its_page_is_gone(clock):
     await clock.sleep(1.0)
     assert server.bus.stopped
     assert server.those("task_add")
-    await server.end()
 
 
-@virtual
-async def test_what_nobody_has_foreseen_is_refused_with_its_reason_and_the_page_stays(clock):
-    server = Server(clock)
-    page = server.page()
+@served
+async def test_what_nobody_has_foreseen_is_refused_with_its_reason_and_the_page_stays(clock, server, page):
 
     def fails(*arguments, **named):
         raise AssertionError("unknown status keyword 'a' in marked section")
@@ -291,13 +286,10 @@ async def test_what_nobody_has_foreseen_is_refused_with_its_reason_and_the_page_
     await clock.sleep(0.5)
     assert server.those("land")
     assert not page.serving.done()
-    await server.end()
 
 
-@virtual
-async def test_a_page_that_floods_its_line_is_closed(clock):
-    server = Server(clock)
-    page = server.page()
+@served
+async def test_a_page_that_floods_its_line_is_closed(clock, server, page):
     await clock.sleep(0.1)
     for _ in range(FLOOD):
         page.asks.put_nowait("{")
@@ -307,22 +299,16 @@ async def test_a_page_that_floods_its_line_is_closed(clock):
     pages = [server.page() for _ in range(MOST_PAGES + 1)]
     await clock.sleep(0.5)
     assert [page.closed for page in pages] == [None] * MOST_PAGES + [TOO_MANY]
-    await server.end()
 
 
-@virtual
-async def test_links_are_asked_in_turn_and_show_what_was_lost_lately(clock):
-    server = Server(clock)
-    page = server.page()
+@served
+async def test_links_are_asked_in_turn_and_show_what_was_lost_lately(clock, server, page):
     await clock.sleep(4.0)
     assert page.told("links")[-1] == {"0-1": 0.3}
-    await server.end()
 
 
-@virtual
-async def test_tasks_are_listed_and_who_refuses_one_leaves_it_to_the_next(clock):
-    server = Server(clock)
-    page = server.page()
+@served
+async def test_tasks_are_listed_and_who_refuses_one_leaves_it_to_the_next(clock, server, page):
     await clock.sleep(3.0)
     assert page.told("tasks")[-1] == [{"id": 4}]
     page.asks.put_nowait({"ask": "add-task", "pickup": [1.0, 2.0], "delivery": [0.0, 1.0], "load": 2.0})
@@ -331,7 +317,6 @@ async def test_tasks_are_listed_and_who_refuses_one_leaves_it_to_the_next(clock)
     asked = {"pickup": [1.0, 2.0], "delivery": [0.0, 1.0], "load": 2.0}
     assert server.those("task_add") == [(1, "task_add", asked)], "drone 0 is known to refuse"
     assert server.those("task_cancel") == [(1, "task_cancel", {"id": 4})]
-    await server.end()
 
 
 @virtual
@@ -350,10 +335,8 @@ async def test_a_mission_without_tasks_is_asked_seldom(clock):
     await server.end()
 
 
-@virtual
-async def test_the_network_is_changed_for_all_links_for_one_drone_s_or_for_one(clock):
-    server = Server(clock)
-    page = server.page()
+@served
+async def test_the_network_is_changed_for_all_links_for_one_drone_s_or_for_one(clock, server, page):
     for words in ({"loss": 0.3}, {"loss": 0.5, "delay": 0.1, "drones": [1]}, {"loss": 0, "drones": [2, 0]},
                   {"cut": True, "drones": [0]}, {"clear": True}):  # fmt: skip
         page.asks.put_nowait({"ask": "impair", **words})
@@ -364,7 +347,6 @@ async def test_the_network_is_changed_for_all_links_for_one_drone_s_or_for_one(c
         {"cut": {"since": 0.0, "a": [0]}}, {"clear": True},
     ]  # fmt: skip
     assert len(server.those("impair")) == 15, "every drone is told"
-    await server.end()
 
 
 @virtual
@@ -393,16 +375,13 @@ async def test_drones_are_cut_off_beside_those_that_are_and_the_receipt_says_wha
     await server.end()
 
 
-@virtual
-async def test_a_goal_is_for_the_first_and_the_others_keep_their_distance(clock):
-    server = Server(clock)
-    page = server.page()
+@served
+async def test_a_goal_is_for_the_first_and_the_others_keep_their_distance(clock, server, page):
     page.asks.put_nowait({"ask": "go-to", "drones": [2, 0], "p": [1, 1, 1], "offset": [0, 0.5, 0]})
     await clock.sleep(0.5)
     assert server.those("go-to") == [
         (2, "go-to", {"p": [1.0, 1.0, 1.0], "yaw": None}), (0, "go-to", {"p": [1.0, 1.5, 1.0], "yaw": None}),
     ]  # fmt: skip
-    await server.end()
 
 
 @virtual
