@@ -71,7 +71,7 @@ def high_level(uri, cache):
 
 
 def motion_commander(uri, cache):
-    """Forward, turn, left: by the body's axes."""
+    """Forward, turn, left: by the body's axes; then up by the planner, whose take-offs turn to heading 0."""
     with SyncCrazyflie(uri, cf=Crazyflie(rw_cache=cache)) as scf:
         where = Watched(scf)
         with MotionCommander(scf, default_height=0.4) as motion:
@@ -83,6 +83,12 @@ def motion_commander(uri, cache):
             time.sleep(0.5)
             where.is_at(0.1, 0.0, 0.4, by=0.18)
             assert abs(where.yaw - 90.0) < 8.0, where.yaw
+        time.sleep(1.0)
+        assert abs(where.moved[2]) < 0.05, where.moved
+        with PositionHlCommander(scf, default_height=0.4):
+            time.sleep(2.5)
+            assert abs(where.moved[2] - 0.4) < 0.1, where.moved
+            assert abs(where.yaw) < 10.0, where.yaw
         time.sleep(0.5)
         assert abs(where.moved[2]) < 0.05, where.moved
 
