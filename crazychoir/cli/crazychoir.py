@@ -1,5 +1,6 @@
 """crazychoir: run missions, solve instances, look into a running swarm."""
 
+from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -45,7 +46,7 @@ if TYPE_CHECKING:
     from crazychoir.guidance.mission import Mission
     from crazychoir.swarm.config import SwarmConfig
 
-app = typer.Typer(add_completion=False, no_args_is_help=True, help="Swarms that optimise and fly together.")
+app = typer.Typer(add_completion=False, no_args_is_help=True)
 app.command()(solve.solve)
 app.command()(simulate.simulate)
 app.command()(plot.plot)
@@ -69,6 +70,19 @@ app.add_typer(radio.app, name="radio")
 app.add_typer(task.app, name="task")
 app.add_typer(virtual.app, name="virtual")
 app.add_typer(rigid_bodies.app, name="mocap")
+
+
+def _told(wanted: bool) -> None:
+    if wanted:
+        STDOUT.print(f"crazychoir {version('crazychoir')}", highlight=False)
+        raise typer.Exit
+
+
+@app.callback()
+def crazychoir(
+    tell: Annotated[bool, typer.Option("--version", is_eager=True, callback=_told, help="Tell it and end.")] = False,
+) -> None:
+    """Swarms that optimise and fly together."""
 
 
 @app.command(add_help_option=False, context_settings={"allow_extra_args": True, "ignore_unknown_options": True})

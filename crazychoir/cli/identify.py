@@ -1,16 +1,13 @@
 """crazychoir identify: which of the drones on the bench is it?"""
 
 from functools import partial
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from crazychoir.cli.look import JsonOption
-from crazychoir.cli.show import STDERR, fail, interrupted, prints_aside, set_up_logging, write_json
-from crazychoir.errors import ConfigError, CrazyChoirError
-
-if TYPE_CHECKING:
-    from crazychoir.swarm.config import SwarmConfig
+from crazychoir.cli.show import STDERR, fail, interrupted, prints_aside, require_reached, set_up_logging, write_json
+from crazychoir.errors import CrazyChoirError
 
 
 def identify(
@@ -28,8 +25,10 @@ def identify(
     from crazychoir.swarm.config import find_swarm
 
     try:
-        config, _ = find_swarm(swarm)
-        uri, dongle = _reached(config, drone)
+        config, which = find_swarm(swarm)
+        require_reached(config, which, drone)
+        uri = config.drone(drone).uri
+        dongle = next(dongle for dongle, ids in config.dongles.items() if drone in ids)
 
         def say(text: str) -> None:
             STDERR.print(f"drone {drone} ({uri}): {text}", highlight=False)
@@ -49,11 +48,3 @@ def identify(
         interrupted(as_json)
     if as_json:
         write_json({"success": True, "drone": drone, "uri": uri, "seconds": seconds, "parameters": lit})
-
-
-def _reached(config: "SwarmConfig", drone: int) -> tuple[str, int]:
-    """Its uri and its dongle."""
-    for dongle, ids in config.dongles.items():
-        if drone in ids:
-            return config.drone(drone).uri, dongle
-    raise ConfigError("DRONE", drone, f"drones that a radio reaches: {list(config.reached)}")

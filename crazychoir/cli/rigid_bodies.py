@@ -9,7 +9,7 @@ from rich.table import Table
 
 from crazychoir.cli.look import JsonOption
 from crazychoir.cli.mocap import SourceOption, with_source
-from crazychoir.cli.show import STDERR, STDOUT, fail, set_up_logging, write_json
+from crazychoir.cli.show import STDERR, STDOUT, fail, require_reached, set_up_logging, write_json
 from crazychoir.errors import ConfigError, CrazyChoirError, Refused
 
 if TYPE_CHECKING:
@@ -105,9 +105,10 @@ def _gathered(
     found, which = find_swarm(swarm)
     config = with_source(found, source)
     if drone is None and not config.seen:
-        raise ConfigError(which, "no drone that motion capture sees", 'uri = "udp://..." or "radio://..."')
-    if drone is not None and drone not in config.reached:  # one that flies by its own estimate has a body too
-        raise ConfigError("DRONE", drone, f"drones that a radio reaches: {list(config.reached)}")
+        do = "Name another swarm file by --swarm."
+        raise ConfigError(which, "no drone that motion capture sees", 'uri = "udp://..." or "radio://..."', do)
+    if drone is not None:
+        require_reached(config, which, drone)  # one that flies by its own estimate has a body too
     STDERR.print(f"looking for {seconds:g} s ({which}, source {config.mocap.source})", highlight=False)
 
     async def main(clock: Clock) -> "list[Frame]":

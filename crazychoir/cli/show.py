@@ -23,6 +23,7 @@ from crazychoir.errors import ConfigError, CrazyChoirError, Refused
 if TYPE_CHECKING:
     from crazychoir.launch.score import Score
     from crazychoir.recording.reading import Recording
+    from crazychoir.swarm.config import SwarmConfig
     from crazychoir.types import Status
 
 T = TypeVar("T")
@@ -95,6 +96,13 @@ def require_drawable(path: Path | None) -> None:
     if path.suffix not in PICTURES:
         raise ConfigError("--picture", str(path), f"a name that ends in {', '.join(PICTURES)}")
     require_folder(path, "--picture")
+
+
+def require_reached(config: "SwarmConfig", which: str, drone: int) -> None:
+    """Raise ConfigError for a drone that no radio reaches; which: a text that says which swarm it is."""
+    if drone not in config.reached:
+        do = "" if config.reached else f"There are none in {which}: name another swarm file by --swarm."
+        raise ConfigError("DRONE", drone, f"drones that a radio reaches: {list(config.reached)}", do)
 
 
 def require_folder(path: Path | None, option: str) -> None:

@@ -81,16 +81,20 @@ def _shared(hall: "Hall", text: str | None, each: int | None, capacity: float | 
 
 
 def _table(states: dict[int, Any]) -> Table:
-    """A line a drone."""
-    columns = ("drone", "port", "client", "supervisor", "height", "battery", "up", "down", "lost", "LEDs")
+    """A line a drone; what it has hit and whether its LEDs are lit only if that is so, for 80 columns."""
+    columns = ["drone", "port", "client", "supervisor", "x, y, z in m", "V", "packets", "lost"]
+    hit, lit = (any(state[name] for state in states.values()) for name in ("crashed", "led"))
+    columns += ["hit"] * hit + ["LEDs"] * lit
     table = Table(*columns, box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), show_edge=False)
+    table.columns[4].no_wrap = True
     for i, state in states.items():
         client = (state["client"] or "").removeprefix("127.0.0.1:")
-        supervisor = state["crashed"] or state["supervisor"].removeprefix("pre-flight ")
         table.add_row(
-            str(i), str(state["at"][1]), client, supervisor,
-            f"{state['p'][2]:.2f} m", f"{state['vbat']:.2f} V", *(str(state[name]) for name in ("up", "down", "lost")),
-            "lit" if state["led"] else "",
+            str(i), str(state["at"][1]), client, state["supervisor"].removeprefix("pre-flight "),
+            " ".join(f"{x:.2f}" for x in state["p"]), f"{state['vbat']:.2f}",
+            str(state["up"] + state["down"]), str(state["lost"]),
+            *[f"{state['impact']:.1f} m/s" if state["crashed"] else ""] * hit,
+            *["lit" if state["led"] else ""] * lit,
         )  # fmt: skip
     return table
 

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from crazychoir.bus.codec import decode, encode
+from crazychoir.cache import COMPILES
 from crazychoir.errors import CodecError
 from crazychoir.guidance.life import LANDING_DEADLINE
 from crazychoir.planning.point_to_point import PEAK_SPEED, duration_for
@@ -73,6 +74,7 @@ async def run_children(
     then one that ends without a result ends all, for nobody would come that they could wait for;  owners: of their
     world, cameras and dongles, that are started here too.
     """
+    say = _once(COMPILES, say)
     files = {group: path.with_name(f"result-{group[0]}") for group in groups}
     children: Children = {}
     async with contextlib.AsyncExitStack() as stack:
@@ -84,7 +86,7 @@ async def run_children(
         found = read_results(files[group])
         results |= found
         if not found:
-            say(f"drone(s) {', '.join(map(str, group))}: no result: the process ended with code {child.returncode}")
+            say(f"drone(s) {', '.join(map(str, group))}: no result: the process {_end_of(child)}")
     return results
 
 
@@ -127,7 +129,7 @@ async def _owner(owner: Owner, path: Path, agents: Children, say: Say) -> AsyncI
         starts = [-math.inf] * STARTS_AGAIN  # s, of the last ones
         await _listen(child, say)
         while owner.again and starts[0] < now() - WITHIN and not over.is_set() and child.returncode != REFUSED:
-            say(f"{owner.name}: its owner ended with code {child.returncode}: started again")
+            say(f"{owner.name}: its owner {_end_of(child)}: started again")
             starts = [*starts[1:], now()]
             child = await _start(*command)
             if over.is_set():
@@ -135,7 +137,7 @@ async def _owner(owner: Owner, path: Path, agents: Children, say: Say) -> AsyncI
             await _listen(child, say)
         if over.is_set():
             return
-        say(f"{owner.name}: its owner ended with code {child.returncode}: its drones stop")
+        say(f"{owner.name}: its owner {_end_of(child)}: its drones stop")
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(0.0 if child.returncode == REFUSED else ORPHANED):
                 await over.wait()
@@ -203,6 +205,27 @@ async def _listen(child: Process, say: Say) -> None:
     if rest:
         say(rest.decode(errors="replace").rstrip())
     await child.wait()
+
+
+def _once(text: str, say: Say) -> Say:
+    """What all processes say that wait for the same is passed on from the first."""
+    told = False
+
+    def passed(line: str) -> None:
+        nonlocal told
+        if line != text or not told:
+            say(line)
+        told = told or line == text
+
+    return passed
+
+
+def _end_of(child: Process) -> str:
+    """How it has ended, in words."""
+    code = child.returncode
+    if code is None or code >= 0:
+        return f"ended with code {code}"
+    return f"was ended by {signal.Signals(-code).name}"
 
 
 def _signal(children: Iterable[Process], number: signal.Signals) -> None:

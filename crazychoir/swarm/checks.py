@@ -4,6 +4,7 @@ import ipaddress
 import math
 import re
 from collections.abc import Iterator, Mapping
+from difflib import get_close_matches
 from importlib.metadata import entry_points
 from itertools import chain, combinations
 
@@ -163,9 +164,11 @@ def _uris(swarm: Swarm, where: str) -> None:
         if is_foreign and scheme in engines_of_others():
             continue
         links = "udp://HOST:PORT", "radio://DONGLE/CHANNEL/RATE/ADDRESS"
-        flown = ", ".join((*OURS, f"{REPLAY}FILE", *links, *(f"{name}://" for name in engines_of_others())))
-        do = f'Write uri = "sim://", or install a package with the entry point {scheme} in {WORLDS}.'
-        raise ConfigError(key, show(drone.uri), flown, do if is_foreign else 'Write uri = "sim://", or leave it out.')
+        flown = *OURS, f"{REPLAY}FILE", *links, *(f"{name}://" for name in engines_of_others())
+        near = get_close_matches(scheme, [form.partition("://")[0] for form in flown], 1)
+        like = next((form for form in flown if near and form.startswith(near[0])), "sim://")
+        other = f"install a package with the entry point {scheme} in {WORLDS}" if is_foreign else "leave it out"
+        raise ConfigError(key, show(drone.uri), ", ".join(flown), f'Write uri = "{like}", or {other}.')
 
 
 def engines_of_others() -> tuple[str, ...]:

@@ -268,7 +268,7 @@ async def test_owners_of_dongles_that_are_killed(tmp_path, watchdog) -> None:
     flight = await fly(tmp_path, (0.0, killed(OWNER)), config=choosing(watchdog))
     flight.was_silent(watchdog, 25.0)
     for i in range(WELL):
-        assert f"dongle {i}: its owner ended with code -9: started again" in flight.text
+        assert f"dongle {i}: its owner was ended by SIGKILL: started again" in flight.text
 
 
 async def test_a_host_that_is_lost_with_agents_and_owners(tmp_path) -> None:

@@ -146,7 +146,7 @@ async def kill_the_owner(folder: Path) -> None:
         assert run.program.ended - killed < 12.0
         assert gone(pids)
     assert ended["code"] == 1
-    assert "world: its owner ended with code -9" in run.program.text
+    assert "world: its owner was ended by SIGKILL" in run.program.text
     for i in ("0", "1"):
         assert "s old, limit" in ended["reasons"][i], ended["reasons"]
         assert "its world's owner (crazychoir-world) is silent" in ended["reasons"][i]

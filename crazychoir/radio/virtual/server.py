@@ -124,8 +124,7 @@ class VirtualServer(Actor):
         """Reset drones whose model has failed, and no others; one whose body is nowhere stands at home then."""
         for i, why in self.world.failed.items():
             if not np.all(np.isfinite(self.world.states[self.world.row[i]])):
-                self.world.restore(i)
-                self._put(i, "motor", self.faults[i].motor)
+                self._carry_home(i)
             self.ports[i].drone.restart(why)
 
     def _look_around(self) -> None:
@@ -178,6 +177,9 @@ class VirtualServer(Actor):
         if name == "reboot":
             if value:
                 drone.restart()
+        elif name == "home":
+            if value:
+                self._carry_home(i)
         elif name == "swap":
             self._swap(i, int(value))
         else:
@@ -189,6 +191,10 @@ class VirtualServer(Actor):
                 drone.restart()
         if name in ("motor", "off"):
             self.world.turn(i, [not fault.off and k + 1 != fault.motor for k in range(4)])
+
+    def _carry_home(self, i: int) -> None:
+        self.world.restore(i)
+        self._put(i, "motor", self.faults[i].motor)
 
     def _swap(self, i: int, j: int) -> None:
         """i is taken for j and j for i; whoever was taken for one of them is himself again."""

@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from importlib.metadata import version
 
 import pytest
 
@@ -19,6 +20,12 @@ def test_a_command_line_starts_without_what_is_heavy(module):
     loaded = json.loads(subprocess.run([sys.executable, "-c", program], check=True, capture_output=True).stdout)
     assert module in loaded
     assert HEAVY & set(loaded) == set()
+
+
+def test_its_version_is_told():
+    command = (sys.executable, "-m", "crazychoir.cli.crazychoir", "--version")
+    said = subprocess.run(command, check=True, capture_output=True, text=True).stdout
+    assert said == f"crazychoir {version('crazychoir')}\n"
 
 
 def test_solve_offers_the_methods_that_there_are():

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from crazychoir.agent import Agent
+from crazychoir.cache import COMPILES
 from crazychoir.guidance.base import CFGuidance
 from crazychoir.guidance.life import LANDING_DEADLINE
 from crazychoir.launch import processes
@@ -79,6 +80,16 @@ async def test_what_a_mission_prints_is_no_result_and_who_has_none_is_named(tmp_
     assert said == ["{}", "{}", "drone(s) 2: no result: the process ended with code 3"]
 
 
+async def test_what_all_wait_for_is_said_once(tmp_path, monkeypatch):
+    async def spawn(group, path, result, options):
+        return await child(f"print({COMPILES!r}); print('other')")
+
+    said = []
+    monkeypatch.setattr(processes, "_spawn", spawn)
+    await run_children([(0,), (1,)], tmp_path / "swarm.json", default_swarm(2), [], said.append)
+    assert sorted(said[:3]) == sorted([COMPILES, "other", "other"])
+
+
 WAITS = "import signal; signal.signal({0}, lambda *_: exit(3)); print('on', flush=True); signal.pause()"
 
 
@@ -125,11 +136,11 @@ async def test_the_world_is_there_before_the_agents_and_ends_after_them(tmp_path
 
 
 @pytest.mark.parametrize(
-    ("ends", "code", "orphaned"),
-    [("os.kill(os.getpid(), 9)", -9, 0.3), ("exit(2)", 2, 60.0)],
+    ("ends", "end", "orphaned"),
+    [("os.kill(os.getpid(), 9)", "was ended by SIGKILL", 0.3), ("exit(2)", "ended with code 2", 60.0)],
     ids=["killed", "refused: at once"],
 )
-async def test_without_their_world_agents_end_that_do_not_by_themselves(tmp_path, monkeypatch, ends, code, orphaned):
+async def test_without_their_world_agents_end_that_do_not_by_themselves(tmp_path, monkeypatch, ends, end, orphaned):
     children, said = [], []
 
     async def spawn(group, path, result, options):
@@ -142,7 +153,7 @@ async def test_without_their_world_agents_end_that_do_not_by_themselves(tmp_path
     monkeypatch.setattr(processes, "ORPHANED", orphaned)
     await run_children([(0,)], tmp_path / "s.json", default_swarm(1), [], said.append, owners=[WORLD_OWNER])
     assert children[0].returncode == 3
-    assert f"world: its owner ended with code {code}: its drones stop" in said
+    assert f"world: its owner {end}: its drones stop" in said
 
 
 async def test_without_a_dongle_for_good_only_agents_of_its_drones_end(tmp_path, monkeypatch):

@@ -166,6 +166,24 @@ async def test_what_breaks_a_drone_in_flight():
         assert state["3"]["motors"][0] > 0.1
 
 
+async def test_one_that_has_fallen_is_carried_home_and_flies_again():
+    async with Open(2) as hall:
+        home = hall.server.world.states[1].copy()
+        _in_the_air(hall)
+        hall.server.world.states[1, 3] = 2.0
+        await hall.asked({"faults": {"1": {"off": 1}}})
+        hall.run(1.5)
+        assert "hit the floor" in hall.server.state(1)["crashed"]
+        assert hall.server.state(1)["p"][0] > 1.0
+        await hall.asked({"faults": {"1": {"off": 0, "home": 1, "reboot": 1}}})
+        hall.run(1e-3 * BOOT + 0.5)
+        assert hall.server.state(1)["crashed"] == ""
+        assert np.allclose(hall.server.world.states[1], home, atol=1e-3)
+        hall.take_off(1)
+        assert hall.height(1) > 0.5
+        assert hall.height(0) == pytest.approx(0.6, abs=0.1)
+
+
 def _in_the_air(hall):
     for drone in range(hall.n):
         hall.take_off(drone)
@@ -290,7 +308,7 @@ def test_nobody_there_is_said():
 
 
 def test_each_fault_that_can_be_set_is_one_of_a_drone():
-    assert set(KNOBS) == {*Faults().listed(), "reboot"}
+    assert set(KNOBS) == {*Faults().listed(), "home", "reboot"}
     assert checked({"offset": [1, 2, 3]}, [0]) == {"offset": (1.0, 2.0, 3.0)}
 
 

@@ -152,6 +152,12 @@ CASES = {
         f'x.toml: drones[3].uri: found "gazebo://hall"; allowed: {FLOWN}, {LINKS}. Write uri = "sim://", or install '
         "a package with the entry point gazebo in crazychoir.worlds.",
     ),
+    "mistyped scheme": (
+        "",
+        'uri = "radoi://0/80/2M/E7E7E7E703"',
+        f'x.toml: drones[3].uri: found "radoi://0/80/2M/E7E7E7E703"; allowed: {FLOWN}, {LINKS}. Write uri = '
+        '"radio://DONGLE/CHANNEL/RATE/ADDRESS", or install a package with the entry point radoi in crazychoir.worlds.',
+    ),
     "unknown world of ours": (
         "",
         'uri = "sim://motor"',
