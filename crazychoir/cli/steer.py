@@ -30,11 +30,17 @@ def go_to(
     as_json: JsonOption = False,
 ) -> None:
     """Fly to a place: drones that wait in the air for their start, or are held. Exit code 0 only if all are there."""
-    from crazychoir.guidance.sketch import beside  # kernels: 1 s that --help does not need
+    from crazychoir.guidance.sketch import places  # kernels: 1 s that --help does not need
 
-    places = beside(_metres("PLACE", place), _metres("--offset", offset), numbers(drones) or [])
-    told = {i: {"p": goal, "yaw": yaw, "duration": seconds} for i, goal in places.items()}
-    _command("go-to", told, wait, swarm, as_json)
+    p, step, chosen = _metres("PLACE", place), _metres("--offset", offset), tuple(numbers(drones) or ())
+
+    async def work(window: "Window") -> "Answers":
+        window.check("--drones", chosen)
+        goals = places(p, step, chosen, window.config)
+        told = {i: {"p": goal, "yaw": yaw, "duration": seconds} for i, goal in goals.items()}
+        return await window.command("go-to", told, wait)
+
+    conclude(looking(swarm, work, as_json), as_json)
 
 
 def fly(
@@ -66,14 +72,6 @@ def fly(
         spent += plan.path.duration
         STDERR.print(f"{plan.path.duration:.1f} s, at most {plan.speed:.2f} m/s, {plan.acceleration:.2f} m/s2")
         return await window.command("fly", told, spent)
-
-    conclude(looking(swarm, work, as_json), as_json)
-
-
-def _command(verb: str, told: dict[int, dict[str, Any]], wait: float, swarm: str | None, as_json: bool) -> None:
-    async def work(window: "Window") -> "Answers":
-        window.check("--drones", told)
-        return await window.command(verb, told, wait)
 
     conclude(looking(swarm, work, as_json), as_json)
 

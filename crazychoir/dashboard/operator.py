@@ -25,7 +25,7 @@ from crazychoir.dashboard.asks import (
 from crazychoir.dashboard.desk import Desk
 from crazychoir.dashboard.polls import TaskBoard
 from crazychoir.errors import ConfigError
-from crazychoir.guidance.sketch import Planned, beside, check_apart, loaded, messages, planned, saved
+from crazychoir.guidance.sketch import Planned, loaded, messages, places, planned, saved
 from crazychoir.planning.drawing import Pen
 from crazychoir.swarm.config import SwarmConfig
 from crazychoir.swarm.graph import span
@@ -98,10 +98,9 @@ class Operator:
 
     def _go_to(self, message: GoTo) -> None:
         drones = self._checked(message.drones)
-        check_apart(drones, message.offset, self.config)
-        places = beside(message.p, message.offset, drones)
+        goals = places(message.p, message.offset, drones, self.config)
         self.desk.order(
-            "go-to", places, words=f"{list(message.p)} m", each=lambda i: {"p": places[i], "yaw": message.yaw}
+            "go-to", goals, words=f"{list(message.p)} m", each=lambda i: {"p": goals[i], "yaw": message.yaw}
         )
 
     async def _draw(self, message: Draw, number: int) -> dict[str, Any] | None:

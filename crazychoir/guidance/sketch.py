@@ -107,8 +107,15 @@ def _length(places: Mat) -> float:
     return float(np.linalg.norm(np.diff(places, axis=0), axis=1).sum())
 
 
-def beside(p: Sequence[float], offset: Offset, drones: Sequence[int]) -> dict[int, list[float]]:
-    """Where each goes: the k-th k times `offset` from p, m, world."""
+def places(
+    p: Sequence[float], offset: Offset, drones: Sequence[int], config: SwarmConfig
+) -> dict[int, list[float]]:
+    """Where each goes: the k-th k times `offset` from p, m, world; ConfigError where two would be too near."""
+    _check_apart(drones, offset, config)
+    return _beside(p, offset, drones)
+
+
+def _beside(p: Sequence[float], offset: Offset, drones: Sequence[int]) -> dict[int, list[float]]:
     return {i: [x + k * step for x, step in zip(p, offset, strict=True)] for k, i in enumerate(drones)}
 
 
@@ -126,16 +133,16 @@ def messages(path: Piecewise, drones: Sequence[int], offset: Offset, config: Swa
     fly it side by side from where they are.
     """
     if not all(config.drone(i).leader for i in drones):
-        check_apart(drones, offset, config)
+        _check_apart(drones, offset, config)
     limits, told = Limits(low=config.fence.min, high=config.fence.max), {}
-    for i, by in beside((0.0, 0.0, 0.0), offset, drones).items():
+    for i, by in _beside((0.0, 0.0, 0.0), offset, drones).items():
         moved = shifted(path, by)
         limits.check_places(references(moved)[1][:, 0:3], f"path of drone {i}")
         told[i] = path_message(moved)
     return told
 
 
-def check_apart(drones: Sequence[int], offset: Offset, config: SwarmConfig) -> None:
+def _check_apart(drones: Sequence[int], offset: Offset, config: SwarmConfig) -> None:
     """Raise ConfigError where two of several drones would be nearer than the collision filter lets them be."""
     collision = config.collision
     if len(drones) > 1 and collision.method != "off" and _near(offset, collision):

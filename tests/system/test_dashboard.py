@@ -106,6 +106,9 @@ async def test_a_drone_flies_to_a_place_and_along_a_drawing_by_page_and_by_comma
                 assert json.loads(said["answer"]) == {"1": {"answer": "done", "says": "flown"}}
                 end = [0.5 * np.cos(2.95), 0.5 * np.sin(2.95), 1.4]
                 assert page.rows[1, 0:3] == pytest.approx(end, abs=0.1)
+                near = ("--offset", "0,0.1,0", "--drones", "1,2", "--swarm", team.path, "--json")
+                said = await (await Program.start(*CRAZYCHOIR, "go-to", "0,0,1", *near)).end(60.0)
+                assert "from one drone to the next" in json.loads(said["answer"])["error"]
                 flight = await Program.start(*CRAZYCHOIR, "go-to", "0,-0.7,0.6", *swarm)
                 said = await flight.end(60.0)
                 assert json.loads(said["answer"]) == {"1": {"answer": "done", "says": "there"}}

@@ -276,7 +276,7 @@ async def test_what_nobody_has_foreseen_is_refused_with_its_reason_and_the_page_
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(operator, "loaded", fails)
-        patch.setattr(operator, "beside", fails)
+        patch.setattr(operator, "places", fails)
         page.asks.put_nowait({"ask": "load", "name": "a.svg", "text": "<![a["})
         page.asks.put_nowait({"ask": "go-to", "drones": [1], "p": [0, 0, 1]})
         await clock.sleep(0.5)
