@@ -186,17 +186,28 @@ def carried(swarm: Swarm, dongle: int, senders: Mapping[int, str]) -> float:
     most = capacity if streamed else PLANNED * capacity
     if rate >= least and beside + rate * len(streamed) <= most:
         return rate
-    asked = max(rate, least)
+    asked, fits = max(rate, least), math.floor((most - beside) / len(streamed)) if streamed else 0
     kinds = ", ".join(sorted({senders[i] for i in ids}))
+    if 0.0 < radio.command_rate < least <= fits:
+        allowed = f"{least:g} to {fits} Hz, for what is sent by dongle {dongle} ({kinds})"
+        raise ConfigError("radio.command_rate", rate, allowed, "Leave it out for as many as are carried with room.")
     found = f"drones {', '.join(map(str, ids))} ({kinds}) need {beside + asked * len(streamed):g} packets a second"
     sums = f"{len(streamed)} x {asked:g} set-points, " if streamed else ""
     each = f"{len(ids)} x {poses + PINGS + OTHERS:g} poses, echoes and requests"
     plans = f", {len(ids) - len(streamed)} x {PLANS:g} plans" if len(streamed) < len(ids) else ""
     spared = f"{max(spare, 0.0):.0f} set-points a second and drone" if streamed else _spared(capacity)
     room = f"it carries {capacity:g}, {spared}"
-    less = "send xyz or a lower command_rate" if streamed else "tell poses at a lower pose_rate"
-    do = f"Use more dongles, {less} ([radio]), or measure its capacity."
+    less = _less(fits, least) if streamed else "tell poses at a lower pose_rate ([radio]), "
+    do = f"Use more dongles, {less}or measure its capacity."
     raise ConfigError(f"dongle {dongle}", found, room, do, f"{sums}{each}{plans}")
+
+
+def _less(fits: float, least: float) -> str:
+    """What to do where a dongle carries so many Hz of set-points a drone, and what they are sent needs `least`."""
+    if fits >= least:
+        return f"set command_rate = {least:g} to {fits:g} ([radio]), "
+    lighter = [kind for kind, rate in LEAST.items() if rate <= fits]
+    return f"send {' or '.join(lighter)} ({fits:g} Hz at most), " if lighter else ""
 
 
 def _check_said(swarm: Swarm, dongle: int, senders: Mapping[int, str]) -> None:

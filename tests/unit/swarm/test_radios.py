@@ -75,9 +75,28 @@ def test_four_drones_at_100_hz_are_too_much_for_one_dongle() -> None:
         rates(udp(4, sender="fpqr", radio={"command_rate": 100}))
     assert str(caught.value) == (
         "dongle 0 = drones 0, 1, 2, 3 (fpqr) need 488 packets a second: 4 x 100 set-points, 4 x 22 poses, echoes and "
-        "requests; it carries 250, 31 set-points a second and drone. Use more dongles, send xyz or a lower "
-        "command_rate ([radio]), or measure its capacity."
+        "requests; it carries 250, 31 set-points a second and drone. Use more dongles, send frpy or vel or "
+        "fullstate (40 Hz at most), or measure its capacity."
     )
+
+
+@pytest.mark.parametrize(
+    ("n", "rate", "says"),
+    [
+        (4, 13.0, "4 x 50 set-points, 4 x 22 poses, echoes and requests; it carries 250, 31 set-points a second and "
+                  "drone. Use more dongles, send frpy or vel or fullstate (40 Hz at most), or measure its capacity."),
+        (3, 0.0, "it carries 250, 49 set-points a second and drone. Use more dongles, set command_rate = 50 to 61 "),
+        (3, 70.0, "Use more dongles, set command_rate = 50 to 61 ([radio]), or measure its capacity."),
+        (3, 13.0, "radio.command_rate: found 13.0; allowed: 50 to 61 Hz, for what is sent by dongle 0 (fpqr). Leave "),
+        (6, 13.0, "13 set-points a second and drone. Use more dongles, send vel (19 Hz at most), or measure its cap"),
+    ],
+)  # fmt: skip
+def test_what_is_said_to_be_carried_is(n: int, rate: float, says: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        rates(udp(n, sender="fpqr", radio={"command_rate": rate}))
+    assert says in str(caught.value)
+    for told in (50.0, 61.0) if n == 3 else ():
+        assert rates(udp(n, sender="fpqr", radio={"command_rate": told})) == {0: told}
 
 
 def test_what_dongles_leave() -> None:
