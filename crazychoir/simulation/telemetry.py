@@ -30,7 +30,8 @@ def check(names: Iterable[str], known: Iterable[str], where: str) -> None:
         if name not in there:
             near = difflib.get_close_matches(name, there, n=3, cutoff=0.4) or sorted(there)[:3]
             allowed = f"the {len(there)} variables that it has, such as {', '.join(near)}"
-            raise ConfigError(where, name, allowed if there else "none: its world says no log variables")
+            do = f'With uri = "{MOTORS}" it has those of the firmware.' if there == tuple(LIGHT) else ""
+            raise ConfigError(where, name, allowed if there else "none: its world says no log variables", do)
 
 
 def check_period(period: float, where: str) -> None:
