@@ -110,7 +110,11 @@ def test_nothing_is_published_that_nobody_asked_for():
 
 @pytest.mark.parametrize(
     ("uri", "name", "near"),
-    [("sim://motors", "pm.vbatt", "pm.vbat"), ("sim://", "pm.vbat", 'With uri = "sim://motors" it has'), ("sim://", "gyro.w", "gyro.x")],
+    [
+        ("sim://motors", "pm.vbatt", "pm.vbat"),
+        ("sim://", "pm.vbat", 'With uri = "sim://motors" it has'),
+        ("sim://", "gyro.w", "gyro.x"),
+    ],
 )
 def test_names_that_a_platform_does_not_have_are_refused_with_the_nearest(uri, name, near):
     class Asks(CFGuidance):
