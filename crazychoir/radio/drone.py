@@ -63,11 +63,10 @@ FORGOTTEN = 1.0
 UNHEARD, REFUSED, ORPHANED = 0.25, 1.0, 3.0
 """s between two words to land: until its planner answers, and where it refuses; and after which one that flies, and
 that nobody commands, is landed."""
-LANDS, LANDING = tuple(FORMS[name].head for name in ("land", "land_with_velocity")), (0, 1)
-"""Heads of its answers; and the results of one that lands now, or does so already."""
-UNTIMED, LANDED = 10.0, 1.0
-"""s of a landing at the speed of its firmware, and s later than a landing takes: its planner has ended it, and is not
-told to land any more, as it would begin anew."""
+LANDING = (0, 1)
+"""Results in the answers of one that lands now, or does so already."""
+LANDED = 1.0
+"""s later than a landing takes: its planner has ended it, and is not told to land any more, as it would begin anew."""
 STOPS = 0.5
 """s between two plans to stop, of a drone that stands."""
 WATCHDOG = 0.25
@@ -124,6 +123,7 @@ class RadioDrone(Actor):
         self.refused_plans = self.reconnected = self.malformed = 0
         self._stopped = True
         self._cut = self._placed = self._prepared = self._arming = self._fed = self._flown_here = False
+        self._cut_heard = self._told_to_land = False
         self._landing: XYZ | None = None
         self._landed_at = math.inf
         self._only_lands = ""
@@ -215,7 +215,7 @@ class RadioDrone(Actor):
     async def _insist(self, connection: Connection) -> None:
         """One whose motors were cut is told so until it says that it has heard it, from its link's opening on."""
         async for _ in self.clock.ticks(LOOKS):
-            if self._cut and not self.supervisor & checks.LOCKED:
+            if self._cut and not self._cut_heard:
                 connection.urgent(emergency())
 
     async def _until_told(self, connection: Connection) -> None:
@@ -358,10 +358,11 @@ class RadioDrone(Actor):
         """
         now_ns = self.clock.now_ns()
         if not self.flying or self._landing is None:
-            self._landing, self._landed_at = None, math.inf
+            self._landing, self._landed_at, self._told_to_land = None, math.inf, False
         elif now_ns >= self._landing_ns:
             self._landing_ns = now_ns + round(UNHEARD * SECOND)
             if math.isinf(self._landed_at):
+                self._told_to_land = True
                 self._transmit(self._landing)
             elif self.clock.now() < self._landed_at:
                 self._send_now(self.handler.relax)
@@ -429,7 +430,7 @@ class RadioDrone(Actor):
             self._arm()
         if self._take_off is not None and not stops and not self.flying:
             self._take_off.begin(self.clock.now())
-        self._stopped, self._landing, self._landed_at = stops, None, math.inf
+        self._stopped, self._landing, self._landed_at, self._told_to_land = stops, None, math.inf, False
         self._flown_here = self._flown_here or not (stops or self.connection.silence > DEGRADED)
         self._transmit(self._within_reach(command))
 
@@ -496,8 +497,10 @@ class RadioDrone(Actor):
             self._arming = False
 
     def cut(self) -> None:
-        """Stop the motors for good."""
+        """Stop the motors for good: said until it is locked, or has been switched off and on."""
         self._cut = True
+        if self._cut_heard:
+            return
         if (way := self.connection or self._opening) is not None:
             way.urgent(emergency())
 
@@ -556,10 +559,12 @@ class RadioDrone(Actor):
         if packet.port != HIGH_LEVEL or len(packet.data) < 4:
             return
         result = packet.data[3]
-        if packet.data[:1] in LANDS and self._landing is not None:
+        if packet.data[:1] == FORMS["land"].head and self._landing is not None:
+            if not self._told_to_land:
+                return  # of a landing before this one, that has been ended since
             if result in LANDING:
-                lasts = float(self._landing.flat[4]) or UNTIMED
-                self._landed_at = min(self._landed_at, self.clock.now() + lasts + LANDED)
+                self._landed_at = min(self._landed_at, self.clock.now() + float(self._landing.flat[4]) + LANDED)
+                self._send_now(self.handler.relax)
                 return
             self._landing_ns = self.clock.now_ns() + round(REFUSED * SECOND)
         if result != 0:
@@ -568,7 +573,7 @@ class RadioDrone(Actor):
 
     def _take_own(self, values: dict[str, float], at: int) -> None:
         if self._uptime.restarted(self.clock.now(), at):
-            self.why = "it has been started again"
+            self.why, self._cut_heard = "it has been started again", self._cut
             self._prepared = self._placed = self._fed = self._has_flown = False
             self.release = ""
             if self._take_off is not None:
@@ -578,6 +583,7 @@ class RadioDrone(Actor):
             return
         taken = self._uptime.taken(self.clock.now(), at)
         self._well = {name: values[name] for name in WELL}
+        self._cut_heard = self._cut_heard or (self._cut and bool(self.supervisor & checks.LOCKED))
         p = MILLI * np.array([values[name] for name in OWN[0:3]])
         v = MILLI * np.array([values[name] for name in OWN[3:6]])
         p, v, q = self._in_the_world(p, v, quaternion(int(values[OWN[6]])))

@@ -35,12 +35,10 @@ class RadioHandler:
     form: str
     needs_thrust = False
     """Whether it must know what a newton is on board."""
-    streams = True
-    """Whether it has set-points, which keep the planner on board from flying until it is told that they have ended."""
 
     def __init__(self, platform: Platform, thrust: float = 0.0) -> None:
         self.platform, self.thrust = platform, thrust
-        self._streamed_last = self.streams  # an owner before this one may have
+        self._streamed_last = True  # somebody before us may have, and be it by cflib's close_link
 
     @property
     def parameters(self) -> dict[str, float]:
@@ -58,9 +56,10 @@ class RadioHandler:
         raise CodecError(f"{type(command).__name__} for a drone that is sent {self.kind}.")
 
     def planned(self, command: XYZ) -> list[Packet]:
-        """What says this to the planner on board; after set-points it is told then that they have ended.
+        """What says this to the planner on board; after set-points it is told then that they have ended (`relax`).
 
         In this order: a planner in control without a plan switches the motors off (crazyflie-firmware since 2023.11).
+        One that is to land flies: it is told of their end by itself, once its planner has answered.
         """
         relax = self.relax
         ends = command.verb in ("land", "stop")  # said again with each: the first may be lost
@@ -73,12 +72,12 @@ class RadioHandler:
             case "go_to" | "line":
                 line = int(command.verb == "line")
                 return [FORMS["go_to"].packet(ALL, 0, line, x, y, z, yaw, duration), *relax]
-            case "take_off" | "land" if duration > 0.0:
-                return [FORMS[command.verb].packet(ALL, z, yaw, False, duration), *relax]
-            case "take_off" | "land":
-                form = FORMS[f"{command.verb}_with_velocity"]
-                return [form.packet(ALL, z, False, yaw, False, 0.0), *relax]
-        raise CodecError(f"no plan {command.verb!r}; there are stop, go_to, line, take_off and land.")
+            case "take_off" if duration > 0.0:
+                return [FORMS["take_off"].packet(ALL, z, yaw, False, duration), *relax]
+            case "land" if duration > 0.0:
+                return [FORMS["land"].packet(ALL, z, yaw, False, duration)]
+        plans = "stop, go_to, line, and take_off and land, which take some time"
+        raise CodecError(f"no plan {command.verb!r} of {duration:g} s; there are {plans}.")
 
     @property
     def relax(self) -> list[Packet]:
@@ -146,7 +145,7 @@ class RadioHandlerVel(_OnBoard):
 class RadioHandlerXYZ(_OnBoard):
     """Places, for the planner on board."""
 
-    kind, form, streams = "xyz", "go_to", False
+    kind, form = "xyz", "go_to"
 
 
 class RadioHandlerFullState(_OnBoard):

@@ -54,7 +54,8 @@ def test_velocities() -> None:
 
 def test_plans() -> None:
     handler = RadioHandlerXYZ(CRAZYFLIE_21)
-    (line,) = handler.packets(XYZ("line", np.array([1.0, 2.0, 3.0, 0.5, 0.2])))
+    line, relax = handler.packets(XYZ("line", np.array([1.0, 2.0, 3.0, 0.5, 0.2])))
+    assert (relax.port, relax.channel) == (7, 1), "set-points of who was there before it have ended"
     assert (line.port, line.channel, line.data[:4]) == (8, 0, bytes([12, 0, 0, 1]))
     assert np.allclose(struct.unpack("<fffff", line.data[4:]), [1.0, 2.0, 3.0, 0.5, 0.2])
     (land,) = handler.packets(XYZ("land", np.array([0.0, 0.0, 0.04, 1.0, 2.0])))
@@ -65,10 +66,9 @@ def test_plans() -> None:
 def test_a_plan_after_set_points_tells_then_that_they_have_ended() -> None:
     handler = RadioHandlerFPQR(CRAZYFLIE_21, NEWTON)
     handler.packets(FPQR(np.zeros(4)))
-    land, relax = handler.planned(XYZ("land", np.array([0.0, 0.0, 0.0, 0.0, 2.0])))
-    assert (relax.port, relax.channel) == (7, 1)
-    assert (land.port, land.data[0]) == (8, 8)
-    assert len(handler.planned(XYZ("land", np.array([0.0, 0.0, 0.0, 0.0, 2.0])))) == 2, "the first may be lost"
+    (land,) = handler.planned(XYZ("land", np.array([0.0, 0.0, 0.0, 0.0, 2.0])))
+    assert (land.port, land.data[0]) == (8, 8), "it flies: no word but this before its answer"
+    assert [(relax.port, relax.channel) for relax in handler.relax] == [(7, 1)]
     for _ in range(2):
         stop, planner, relax = handler.planned(STOP)
         assert ((stop.port, stop.data), (planner.port, planner.data[0]), (relax.port, relax.channel)) == (
@@ -78,10 +78,15 @@ def test_a_plan_after_set_points_tells_then_that_they_have_ended() -> None:
     assert len(handler.planned(STOP)) == 1, "nothing was streamed since"
 
 
-@pytest.mark.parametrize(("kind", "n"), [("fpqr", 2), ("vel", 2), ("fullstate", 2), ("xyz", 1)])
-def test_an_owner_does_not_know_whether_one_before_it_has_sent_set_points(kind: str, n: int) -> None:
-    handler = HANDLERS[kind](CRAZYFLIE_21, NEWTON)
-    assert len(handler.planned(XYZ("land", np.array([0.0, 0.0, 0.0, 0.0, 2.0])))) == n
+@pytest.mark.parametrize("kind", HANDLERS)
+def test_an_owner_does_not_know_whether_one_before_it_has_sent_set_points(kind: str) -> None:
+    assert len(HANDLERS[kind](CRAZYFLIE_21, NEWTON).relax) == 1
+
+
+@pytest.mark.parametrize("verb", ["land", "take_off"])
+def test_plans_of_no_time_are_refused(verb: str) -> None:
+    with pytest.raises(CodecError, match=f"no plan '{verb}' of 0 s"):
+        RadioHandlerXYZ(CRAZYFLIE_21).packets(XYZ(verb, np.zeros(5)))
 
 
 def test_full_states_are_thousandths_with_rates_in_radians() -> None:

@@ -4,7 +4,11 @@ import numpy as np
 import pytest
 from virtual_drones import Hangar
 
+from crazychoir.control.senders import STOP
+from crazychoir.platforms import CRAZYFLIE_21
 from crazychoir.radio.crtp import MEMORY, Packet
+from crazychoir.radio.handlers import RadioHandlerXYZ
+from crazychoir.types import XYZ
 
 
 def _wanted(hangar):
@@ -29,6 +33,18 @@ def test_a_speed_of_nothing_is_a_speed_all_the_same():
     hangar.drone.parameters.set("hlCommander.vtoff", 0.0)
     (reply,) = hangar.send("take_off_with_velocity", 0, 0.6, False, 0.0, True, 0.0)
     assert (reply.data[3], hangar.drone.starts) == (0, 1)
+
+
+@pytest.mark.parametrize("idle", [True, False])
+def test_who_is_sent_places_flies_though_somebody_has_streamed_before(idle):
+    hangar = Hangar().run(0.5, "rpyt", 0.0, 0.0, 0.0, 0)  # the last of which is that of cflib's close_link
+    handler = RadioHandlerXYZ(CRAZYFLIE_21)
+    for command in [STOP] * idle + [XYZ("line", np.array([0.0, 0.0, 0.6, 0.0, 1.5]))]:
+        for packet in handler.packets(command):
+            list(hangar.drone.take(packet))
+        hangar.run(0.5)
+    hangar.run(2.0)
+    assert hangar.state[2] == pytest.approx(0.6, abs=0.08)
 
 
 def test_a_go_to_of_older_programs():

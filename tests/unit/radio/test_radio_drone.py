@@ -16,14 +16,25 @@ from crazychoir.platforms import Battery
 from crazychoir.radio import checks
 from crazychoir.radio.contents import TableOfContents
 from crazychoir.radio.crtp import FORMS, HIGH_LEVEL, PLATFORM, Packet
-from crazychoir.radio.drone import JUMPS, LOST, ORPHANED, OWN, STOPS, UNREACHED, UNSEEN, WAS_CUT, RadioDrone
+from crazychoir.radio.drone import (
+    JUMPS,
+    LOST,
+    ORPHANED,
+    OWN,
+    STOPS,
+    UNHEARD,
+    UNREACHED,
+    UNSEEN,
+    WAS_CUT,
+    RadioDrone,
+)
 from crazychoir.radio.owner import LANDS_WITHIN, RadioProcess
 from crazychoir.runtime.clock import run_virtual
 from crazychoir.runtime.mailbox import Call
 from crazychoir.safety.ascent import Track
 from crazychoir.safety.pose_gate import PoseGate
 from crazychoir.swarm.config import SwarmConfig
-from crazychoir.types import FPQR, XYZ, Pose, Vel
+from crazychoir.types import FPQR, FRPY, XYZ, Pose, Vel
 
 READY = checks.CAN_FLY | checks.AUTO_ARM
 STOP, LINE, LAND = (XYZ(verb, np.array([1.0, 0.0, 1.0, 0.0, 2.0])) for verb in ("stop", "line", "land"))
@@ -92,7 +103,8 @@ async def test_one_that_stands_is_told_so_now_and_then(clock) -> None:
     for _ in range(100):
         drone.send(STOP)
         await clock.sleep(0.01)
-    assert kept.sent == [head("planner_stop")] * round(1.0 / STOPS)
+    said = [head("stop"), head("planner_stop"), head("notify_setpoint_stop")]
+    assert kept.sent == said * round(1.0 / STOPS), "who was there before us may have sent set-points"
 
 
 @virtual
@@ -103,18 +115,20 @@ async def test_who_has_not_flown_it_does_not_stop_its_motors(clock) -> None:
     assert kept.sent == []
     drone.send(LINE)
     drone.send(STOP)
-    assert kept.sent == [head("go_to"), head("planner_stop")]
+    assert kept.sent == [head("go_to"), head("notify_setpoint_stop"), head("planner_stop")]
 
 
 class Planner(Kept):
     """A planner on board: it lands from idle, too, 2 s long, and refuses what it is told while it lands.
 
-    hears: how many words to land get through: None, all after the second.
+    It hears a word to land after two are lost, and all that it is told beside them: a planner in control that does not
+    land has no plan, and switches the motors off.
     """
 
     def __init__(self, drone: RadioDrone) -> None:
         super().__init__()
         self.drone, self.lands, self.words, self.ends, self.turned = drone, 0, 0, -math.inf, 0.0
+        self.fell = False
 
     def send(self, packet) -> None:
         super().send(packet)
@@ -125,6 +139,7 @@ class Planner(Kept):
                 landing = now < self.ends
                 self.lands, self.ends = self.lands + (not landing), self.ends if landing else now + LAND.flat[4]
                 self.drone._heard(Packet(HIGH_LEVEL, 0, bytes([*FORMS["land"].head, 0, 0, landing])))
+        self.fell = self.fell or (self.sent[-1] == head("notify_setpoint_stop") and not self.lands)
 
     def look(self) -> None:
         """Its motors turn until it has landed, and count as turning for 2 s more."""
@@ -150,9 +165,47 @@ async def _lands(clock, kind) -> None:
         drone._go_on_landing()
         await clock.sleep(0.05)
     assert (planner.words, planner.lands, drone.flying, drone.refused_plans) == (3, 1, False, 0)
-    relaxed = planner.sent.count(head("notify_setpoint_stop"))
-    assert relaxed == 0 if kind == "xyz" else relaxed > 10, "one word may be lost"
-    assert planner.sent[-1][:2] == head("planner_stop")[:2] if kind == "xyz" else head("notify_setpoint_stop")[:2]
+    assert not planner.fell, "its planner was given control before it landed"
+    assert planner.sent.index(head("notify_setpoint_stop")) == planner.sent.index(head("land")) + 3, "at the answer"
+    assert planner.sent.count(head("notify_setpoint_stop")) > 10, "one word may be lost"
+    assert head("planner_stop") in planner.sent[-2:]
+
+
+@virtual
+async def test_a_late_answer_to_an_earlier_landing_is_none_to_this_one(clock) -> None:
+    drone, kept = made(clock, "frpy")
+    answer = Packet(HIGH_LEVEL, 0, bytes([*FORMS["land"].head, 0, 0, 0]))
+    tell(drone, READY | checks.FLYING)
+    drone.send(LAND)
+    drone._go_on_landing()
+    drone.send(FRPY(np.array([0.3, 0.0, 0.0, 0.0])))
+    drone.send(LAND)
+    kept.sent.clear()
+    drone._heard(answer)
+    assert kept.sent == []
+    await clock.sleep(UNHEARD)
+    drone._go_on_landing()
+    drone._heard(answer)
+    assert kept.sent == [head("land"), head("notify_setpoint_stop")]
+
+
+@virtual
+async def test_one_that_was_cut_is_told_so_until_it_is_locked_or_switched_off_and_on(clock) -> None:
+    for said, at in ((checks.LOCKED, None), (READY, 40)):
+        drone, kept = made(clock)
+        tell(drone, READY | checks.FLYING, 5000)
+        insisting = asyncio.create_task(drone._insist(kept))
+        drone.cut()
+        await clock.sleep(1.0)
+        assert len(kept.sent) > 10
+        tell(drone, said, 6000 if at is None else at)
+        kept.sent.clear()
+        drone.cut()
+        await clock.sleep(1.0)
+        insisting.cancel()
+        assert kept.sent == [], "who switches it off and on may have it again"
+        drone._prepared = drone._placed = True
+        assert WAS_CUT in drone.problems()
 
 
 @virtual
@@ -190,7 +243,8 @@ async def test_a_cut_is_for_good_and_nothing_leaves_after_it(clock) -> None:
     drone.send(LINE)
     drone.send(LAND)
     drone._go_on_landing()
-    assert kept.sent == [head("go_to"), head("emergency_stop"), head("supervisor_stop")]
+    assert kept.sent[-2:] == [head("emergency_stop"), head("supervisor_stop")]
+    assert kept.sent.count(head("go_to")) == 1
 
 
 @virtual
@@ -608,6 +662,8 @@ async def test_only_the_newest_line_waits(clock) -> None:
     tell(drone, READY)
     waits = []
     kept.newest = lambda kind, packet: waits.append(kind)
+    drone.send(LINE)
+    assert waits == [], "that set-points have ended goes with it"
     drone.send(LINE)
     drone.send(LAND)
     drone.send(STOP)
