@@ -26,6 +26,7 @@ from crazychoir.radio.virtual.parameters import Parameters
 from crazychoir.radio.virtual.power import Power
 from crazychoir.radio.virtual.readings import readings
 from crazychoir.radio.virtual.toc import names
+from crazychoir.simulation.onboard.commander import HIGH_LEVEL as PLANNER
 from crazychoir.simulation.onboard.logs import TABLE
 from crazychoir.simulation.onboard.onboard import Onboard
 
@@ -39,6 +40,8 @@ TEXT = 30
 """Bytes of the console in one packet."""
 BOOT = 1000
 """ms after a restart in which it hears nothing."""
+HELD = 1000
+"""ms after a plan that no set-point has ended, when somebody may wonder why it does not fly."""
 SILENCE = 1000
 """ms without a packet after which the link counts as lost: who comes back begins its log blocks anew."""
 RELEASE = "2025.12"
@@ -209,6 +212,12 @@ class VirtualCrazyflie:
         read = self.parameters.read
         vbat = float(self.onboard.record["vbat"])
         self.power.look(now, vbat, read("pm.lowVoltage"), read("pm.criticalLowVoltage"))
+        if self.onboard.record["priority"] <= PLANNER:
+            self.flight.planned_at = None
+        elif self.flight.planned_at is not None and now - self.flight.planned_at > HELD:
+            self.flight.planned_at = None
+            told = "plans, but a set-point holds control: send_notify_setpoint_stop ends it"
+            log.warning("%s: %s", self.identity.name, told)
         then, received, sent = self._counted
         if now - then >= 1000:
             seconds = 1e-3 * (now - then)

@@ -32,6 +32,8 @@ EMULATED = 3
 UNCHECKED = ("position", "stop")
 """Set-points whose length the firmware does not look at."""
 _POSE, _POSITION = struct.Struct("<BhhhI"), struct.Struct("<Bhhh")
+PLANS = ("take_off", "take_off_with_velocity", "go_to", "go_to_legacy", "spiral", "start_trajectory")
+"""By which the planner on board flies, unless a set-point holds control."""
 CAN_ARM = 1
 """Bit of the supervisor's information."""
 
@@ -46,6 +48,7 @@ class Flight:
     number: the last byte of its address, by which packed poses are told;  firmware: its release;  device: its type;
     read, write: a parameter by name.  zeros: RPYT packets all zero;  last: the kind of the last set-point;
     malformed: packets of a length that is not theirs;  unknown: those that nobody knows;  refuses: arming, by a fault;
+    planned_at: ms of the last plan, None without one that waits for the end of set-points.
     external: the last pose (7,) or position (3,) from outside.
     """
 
@@ -61,6 +64,7 @@ class Flight:
         self.zeros = self.malformed = self.unknown = self.poses = 0
         self.last, self.refuses = "", False
         self.external: tuple[float, ...] = ()
+        self.planned_at: int | None = None
 
     def take(self, packet: Packet) -> Iterator[Packet]:
         """Do what a packet asks for; the answers to it. Assertion where the firmware would restart."""
@@ -106,6 +110,8 @@ class Flight:
             self.zeros += form.name == "rpyt" and not any(values)
         if port == HIGH_LEVEL and form.name not in ("group_mask", "define_trajectory") and not self._meant(values[0]):
             return 0
+        if form.name in PLANS:
+            self.planned_at = int(self.onboard.record["tick"])
         if form.name in COMMANDS:
             return COMMANDS[form.name](self.onboard, *values)
         return OWN[form.name](self, *values)

@@ -47,6 +47,21 @@ def test_who_is_sent_places_flies_though_somebody_has_streamed_before(idle):
     assert hangar.state[2] == pytest.approx(0.6, abs=0.08)
 
 
+def test_a_plan_that_a_set_point_holds_down_is_told(caplog):
+    hangar = Hangar().run(0.5, "rpyt", 0.0, 0.0, 0.0, 0)
+    hangar.send("take_off", 0, 0.5, 0.0, True, 1.5)
+    hangar.run(2.0)
+    assert hangar.state[2] < 0.01
+    assert caplog.text.count("a set-point holds control: send_notify_setpoint_stop ends it") == 1
+    caplog.clear()
+    hangar.send("take_off", 0, 0.5, 0.0, True, 1.5)
+    hangar.send("notify_setpoint_stop", 0)
+    hangar.run(2.0)
+    assert hangar.state[2] > 0.4
+    hangar.run(2.0, "hover", 0.0, 0.0, 0.0, 0.5)
+    assert caplog.text == "", "nobody plans against these"
+
+
 def test_a_go_to_of_older_programs():
     hangar = Hangar().hovering()
     (reply,) = hangar.send("go_to_legacy", 0, 1, 0.3, 0.0, 0.1, 0.0, 1.0)
