@@ -249,6 +249,8 @@ class RadioDrone(Actor):
         if not any(deck in COMMON for deck in decks):
             found = f"{', '.join(decks) or 'no deck'} on board: its frame drifts from that of the others"
             do = "Set drift = true in [radio] if the mission bears that, or let the cameras see it."
+            if self.row.uri.startswith("udp://"):
+                do += " A virtual drone gets a deck from `crazychoir virtual`, started with this swarm file."
             raise ConfigError(f"drone {self.drone}: pose", found, f"one of {', '.join(COMMON)}", do)
 
     async def _place(self, firmware: Firmware, p: Vec, yaw: float) -> None:

@@ -1,6 +1,7 @@
 """The swarm file: what it says, round trips, digests, endpoints, the built-in swarms."""
 
 import os
+import re
 import subprocess
 import sys
 import tomllib
@@ -14,6 +15,7 @@ from hypothesis import strategies as st
 from crazychoir.bus.local import BODIES
 from crazychoir.bus.topics import BODY, POSE, STATE, TRUTH
 from crazychoir.errors import ConfigError
+from crazychoir.radio.budget import rates
 from crazychoir.swarm.config import WORLD, SwarmConfig, default_swarm, demo_swarm, find_swarm
 from crazychoir.swarm.graph import Graph, erdos_renyi_connected, named, path, ring
 
@@ -279,6 +281,12 @@ def test_the_examples_of_deploy_load(file: str) -> None:
     assert config.graph().is_connected
     assert len(config.drones) == {"lab6": 6, "two_hosts": 4, "mujoco30": 30, "virtual4": 4}[config.name]
     assert SwarmConfig.loads(config.dumps()) == config
+
+
+def test_dongles_carry_the_six_of_the_laboratory_if_their_uris_say_so() -> None:
+    text = (ROOT / "deploy" / "lab6.toml").read_text()
+    config = SwarmConfig.loads(re.sub(r"id = (\d)", r'id = \1\nuri = "udp://127.0.0.1:1985\1"', text), "lab6.toml")
+    assert rates(config) == {0: 84.0, 1: 84.0, 2: 84.0}
 
 
 def test_the_readme_of_deploy_names_every_key() -> None:
