@@ -193,7 +193,8 @@ def carried(swarm: Swarm, dongle: int, senders: Mapping[int, str]) -> float:
         raise ConfigError("radio.command_rate", rate, allowed, "Leave it out for as many as are carried with room.")
     found = f"drones {', '.join(map(str, ids))} ({kinds}) need {beside + asked * len(streamed):g} packets a second"
     sums = f"{len(streamed)} x {asked:g} set-points, " if streamed else ""
-    each = f"{len(ids)} x {poses + PINGS + OTHERS:g} poses, echoes and requests"
+    what = "poses" if poses == radio.pose_rate else "logs"
+    each = f"{len(ids)} x {poses + PINGS + OTHERS:g} {what}, echoes and requests"
     plans = f", {len(ids) - len(streamed)} x {PLANS:g} plans" if len(streamed) < len(ids) else ""
     spared = f"{max(spare, 0.0):.0f} set-points a second and drone" if streamed else _spared(capacity)
     room = f"it carries {capacity:g}, {spared}"

@@ -99,6 +99,13 @@ def test_what_is_said_to_be_carried_is(n: int, rate: float, says: str) -> None:
         assert rates(udp(n, sender="fpqr", radio={"command_rate": told})) == {0: told}
 
 
+def test_of_drones_that_say_where_they_are_logs_are_counted() -> None:
+    uris = [f"udp://127.0.0.1:{19850 + i}" for i in range(4)]
+    config = swarm(*uris, head="[radio]\nlog_rate = 25", keys='pose = "onboard"')
+    with pytest.raises(ConfigError, match="4 x 30 set-points, 4 x 37 logs, echoes and requests; it carries 250"):
+        rates(config)
+
+
 def test_what_dongles_leave() -> None:
     assert rates(udp(2, sender="fpqr")) == {0: 84.0}
     assert rates(udp(2, sender="fpqr", radio={"command_rate": 100.0})) == {0: 100.0}, "asked for, and just carried"
