@@ -67,18 +67,18 @@ def report(config: SwarmConfig, results: Results) -> dict[str, Any]:
     plan = _plan(problem, results)
     stops = [stop for r in results.values() for stop in r.get("served", [])]
     served = {stop["task"] for stop in stops if stop["kind"] == "delivery"}
-    found = violations(problem, plan) if plan else ["no plan"]
+    found = violations(problem, plan) if plan else []
     reasons = _unflown(results)
     if found and not reasons:
         reasons = dict.fromkeys(results, f"the plan of the team is wrong: {'; '.join(found)}")
     return {
-        "success": not found and not reasons,
+        "success": plan is not None and not found and not reasons,
         "reasons": reasons,
         "tasks": {"total": len(problem.tasks), "served": len(served)},
         "cost": plan.cost if plan else None,
         "plan_digest": plan.digest if plan else None,
         "planned_m": {r.robot: r.length for r in plan.routes} if plan else {},
-        "violations": found,
+        "violations": found if plan else None,
     }
 
 

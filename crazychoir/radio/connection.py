@@ -347,7 +347,7 @@ class Connection:
     def _failed(self, message: str) -> None:
         reason = message.strip().splitlines()[-1] if message.strip() else "no reason is known"
         if NOBODY in reason and self.uri.startswith("udp"):
-            reason += ": no virtual drone is there (crazychoir virtual --swarm FILE serves those of a swarm file)"
+            reason = "no virtual drone is there: start `crazychoir virtual` with this swarm file"
         if not self._opened.done():
             gone = self.dongle_failure
             self._opened.set_exception(DongleFailed(self.uri, gone) if gone else LinkFailed(self.uri, reason))
