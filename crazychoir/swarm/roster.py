@@ -233,7 +233,8 @@ class Barrier:
             self.port.counters.malformed += 1
             return
         if not self._strangers.heard(source, beat.mission_hash) and source in self._known:
-            if source not in self.beats:
+            known = self.beats.get(source)
+            if known is None or known.incarnation != beat.incarnation:
                 self._came[source] = self.port.bus.clock.now()
             self.beats[source] = beat
             if source not in self.monitor.watched and self.port.bus.clock.now_ns() > self._settled_ns:

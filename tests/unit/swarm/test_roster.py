@@ -146,6 +146,22 @@ def test_who_waits_longest_goes_with_who_coordinates_at_his_deadline():
     assert ids == (0, 2)
 
 
+def test_a_coordinator_that_comes_again_is_waited_for_anew():
+    async def story(t: Team) -> tuple[float, tuple[int, ...]]:
+        longest = asyncio.ensure_future(t.start(2, start=2, start_deadline=6.0).go())
+        t.run(0, t.start(0, start=2, start_deadline=6.0).go())
+        await t.clock.sleep(3.0)
+        t.kill(0)
+        await t.clock.sleep(2.0)
+        roster = await t.start(0, incarnation=2, start=2, start_deadline=6.0).go()
+        assert await longest == roster
+        return t.clock.now(), roster.ids
+
+    at, ids = team(graphs.complete(3), story)
+    assert 11.0 <= at < 11.6
+    assert ids == (0, 2)
+
+
 @pytest.mark.parametrize("start", ["all", 4])
 def test_too_few_are_refused_and_the_absent_are_named(start):
     async def story(t: Team) -> float:
