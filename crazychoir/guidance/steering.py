@@ -101,10 +101,15 @@ class Steering:
 
     async def _reach(self, p: Vec, yaw: float | None, duration: float, turn: int) -> None:
         pilot, clock = self.drone.pilot, self.drone.pilot.clock
-        ends = clock.now() + duration + LATE
-        for _ in range(ATTEMPTS):
+        attempts, ends = 0, clock.now() + duration + LATE
+        while attempts < ATTEMPTS:
             seconds = pilot.go_to(p, yaw, duration, commanded=True)
-            ends = max(ends, clock.now() + seconds + LATE)
+            if pilot.guard.acts:  # it flies as soon as the safety table lets it
+                if clock.now() > ends:
+                    break
+                await self._look(turn)
+                continue
+            attempts, ends = attempts + 1, max(ends, clock.now() + seconds + LATE)
             while pilot.mode is Mode.FOLLOW or blocked(pilot):
                 await self._look(turn)
                 if clock.now() > ends:

@@ -188,7 +188,7 @@ class Pilot(Actor):
         """Why the safety table has first ended a flight by landing it; empty if it never did."""
         self.held = False
         self.commanded = False
-        """Whether the flight that is planned is one of its operator's: guidance does not end it."""
+        """Whether the flight that is planned, or is to begin, is one of its operator's: guidance does not end it."""
         self.turning: Callable[[], bool] = lambda: False
         """Whether its firmware says that its motors turn, which lands it."""
         self.unfit: Callable[[], list[str]] = list
@@ -417,10 +417,7 @@ class Pilot(Actor):
         table says so. Missing references are no hindrance: this flight needs none.
         commanded: it is its operator who wants it, which he may while guidance may not, see `steerable`.
         """
-        if not (self.steerable if commanded else self.obeys):
-            return 0.0
-        self.guard.excuse("reference")
-        if self.guard.acts:
+        if not self._may_fly(commanded):
             return 0.0
         start, now = self._departure(), self.clock.now()
         wanted = np.asarray(p, dtype=float)
@@ -430,7 +427,7 @@ class Pilot(Actor):
             seconds = self.flights.drive_to(start, goal, start.yaw if yaw is None else yaw, duration, now)
         else:
             seconds = self.flights.go_to(start, goal, start.yaw if yaw is None else yaw, duration, now)
-        self._flown, self._reference, self._obeyed, self.commanded = start, None, NOMINAL, commanded
+        self._flown, self._reference, self._obeyed = start, None, NOMINAL
         self._change(Event.FLY)
         self._beyond = bool(np.abs(wanted - goal).max() > 2.0 * EDGE)
         if self._beyond:
@@ -442,15 +439,20 @@ class Pilot(Actor):
 
         Whoever calls has looked that it begins where the drone is, inside the fence and within its limits.
         """
-        if not (self.steerable if commanded else self.obeys):
-            return 0.0
-        self.guard.excuse("reference")
-        if self.guard.acts:
+        if not self._may_fly(commanded):
             return 0.0
         self._flown, self._reference, self._obeyed = trajectory.sample(0.0), None, NOMINAL
-        self._beyond, self.commanded = False, commanded
+        self._beyond = False
         self._change(Event.FLY)
         return self.flights.fly(trajectory, self.clock.now())
+
+    def _may_fly(self, commanded: bool) -> bool:
+        """Whether a flight may begin now. One that its operator wants, and that must wait, is his until he holds it."""
+        if not (self.steerable if commanded else self.obeys):
+            return False
+        self.commanded = commanded
+        self.guard.excuse("reference")
+        return not self.guard.acts
 
     def follow(self, reference: Reference) -> bool:
         """Fly this reference from the next tick on; it must be renewed before it is stale. False: it never can.

@@ -304,6 +304,34 @@ def test_a_drone_that_is_held_flies_on_command_and_goes_on_with_its_mission():
     play(There, scene)
 
 
+def occluded(operator, i, seconds):
+    """Its cameras do not see it for so long."""
+    pilot, tick = operator.pilot(i), operator.pilot(i).tick
+    ends = operator.clock.now() + seconds
+    pilot.tick = lambda pose: tick(pose if operator.clock.now() >= ends else None)
+
+
+def test_a_flight_on_command_begins_as_soon_as_the_safety_table_lets_it():
+    async def scene(operator):
+        await operator.order("take-off")
+        occluded(operator, 0, 0.15)
+        await operator.clock.sleep(0.2)
+        assert operator.pilot(0).guard.acts
+        assert await told(operator, "go-to", 0, p=[0.0, 1.0, 0.6]) == (DONE, "there")
+        occluded(operator, 0, 0.15)
+        await operator.clock.sleep(0.2)
+        waiting = asyncio.create_task(told(operator, "go-to", 0, p=[0.0, 3.0, 0.6]))
+        await operator.clock.sleep(0.1)
+        assert operator.pilot(0).guard.acts
+        await operator.order("hold", 0)
+        assert await waiting == (REFUSED, "it was held on its way")
+        await operator.clock.sleep(3.0)
+        assert operator.pilot(0).state.p == pytest.approx([0.0, 1.0, 0.6], abs=0.05)
+        await operator.order("land")
+
+    play(There, scene)
+
+
 def test_a_law_that_wants_to_hover_does_not_end_a_flight_on_command():
     async def scene(operator):
         await operator.order("take-off")
