@@ -87,9 +87,11 @@ class Steering:
         return self._count
 
     def _require_cleared(self) -> None:
-        """A stop that is in force is not flown against, whoever's motors still turn."""
+        """A stop in force is not flown against, whoever's motors still turn; one without guidance is to land."""
         if self.drone.port.bus.stopped:
             self._refuse(STOPPED)
+        if why := self.drone.pilot.unguided:
+            self._refuse(f"its guidance has failed: {why}")
 
     def _require_steerable(self) -> None:
         pilot = self.drone.pilot

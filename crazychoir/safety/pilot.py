@@ -189,6 +189,8 @@ class Pilot(Actor):
         self.held = False
         self.commanded = False
         """Whether the flight that is planned, or is to begin, is one of its operator's: guidance does not end it."""
+        self.unguided = ""
+        """Why its guidance is gone, in flight; empty while it is there."""
         self.turning: Callable[[], bool] = lambda: False
         """Whether its firmware says that its motors turn, which lands it."""
         self.unfit: Callable[[], list[str]] = list
@@ -547,11 +549,12 @@ class Pilot(Actor):
         self._say("cut", reason)
 
     def guidance_failed(self, reason: str) -> None:
-        """Guidance is gone: hover, then land; on the ground, stay there."""
+        """Guidance is gone: hover, then land, whoever has commanded its flight; on the ground, stay there."""
         if not self.airborne:
             self._say("guidance", f"guidance failed ({reason}): stays on the ground")
             return
         self._say("guidance", f"guidance failed ({reason}): hovering, then landing")
+        self.unguided, self.commanded = reason, False
         self.hover()
         due_ns = self.clock.now_ns() + round(GIVE_UP_HOVER * SECOND)
         self.clock.call_at(due_ns, self.land, f"guidance failed ({reason}): landing", drone=self.drone)
@@ -574,8 +577,8 @@ class Pilot(Actor):
 
     @property
     def steerable(self) -> bool:
-        """Whether it flies where its operator wants: it is in the air, and guidance waits for him."""
-        return self.mode in (HOVER, FOLLOW) and (self.held or self.awaits_start)
+        """Whether it flies where its operator wants: it is in the air, and guidance is there and waits for him."""
+        return self.mode in (HOVER, FOLLOW) and (self.held or self.awaits_start) and not self.unguided
 
     # What its operator commands ---------------------------------------------------------------------------------
 

@@ -54,6 +54,15 @@ class There(CFGuidance):
         return {"there": True}
 
 
+class Fails(CFGuidance):
+    """Some time after its start."""
+
+    async def mission(self):
+        await self.take_off()
+        await self.sleep(6.0)
+        raise RuntimeError("no idea")
+
+
 class Itself(CFGuidance):
     """Takes off by itself, and only drone 0 does."""
 
@@ -363,6 +372,23 @@ def test_the_newer_command_counts_and_a_hold_ends_a_flight():
         assert operator.modes() == [Mode.GROUND] * 3
 
     play(There, scene)
+
+
+def test_a_flight_on_command_ends_when_guidance_has_failed_and_says_so():
+    async def scene(operator):
+        await operator.order("take-off")
+        await operator.order("start")
+        await operator.clock.sleep(1.0)
+        await operator.order("hold", 0)
+        kind, why = await told(operator, "go-to", 0, p=[0.0, 3.0, 0.6], duration=20.0)
+        assert (kind, why.startswith("its guidance has failed: RuntimeError: no idea")) == (REFUSED, True), why
+        y = operator.pilot(0).state.p[1]
+        assert (await told(operator, "go-to", 0, p=[0.0, 3.0, 0.6]))[1].startswith("its guidance has failed: ")
+        await operator.clock.sleep(1.8)
+        assert operator.pilot(0).mode is Mode.HOVER
+        assert operator.pilot(0).state.p[1] - y < 0.2
+
+    assert not any(result["success"] for result in play(Fails, scene).values())
 
 
 def test_nothing_is_flown_on_command_while_a_stop_is_in_force():
