@@ -5,6 +5,7 @@ import signal
 from typing import Any
 
 from crazychoir.cli.show import Progress
+from crazychoir.errors import ConfigError
 from crazychoir.radio.virtual.air import Dongle
 from crazychoir.radio.virtual.server import VirtualServer
 from crazychoir.radio.virtual.setup import Hall
@@ -23,7 +24,10 @@ async def serve(
     """Until a signal; returns what became of the drones."""
     radios = [Dongle(clock, group, capacity) for group, capacity in shared]
     server = VirtualServer(clock, hall.world(seed, release), hall.seats, hall.poses, radios, seed)
-    server.listen()
+    try:
+        server.listen()
+    except ConfigError as error:
+        raise ConfigError(error.where, error.found, error.allowed, hall.taken) from error
     failures: list[str] = []
     supervisor = Supervisor(clock, "virtual", lambda actor, error, again: failures.append(str(error)))
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):

@@ -46,7 +46,7 @@ class Drone:
         """Its task while its mission has said none."""
         if self.barrier.roster is not None:
             return ""
-        return UNFIT if self.barrier.monitor.silent else WAITING
+        return UNFIT if self.barrier.monitor.silent or self.barrier.refused else WAITING
 
     def status(self) -> Status:
         """What others see of it."""

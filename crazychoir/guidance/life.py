@@ -140,16 +140,19 @@ class GuidanceActor(Actor):
         drone.waits = ""
 
     async def _until_fit(self) -> None:
-        """Who could not fly is no member of the team; Refused, with what is wrong, when it takes too long."""
+        """Who could not fly is no member of the team; Refused, with what is wrong, when it takes too long: the others
+        hear it then.
+        """
         drone, clock, monitor = self.drone, self.drone.port.bus.clock, self.drone.barrier.monitor
         if drone.id not in self.config.reached:
             return
         monitor.silent, ends = True, clock.now() + self.config.radio.connect_deadline + FIT
         while (problems := drone.unfit()) and clock.now() < ends:
             await clock.sleep(0.05, drone=drone.id)
-        if problems:
-            raise Refused(f"drone {drone.id}", "; ".join(problems))
+        drone.barrier.refused = "; ".join(problems)
         monitor.silent = False
+        if problems:
+            raise Refused(f"drone {drone.id}", drone.barrier.refused)
 
     # Its end --------------------------------------------------------------------------------------------------
 

@@ -87,9 +87,11 @@ class Steering:
         return self._count
 
     def _require_cleared(self) -> None:
-        """A stop that is in force is not flown against, whoever's motors still turn."""
+        """A stop in force is not flown against, whoever's motors still turn; one without guidance is to land."""
         if self.drone.port.bus.stopped:
             self._refuse(STOPPED)
+        if why := self.drone.pilot.unguided:
+            self._refuse(f"its guidance has failed: {why}")
 
     def _require_steerable(self) -> None:
         pilot = self.drone.pilot
@@ -101,10 +103,15 @@ class Steering:
 
     async def _reach(self, p: Vec, yaw: float | None, duration: float, turn: int) -> None:
         pilot, clock = self.drone.pilot, self.drone.pilot.clock
-        ends = clock.now() + duration + LATE
-        for _ in range(ATTEMPTS):
+        attempts, ends = 0, clock.now() + duration + LATE
+        while attempts < ATTEMPTS:
             seconds = pilot.go_to(p, yaw, duration, commanded=True)
-            ends = max(ends, clock.now() + seconds + LATE)
+            if pilot.guard.acts:  # it flies as soon as the safety table lets it
+                if clock.now() > ends:
+                    break
+                await self._look(turn)
+                continue
+            attempts, ends = attempts + 1, max(ends, clock.now() + seconds + LATE)
             while pilot.mode is Mode.FOLLOW or blocked(pilot):
                 await self._look(turn)
                 if clock.now() > ends:

@@ -225,7 +225,10 @@ def _end_of(child: Process) -> str:
     code = child.returncode
     if code is None or code >= 0:
         return f"ended with code {code}"
-    return f"was ended by {signal.Signals(-code).name}"
+    try:
+        return f"was ended by {signal.Signals(-code).name}"
+    except ValueError:  # a real-time signal without a name
+        return f"was ended by signal {-code}"
 
 
 def _signal(children: Iterable[Process], number: signal.Signals) -> None:

@@ -58,11 +58,11 @@ class Firmware:
         element, uri = self._parameter(name), self.connection.uri
         if element.access == element.RO_ACCESS:
             raise LinkFailed(uri, f"parameter {name} can only be read")
-        whole = element.pytype[-1] not in "fde"
         try:
-            said = struct.pack(element.pytype, int(value) if whole else value)
-        except (struct.error, OverflowError, ValueError) as error:
-            raise LinkFailed(uri, f"parameter {name} = {value!r}: no {element.ctype} ({error})") from error
+            said = _packed(element.pytype, value)
+        except (struct.error, OverflowError, TypeError, ValueError) as error:
+            allowed = f"{_allowed(element.pytype)} ({element.ctype})"
+            raise LinkFailed(uri, f"parameter {name} = {value!r}; allowed: {allowed}") from error
         asked = Packet(PARAM, WRITE, struct.pack("<H", element.ident) + said)
         answer = await self._ask(asked, partial(_taken_or_not, asked), f"parameter {name} = {value}")
         if answer.data != asked.data:
@@ -143,6 +143,27 @@ class Firmware:
             near = ", ".join(difflib.get_close_matches(name, known, 3, 0.4)) or "none like it"
             raise LinkFailed(self.connection.uri, f"its firmware has no parameter {name}; it has {near}")
         return element  # type: ignore[no-any-return]
+
+
+FLOATS = {"e": 65504.0, "f": 3.4028235e38, "d": 1.7976931348623157e308}
+"""The largest number of each kind, as struct calls them."""
+
+
+def _packed(kind: str, value: float) -> bytes:
+    """A value as its firmware keeps it; raises what int, float and struct do, and ValueError if it is not finite."""
+    if kind[-1] not in FLOATS:
+        return struct.pack(kind, int(value))
+    if not math.isfinite(value):
+        raise ValueError(value)
+    return struct.pack(kind, value)
+
+
+def _allowed(kind: str) -> str:
+    """The range of a kind, in words."""
+    if kind[-1] in FLOATS:
+        return f"finite numbers, {-FLOATS[kind[-1]]:.5g} to {FLOATS[kind[-1]]:.5g}"
+    bits, signed = 8 * struct.calcsize(kind), kind[-1].islower()
+    return f"{-(1 << bits - 1)} to {(1 << bits - 1) - 1}" if signed else f"0 to {(1 << bits) - 1}"
 
 
 def _taken_or_not(asked: Packet, packet: Packet) -> bool:

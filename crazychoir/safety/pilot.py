@@ -188,7 +188,9 @@ class Pilot(Actor):
         """Why the safety table has first ended a flight by landing it; empty if it never did."""
         self.held = False
         self.commanded = False
-        """Whether the flight that is planned is one of its operator's: guidance does not end it."""
+        """Whether the flight that is planned, or is to begin, is one of its operator's: guidance does not end it."""
+        self.unguided = ""
+        """Why its guidance is gone, in flight; empty while it is there."""
         self.turning: Callable[[], bool] = lambda: False
         """Whether its firmware says that its motors turn, which lands it."""
         self.unfit: Callable[[], list[str]] = list
@@ -417,10 +419,7 @@ class Pilot(Actor):
         table says so. Missing references are no hindrance: this flight needs none.
         commanded: it is its operator who wants it, which he may while guidance may not, see `steerable`.
         """
-        if not (self.steerable if commanded else self.obeys):
-            return 0.0
-        self.guard.excuse("reference")
-        if self.guard.acts:
+        if not self._may_fly(commanded):
             return 0.0
         start, now = self._departure(), self.clock.now()
         wanted = np.asarray(p, dtype=float)
@@ -430,7 +429,7 @@ class Pilot(Actor):
             seconds = self.flights.drive_to(start, goal, start.yaw if yaw is None else yaw, duration, now)
         else:
             seconds = self.flights.go_to(start, goal, start.yaw if yaw is None else yaw, duration, now)
-        self._flown, self._reference, self._obeyed, self.commanded = start, None, NOMINAL, commanded
+        self._flown, self._reference, self._obeyed = start, None, NOMINAL
         self._change(Event.FLY)
         self._beyond = bool(np.abs(wanted - goal).max() > 2.0 * EDGE)
         if self._beyond:
@@ -442,15 +441,20 @@ class Pilot(Actor):
 
         Whoever calls has looked that it begins where the drone is, inside the fence and within its limits.
         """
-        if not (self.steerable if commanded else self.obeys):
-            return 0.0
-        self.guard.excuse("reference")
-        if self.guard.acts:
+        if not self._may_fly(commanded):
             return 0.0
         self._flown, self._reference, self._obeyed = trajectory.sample(0.0), None, NOMINAL
-        self._beyond, self.commanded = False, commanded
+        self._beyond = False
         self._change(Event.FLY)
         return self.flights.fly(trajectory, self.clock.now())
+
+    def _may_fly(self, commanded: bool) -> bool:
+        """Whether a flight may begin now. One that its operator wants, and that must wait, is his until he holds it."""
+        if not (self.steerable if commanded else self.obeys):
+            return False
+        self.commanded = commanded
+        self.guard.excuse("reference")
+        return not self.guard.acts
 
     def follow(self, reference: Reference) -> bool:
         """Fly this reference from the next tick on; it must be renewed before it is stale. False: it never can.
@@ -545,11 +549,12 @@ class Pilot(Actor):
         self._say("cut", reason)
 
     def guidance_failed(self, reason: str) -> None:
-        """Guidance is gone: hover, then land; on the ground, stay there."""
+        """Guidance is gone: hover, then land, whoever has commanded its flight; on the ground, stay there."""
         if not self.airborne:
             self._say("guidance", f"guidance failed ({reason}): stays on the ground")
             return
         self._say("guidance", f"guidance failed ({reason}): hovering, then landing")
+        self.unguided, self.commanded = reason, False
         self.hover()
         due_ns = self.clock.now_ns() + round(GIVE_UP_HOVER * SECOND)
         self.clock.call_at(due_ns, self.land, f"guidance failed ({reason}): landing", drone=self.drone)
@@ -572,8 +577,8 @@ class Pilot(Actor):
 
     @property
     def steerable(self) -> bool:
-        """Whether it flies where its operator wants: it is in the air, and guidance waits for him."""
-        return self.mode in (HOVER, FOLLOW) and (self.held or self.awaits_start)
+        """Whether it flies where its operator wants: it is in the air, and guidance is there and waits for him."""
+        return self.mode in (HOVER, FOLLOW) and (self.held or self.awaits_start) and not self.unguided
 
     # What its operator commands ---------------------------------------------------------------------------------
 

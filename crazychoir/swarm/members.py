@@ -57,7 +57,7 @@ class Go(msgspec.Struct, frozen=True):
 class Beat:
     """What a heartbeat says: incarnation, epoch and checksum of its roster, whom it has lost, mission.
 
-    hears: before the first roster, whom it hears.
+    hears: before the first roster, whom it hears;  refused: why it cannot fly and will not come; empty if it does.
     """
 
     incarnation: int
@@ -66,15 +66,18 @@ class Beat:
     hears: tuple[int, ...]
     lost: tuple[int, ...]
     mission_hash: str
+    refused: str = ""
 
     def wire(self) -> list[Any]:
         """As the codec takes it."""
         hears, lost = list(self.hears), list(self.lost)
-        return [self.incarnation, self.epoch, self.checksum, hears, lost, self.mission_hash]
+        said = [self.incarnation, self.epoch, self.checksum, hears, lost, self.mission_hash]
+        return [*said, self.refused] if self.refused else said
 
     @classmethod
     def of(cls, value: Any) -> "Beat":
         """From the wire; raises TypeError, ValueError."""
-        incarnation, epoch, checksum, hears, lost, mission_hash = value
+        incarnation, epoch, checksum, hears, lost, *texts = value
+        mission_hash, refused = texts if len(texts) == 2 else (*texts, "")
         numbers = int(incarnation), int(epoch), int(checksum)
-        return cls(*numbers, tuple(map(int, hears)), tuple(map(int, lost)), str(mission_hash))
+        return cls(*numbers, tuple(map(int, hears)), tuple(map(int, lost)), str(mission_hash), str(refused))

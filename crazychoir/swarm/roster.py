@@ -41,7 +41,8 @@ class Barrier:
 
     start: "all", or how many suffice at the deadline;  hold: holds the rounds until the next epoch and returns the
     first round that is held (set by `Communicator.follow`; 0 where nobody exchanges);  listeners: called
-    with each new roster;  history: (s, id, presence) of the newest changes.
+    with each new roster;  history: (s, id, presence) of the newest changes;  refused: why this drone cannot fly: the
+    others hear it and do not wait for it.
     """
 
     def __init__(
@@ -65,6 +66,8 @@ class Barrier:
         self.hold: Callable[[], int] = lambda: 0
         self.listeners: list[Callable[[Roster], None]] = []
         self.history: list[tuple[float, int, str]] = []
+        self.refused = ""
+        self._refusals: dict[int, str] = {}
         self._others = tuple(j for j in graph.ids if j != self.id)
         self._known = frozenset(self._others)
         self._came: dict[int, float] = {}
@@ -105,7 +108,8 @@ class Barrier:
         return next((j for j in lower if self.beats[j].epoch or self.beats[j].incarnation == known.get(j)), self.id)
 
     async def go(self) -> Roster:
-        """Wait for GO; raises Refused naming who is absent at the deadline, or whose mission is another one.
+        """Wait for GO; raises Refused naming who is absent at the deadline, or whose mission is another one; and at
+        once, with the reasons, when those who cannot fly leave too few.
 
         Who coordinates may have come later, and waits for as long from then on.
         """
@@ -114,6 +118,8 @@ class Barrier:
         while self.roster is None:
             if self._strangers.are_more(self.beats):
                 raise Refused(f"drone {self.id}", self._strangers.text())
+            if len(self.graph.ids) - len(self._refusals) < self._fewest:
+                raise Refused(f"drone {self.id}", f"{self._refusals_text()} Mend that, or {self._fewer_text()}.")
             first = self.coordinator()
             if first == self.id:
                 self._coordinate(clock.now() >= ends)
@@ -219,7 +225,8 @@ class Barrier:
     def _beat(self) -> bytes:
         epoch = self.roster.epoch if self.roster else 0
         hears = () if self.roster else tuple(j for j in self.monitor.watched if self._present(j))
-        beat = Beat(self.port.incarnation, epoch, self._checksum, hears, tuple(self._lost), self.mission_hash)
+        lost, texts = tuple(self._lost), (self.mission_hash, self.refused)
+        beat = Beat(self.port.incarnation, epoch, self._checksum, hears, lost, *texts)
         if beat != self._beaten[0]:
             self._beaten = beat, encode(beat.wire())
         return self._beaten[1]
@@ -233,7 +240,14 @@ class Barrier:
             self.port.counters.malformed += 1
             return
         if not self._strangers.heard(source, beat.mission_hash) and source in self._known:
-            if source not in self.beats:
+            if beat.refused:
+                self._refusals[source] = beat.refused.removeprefix(f"drone {source}: ")
+                if self.roster is None:
+                    self.beats.pop(source, None)
+                return
+            self._refusals.pop(source, None)
+            known = self.beats.get(source)
+            if known is None or known.incarnation != beat.incarnation:
                 self._came[source] = self.port.bus.clock.now()
             self.beats[source] = beat
             if source not in self.monitor.watched and self.port.bus.clock.now_ns() > self._settled_ns:
@@ -327,12 +341,25 @@ class Barrier:
     def _present(self, j: int) -> bool:
         return j in self.beats and self.monitor.state(j) in (Presence.ALIVE, Presence.SUSPECT) and j not in self._lost
 
+    @property
+    def _fewest(self) -> int:
+        """How many must be there."""
+        return len(self.graph.ids) if self.start == "all" else self.start
+
+    def _fewer_text(self) -> str:
+        return f"{self.start} must be there" if self.start != "all" else "set start = n in the swarm file"
+
+    def _refusals_text(self) -> str:
+        """Who cannot fly, and why."""
+        return " ".join(f"drone {j} cannot fly: {why.rstrip('.')}." for j, why in sorted(self._refusals.items()))
+
     def _absent_text(self) -> str:
         """Who is absent, who does not hear whom, whose mission is another one; what to do."""
         here = [j for j in self.graph.ids if j == self.id or self._present(j)]
-        absent = [j for j in self._others if j not in here and j not in self._strangers.missions]
+        known = {*here, *self._strangers.missions, *self._refusals}
+        absent = [j for j in self._others if j not in known]
         said = [f"drone(s) {', '.join(map(str, absent))} absent after {self.start_deadline:g} s."] if absent else []
+        said += [self._refusals_text()] if self._refusals else []
         said += [f"drone {i} does not hear drone {j}." for i, j in self._deaf(here)]
         said += [self._strangers.text()] if self._strangers.missions else []
-        fewer = f"{self.start} must be there" if self.start != "all" else "set start = n in the swarm file"
-        return " ".join([*said, f"Start their agents, look at the network, or {fewer}."])
+        return " ".join([*said, f"Start their agents, look at the network, or {self._fewer_text()}."])

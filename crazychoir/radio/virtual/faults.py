@@ -12,7 +12,7 @@ Value = float | tuple[float, ...]
 
 @dataclass(frozen=True)
 class Knob:
-    """One fault. low, high: allowed;  size: numbers that it has;  means: what it does;  off: its value without it."""
+    """One fault. low, high: allowed, and 0;  size: numbers that it has;  means: what it does."""
 
     low: float
     high: float
@@ -26,7 +26,7 @@ class Knob:
         if (self.low, self.high, self.whole) == (0, 1, True):
             return "0 or 1"
         kind = "whole numbers" if self.whole else "numbers"
-        each = f"{self.low:g} to {self.high:g}"
+        each = f"{'0, or ' if self.low > 0 else ''}{self.low:g} to {self.high:g}"
         return each if self.size == 1 else f"{self.size} {kind} of {each}"
 
     def checked(self, name: str, value: Any) -> Value:
@@ -39,7 +39,7 @@ class Knob:
         return numbers[0] if self.size == 1 else numbers
 
     def _fits(self, one: Any) -> bool:
-        number = isinstance(one, int | float) and math.isfinite(one) and self.low <= one <= self.high
+        number = isinstance(one, int | float) and (one == 0 or self.low <= one <= self.high)
         return number and (not self.whole or one == int(one))
 
 
@@ -53,7 +53,7 @@ KNOBS = {
     "silent": _switch("nothing passes its link, either way; its port stays open"),
     "off": _switch("it is switched off: its port is closed, its motors stand; 0 starts it again"),
     "refuse_arming": _switch("its checks before flight fail"),
-    "voltage": Knob(0, 4.2, "V of its battery at rest, held there; from 3 on, 0: as it is"),
+    "voltage": Knob(3, 4.2, "V of its battery at rest, held there; 0: as it is"),
     "tumble": _switch("its body is turned over, and held so"),
     "motor": Knob(0, 4, "the motor that stands still, 0: none", whole=True),
     "home": _switch("1 carries it home, charged and whole, and stands it there, once"),
@@ -96,8 +96,6 @@ def checked(wanted: Mapping[str, Any], ids: Sequence[int]) -> dict[str, Value]:
         if name not in KNOBS:
             raise ConfigError("fault", name, ", ".join(KNOBS))
         found[name] = KNOBS[name].checked(name, value)
-    if "voltage" in found and 0.0 < float(found["voltage"]) < 3.0:  # type: ignore[arg-type]
-        raise ConfigError("fault voltage", found["voltage"], "0, or 3 to 4.2 V")
     if "swap" in found and found["swap"] not in (-1.0, *ids):
         raise ConfigError("fault swap", found["swap"], f"-1, or one of {', '.join(map(str, ids))}")
     return found

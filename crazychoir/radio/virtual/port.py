@@ -31,8 +31,8 @@ def opened(at: Address) -> socket.socket:
         found.bind(at)
     except OSError as error:
         found.close()
-        where, do = f"virtual Crazyflies: UDP port {at[1]} of {at[0]}", "Choose another --port."
-        raise ConfigError(where, str(error.strerror), "a port that is free", do) from error
+        where = f"virtual Crazyflies: UDP port {at[1]} of {at[0]}"
+        raise ConfigError(where, str(error.strerror), "a port that is free") from error
     return found
 
 

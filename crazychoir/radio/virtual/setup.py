@@ -22,6 +22,11 @@ from crazychoir.swarm.tables import Drone
 ADDRESS = 0xE7
 """Last byte of the address of drone 0; each next one has the next."""
 HOST = "127.0.0.1"
+OF_FILE = (
+    "The swarm file names it, and another `crazychoir virtual`, or another program, has it: end that, or change the "
+    "uri of the drone, or mocap.port, in the file."
+)
+"""What to do where a port of a swarm is taken."""
 
 
 @dataclass(frozen=True)
@@ -39,12 +44,16 @@ class Seat:
 
 @dataclass(frozen=True)
 class Hall:
-    """All that stands ready: drones with their seats, in one world; poses: where the cameras are."""
+    """All that stands ready: drones with their seats, in one world; poses: where the cameras are.
+
+    taken: what to do where somebody has one of its ports.
+    """
 
     config: SwarmConfig
     drones: tuple[Drone, ...]
     seats: tuple[Seat, ...]
     poses: tuple[str, int]
+    taken: str = "Choose another --port."
 
     def world(self, seed: int, release: str = RELEASE) -> CrazyflieWorld:
         """The drones at home, of their platforms, with the swarm's [motors] and the thrust map of a release."""
@@ -87,7 +96,7 @@ def of_swarm(config: SwarmConfig, decks: Sequence[str] | None, release: str = RE
         raise ConfigError("virtual Crazyflies: uris of the swarm", uris, "udp://HOST:PORT on this machine", do)
     drones = tuple(drone for drone, _ in places)
     poses = (places[0][1][0], config.mocap.port)
-    return Hall(config, drones, _seats(config, places, decks, release), poses)
+    return Hall(config, drones, _seats(config, places, decks, release), poses, OF_FILE)
 
 
 def _ours(host: str) -> bool:

@@ -7,7 +7,8 @@ import pytest
 from virtual_time import virtual
 
 from crazychoir.bus.codec import MAX_PAYLOAD
-from crazychoir.guidance.life import LANDING_DEADLINE, GuidanceActor, checked
+from crazychoir.errors import Refused
+from crazychoir.guidance.life import FIT, LANDING_DEADLINE, GuidanceActor, checked
 from crazychoir.guidance.member import PATIENCE
 from crazychoir.safety.modes import Mode
 from crazychoir.types import State
@@ -57,6 +58,19 @@ async def test_one_whose_radio_is_silent_is_not_cut_when_it_is_reached_again(clo
     pilot.unreached = True
     await GuidanceActor(SimpleNamespace(id=4, pilot=pilot), None, None)._down()
     assert pilot.cut_at is None
+
+
+@virtual
+async def test_what_keeps_a_drone_from_flying_is_for_the_others_to_hear_too(clock):
+    monitor = SimpleNamespace(silent=False)
+    barrier = SimpleNamespace(monitor=monitor, refused="")
+    port = SimpleNamespace(bus=SimpleNamespace(clock=clock))
+    drone = SimpleNamespace(id=4, port=port, barrier=barrier, unfit=lambda: ["no such parameter", "battery at 3.1 V"])
+    config = SimpleNamespace(reached=(4,), radio=SimpleNamespace(connect_deadline=10.0))
+    with pytest.raises(Refused, match="no such parameter; battery"):
+        await GuidanceActor(drone, config, None)._until_fit()
+    assert clock.now() == pytest.approx(10.0 + FIT, abs=0.1)
+    assert (barrier.refused, monitor.silent) == ("no such parameter; battery at 3.1 V", False)
 
 
 def test_a_result_arrives_as_it_would_over_the_network():

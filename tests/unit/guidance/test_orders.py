@@ -54,6 +54,15 @@ class There(CFGuidance):
         return {"there": True}
 
 
+class Fails(CFGuidance):
+    """Some time after its start."""
+
+    async def mission(self):
+        await self.take_off()
+        await self.sleep(6.0)
+        raise RuntimeError("no idea")
+
+
 class Itself(CFGuidance):
     """Takes off by itself, and only drone 0 does."""
 
@@ -304,6 +313,34 @@ def test_a_drone_that_is_held_flies_on_command_and_goes_on_with_its_mission():
     play(There, scene)
 
 
+def occluded(operator, i, seconds):
+    """Its cameras do not see it for so long."""
+    pilot, tick = operator.pilot(i), operator.pilot(i).tick
+    ends = operator.clock.now() + seconds
+    pilot.tick = lambda pose: tick(pose if operator.clock.now() >= ends else None)
+
+
+def test_a_flight_on_command_begins_as_soon_as_the_safety_table_lets_it():
+    async def scene(operator):
+        await operator.order("take-off")
+        occluded(operator, 0, 0.15)
+        await operator.clock.sleep(0.2)
+        assert operator.pilot(0).guard.acts
+        assert await told(operator, "go-to", 0, p=[0.0, 1.0, 0.6]) == (DONE, "there")
+        occluded(operator, 0, 0.15)
+        await operator.clock.sleep(0.2)
+        waiting = asyncio.create_task(told(operator, "go-to", 0, p=[0.0, 3.0, 0.6]))
+        await operator.clock.sleep(0.1)
+        assert operator.pilot(0).guard.acts
+        await operator.order("hold", 0)
+        assert await waiting == (REFUSED, "it was held on its way")
+        await operator.clock.sleep(3.0)
+        assert operator.pilot(0).state.p == pytest.approx([0.0, 1.0, 0.6], abs=0.05)
+        await operator.order("land")
+
+    play(There, scene)
+
+
 def test_a_law_that_wants_to_hover_does_not_end_a_flight_on_command():
     async def scene(operator):
         await operator.order("take-off")
@@ -335,6 +372,23 @@ def test_the_newer_command_counts_and_a_hold_ends_a_flight():
         assert operator.modes() == [Mode.GROUND] * 3
 
     play(There, scene)
+
+
+def test_a_flight_on_command_ends_when_guidance_has_failed_and_says_so():
+    async def scene(operator):
+        await operator.order("take-off")
+        await operator.order("start")
+        await operator.clock.sleep(1.0)
+        await operator.order("hold", 0)
+        kind, why = await told(operator, "go-to", 0, p=[0.0, 3.0, 0.6], duration=20.0)
+        assert (kind, why.startswith("its guidance has failed: RuntimeError: no idea")) == (REFUSED, True), why
+        y = operator.pilot(0).state.p[1]
+        assert (await told(operator, "go-to", 0, p=[0.0, 3.0, 0.6]))[1].startswith("its guidance has failed: ")
+        await operator.clock.sleep(1.8)
+        assert operator.pilot(0).mode is Mode.HOVER
+        assert operator.pilot(0).state.p[1] - y < 0.2
+
+    assert not any(result["success"] for result in play(Fails, scene).values())
 
 
 def test_nothing_is_flown_on_command_while_a_stop_is_in_force():

@@ -90,6 +90,13 @@ async def test_what_all_wait_for_is_said_once(tmp_path, monkeypatch):
     assert sorted(said[:3]) == sorted([COMPILES, "other", "other"])
 
 
+@pytest.mark.parametrize(("number", "name"), [(15, "SIGTERM"), (40, "signal 40")])
+async def test_a_signal_that_has_ended_a_process_is_named_or_has_a_number(number, name):
+    killed = await child(f"import os; os.kill(os.getpid(), {number})")
+    await killed.wait()
+    assert processes._end_of(killed) == f"was ended by {name}"
+
+
 WAITS = "import signal; signal.signal({0}, lambda *_: exit(3)); print('on', flush=True); signal.pause()"
 
 

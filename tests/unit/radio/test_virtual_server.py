@@ -307,6 +307,15 @@ def test_nobody_there_is_said():
         ask({"ask": "state"}, port=9, deadline=0.1)
 
 
+def test_what_a_battery_may_have_is_said_before_it_is_refused():
+    assert KNOBS["voltage"].allowed == "0, or 3 to 4.2"
+    for value in (0.0, 3.0, 4.2):
+        assert checked({"voltage": value}, [0]) == {"voltage": value}
+    for value in (2.9, 4.3, -1.0, float("nan")):
+        with pytest.raises(ConfigError, match="0, or 3 to"):
+            checked({"voltage": value}, [0])
+
+
 def test_each_fault_that_can_be_set_is_one_of_a_drone():
     assert set(KNOBS) == {*Faults().listed(), "home", "reboot"}
     assert checked({"offset": [1, 2, 3]}, [0]) == {"offset": (1.0, 2.0, 3.0)}
@@ -405,3 +414,21 @@ def test_options_that_cannot_be_are_refused(words, says):
     done = CliRunner().invoke(app, ["virtual", *words, "--json"])
     assert done.exit_code == 2
     assert says in json.loads(done.stdout)["error"]
+
+
+def test_a_taken_port_is_said_with_what_to_do_about_it(tmp_path):
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as door:
+        door.bind(("127.0.0.1", 0))
+        port = door.getsockname()[1]
+        rows = [{"id": 0, "home": [0, 0, 0], "uri": f"udp://127.0.0.1:{port}"}]
+        (tmp_path / "swarm.json").write_text(SwarmConfig.of({"name": "a", "drones": rows}).dumps())
+        for words, says in (
+            (("--port", port), "Choose another --port."),
+            (("--swarm", tmp_path / "swarm.json"), "another `crazychoir virtual`, or another program, has it"),
+        ):
+            done = CliRunner().invoke(app, ["virtual", *map(str, words), "--json"])
+            assert done.exit_code == 2
+            said = json.loads(done.stdout)["error"]
+            assert f"UDP port {port} of 127.0.0.1" in said
+            assert says in said
+            assert ("--port" in said) == ("--port" in words)

@@ -926,6 +926,23 @@ async def test_after_guidance_has_failed_in_a_flight_it_hovers(clock):
 
 
 @virtual
+async def test_after_guidance_has_failed_in_a_flight_on_command_it_hovers_too_and_lands(clock):
+    drone = Flown(clock)
+    await drone.hovering()
+    drone.pilot.hold()
+    drone.pilot.go_to([2.5, 0.0, 1.0], commanded=True)
+    await drone.fly(2.0)
+    here = drone.p[0]
+    drone.pilot.guidance_failed("no idea")
+    assert drone.pilot.go_to([2.5, 0.0, 1.0], commanded=True) == 0.0
+    await drone.fly(GIVE_UP_HOVER - 0.1)
+    assert drone.p[0] - here < 0.6
+    assert np.linalg.norm(drone.world.state(0).v) < 0.02
+    await drone.fly(9.0)
+    assert drone.pilot.mode is Mode.GROUND
+
+
+@virtual
 async def test_a_held_drone_stays_on_the_ground(clock):
     drone = Flown(clock)
     await drone.fly(0.05)

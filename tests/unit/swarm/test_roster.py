@@ -15,7 +15,7 @@ from crazychoir.bus.presence import SILENCE, Presence
 from crazychoir.bus.rules import Partition, Rule
 from crazychoir.bus.topics import HEARTBEAT, ROSTER
 from crazychoir.errors import PeerLost, Refused, RosterChanged
-from crazychoir.runtime.clock import Clock, run_virtual
+from crazychoir.runtime.clock import SECOND, Clock, run_virtual
 from crazychoir.swarm import graph as graphs
 from crazychoir.swarm.communicator import Communicator
 from crazychoir.swarm.graph import Graph, GraphSequence
@@ -146,6 +146,22 @@ def test_who_waits_longest_goes_with_who_coordinates_at_his_deadline():
     assert ids == (0, 2)
 
 
+def test_a_coordinator_that_comes_again_is_waited_for_anew():
+    async def story(t: Team) -> tuple[float, tuple[int, ...]]:
+        longest = asyncio.ensure_future(t.start(2, start=2, start_deadline=6.0).go())
+        t.run(0, t.start(0, start=2, start_deadline=6.0).go())
+        await t.clock.sleep(3.0)
+        t.kill(0)
+        await t.clock.sleep(2.0)
+        roster = await t.start(0, incarnation=2, start=2, start_deadline=6.0).go()
+        assert await longest == roster
+        return t.clock.now(), roster.ids
+
+    at, ids = team(graphs.complete(3), story)
+    assert 11.0 <= at < 11.6
+    assert ids == (0, 2)
+
+
 @pytest.mark.parametrize("start", ["all", 4])
 def test_too_few_are_refused_and_the_absent_are_named(start):
     async def story(t: Team) -> float:
@@ -156,6 +172,57 @@ def test_too_few_are_refused_and_the_absent_are_named(start):
         return t.clock.now()
 
     assert team(graphs.complete(5), story) < 6.0
+
+
+REFUSAL = "drone 1: parameter ring.effect = 700; allowed: 0 to 255"
+TOLD = "drone 1 cannot fly: parameter ring.effect = 700; allowed: 0 to 255. "
+
+
+def refuse(barrier: Barrier) -> None:
+    """Its drone cannot fly."""
+    barrier.monitor.silent, barrier.refused = False, REFUSAL
+
+
+@pytest.mark.parametrize(("start", "do"), [("all", "set start = n in the swarm file"), (4, "4 must be there")])
+def test_nobody_waits_for_one_that_cannot_fly_if_all_others_are_too_few(start, do):
+    async def story(t: Team) -> float:
+        barriers = [t.start(i, start=start) for i in range(4)]
+        barriers[1].monitor.silent = True
+        t.clock.call_at(3 * SECOND, refuse, barriers[1])
+        waiting = [b.go() for b in barriers if b.id != 1]
+        for found in await asyncio.gather(*waiting, return_exceptions=True):
+            assert isinstance(found, Refused)
+            assert str(found).endswith(f"{TOLD}Mend that, or {do}.")
+        return t.clock.now()
+
+    assert 3.0 <= team(graphs.path(4), story) < 3.5
+
+
+def test_those_who_suffice_go_without_one_that_cannot_fly_and_it_may_join_when_it_can():
+    async def story(t: Team) -> tuple[float, Roster]:
+        barriers = [t.start(i, start=3, start_deadline=4.0) for i in range(4)]
+        refuse(barriers[1])
+        first = await formed([b for b in barriers if b.id != 1])
+        assert first.ids == (0, 2, 3)
+        at = t.clock.now()
+        t.kill(1)
+        t.start(1, incarnation=2)
+        return at, await settled(t, 2)
+
+    at, roster = team(graphs.complete(4), story)
+    assert 4.0 <= at < 4.6
+    assert roster.ids == (0, 1, 2, 3)
+
+
+def test_one_that_cannot_fly_is_named_beside_the_absent():
+    async def story(t: Team) -> str:
+        barriers = [t.start(i, start=3, start_deadline=4.0) for i in (0, 1, 3)]
+        refuse(barriers[1])
+        with pytest.raises(Refused) as found:
+            await barriers[0].go()
+        return str(found.value)
+
+    assert f"drone(s) 2 absent after 4 s. {TOLD}Start their agents" in team(graphs.complete(4), story)
 
 
 @pytest.mark.parametrize("edge", [(1, 2), (2, 1), (3, 0), (0, 3)], ids=str)
