@@ -334,5 +334,9 @@ class Barrier:
         said = [f"drone(s) {', '.join(map(str, absent))} absent after {self.start_deadline:g} s."] if absent else []
         said += [f"drone {i} does not hear drone {j}." for i, j in self._deaf(here)]
         said += [self._strangers.text()] if self._strangers.missions else []
-        fewer = f"{self.start} must be there" if self.start != "all" else "set start = n in the swarm file"
-        return " ".join([*said, f"Start their agents, look at the network, or {fewer}."])
+        if self.start == "all":
+            do = "Start their agents, look at the network, or set start = n in the swarm file."
+        else:
+            look = "start their agents, look at the network, or lower start in the swarm file"
+            do = f"{self.start} must be there: {look}."
+        return " ".join([*said, do])
