@@ -123,10 +123,11 @@ def run(
         with_operator,
     )
     from crazychoir.guidance.mission import look_before
-    from crazychoir.launch.flight import fly_fast, fly_real
+    from crazychoir.launch.flight import dongles, fly_fast, fly_real
     from crazychoir.launch.network import apart, swarm_file
     from crazychoir.launch.recording import recording_file
     from crazychoir.launch.running import Run, recorded
+    from crazychoir.radio.ownership import require_free
 
     given = {"--fast": fast, "--processes": processes, "--picture": picture, "--drones": drones}
     try:
@@ -136,6 +137,8 @@ def run(
             config = with_operator(config, wait, fast)
             require_drawable(picture)
             started, source = to_start(only, config), named_file(what, swarm)
+            if not fast:
+                require_free(config, dongles(config, started))
             named = {} if source is None else {"swarm": config.name}
             warned = look_before(mission, config, force)
             with Progress(status_table, enabled=not as_json) as progress:

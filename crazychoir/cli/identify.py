@@ -20,7 +20,7 @@ def identify(
     set_up_logging()
     from crazychoir.radio import identify as leds  # cflib: --help does not need it
     from crazychoir.radio.contents import TableOfContents, folder
-    from crazychoir.radio.owner import owned
+    from crazychoir.radio.ownership import owned
     from crazychoir.runtime.clock import Clock, run_wall
     from crazychoir.swarm.config import find_swarm
 

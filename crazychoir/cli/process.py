@@ -15,7 +15,8 @@ from crazychoir.bus.zenoh import ZenohLink
 from crazychoir.cli.signals import AGAIN, NAMES, end_on_signals
 from crazychoir.errors import Refused
 from crazychoir.guidance.mission import Mission
-from crazychoir.radio.owner import RadioProcess, owned
+from crazychoir.radio.owner import RadioProcess
+from crazychoir.radio.ownership import owned
 from crazychoir.runtime.clock import SECOND, Clock, run_wall
 from crazychoir.runtime.watchdog import Watchdog
 from crazychoir.swarm.config import DONGLES, MOCAP, WORLD, SwarmConfig

@@ -76,6 +76,7 @@ class GuidanceActor(Actor):
 
     def abort(self, reason: str) -> None:
         """End the mission where it is, for good; the first reason stays."""
+        reason = self.drone.pilot.cut_for or reason  # whoever ends it after that has not brought it down
         if not self._abort.done():
             self._abort.set_result(reason)
         self._forbid(reason)
@@ -227,8 +228,8 @@ class GuidanceActor(Actor):
         if result.get("success"):
             reasons = [text for text in (brought_down, harm) if text]
             return failure(f"drone {self.drone.id}: {'; '.join(reasons)}", result) if reasons else result
-        reasons = [str(text) for text in (result.get("reason"), harm) if text]
-        return failure("; ".join(reasons), result) if harm else result
+        reason = str(result.get("reason") or "")
+        return failure("; ".join(filter(None, (reason, harm))), result) if harm and harm not in reason else result
 
 
 def checked(returned: object) -> Result:

@@ -158,11 +158,15 @@ def owners(config: SwarmConfig, started: tuple[int, ...] | None) -> list[Owner]:
     found = [WORLD_OWNER] if config.owned and _starts(config, config.world.host, started) else []
     if config.seen and _starts(config, config.mocap.host, started):
         found.append(Owner("mocap", "crazychoir.cli.mocap", again=True))
-    for k in config.dongles:
-        if _starts(config, config.dongle_host(k), started):
-            options = ("--dongle", str(k))
-            found.append(Owner(f"dongle {k}", "crazychoir.cli.radios", options, again=True, ids=config.dongles[k]))
+    for k in dongles(config, started):
+        options = ("--dongle", str(k))
+        found.append(Owner(f"dongle {k}", "crazychoir.cli.radios", options, again=True, ids=config.dongles[k]))
     return found
+
+
+def dongles(config: SwarmConfig, started: tuple[int, ...] | None) -> list[int]:
+    """Those whose owners are started here."""
+    return [k for k in config.dongles if _starts(config, config.dongle_host(k), started)]
 
 
 def _starts(config: SwarmConfig, host: str | None, started: tuple[int, ...] | None) -> bool:

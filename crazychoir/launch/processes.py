@@ -137,7 +137,8 @@ async def _owner(owner: Owner, path: Path, agents: Children, say: Say) -> AsyncI
             await _listen(child, say)
         if over.is_set():
             return
-        say(f"{owner.name}: its owner {_end_of(child)}: its drones stop")
+        refused = child.returncode == REFUSED and starts[-1] == -math.inf  # before it ever had a drone
+        say(f"{owner.name}: its owner {_end_of(child)}: its drones {'do not fly' if refused else 'stop'}")
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(0.0 if child.returncode == REFUSED else ORPHANED):
                 await over.wait()

@@ -16,6 +16,7 @@ from crazychoir.bus.topics import LOG, STATUS, TRUTH, Topic
 from crazychoir.guidance.drone import WAITING
 from crazychoir.guidance.feedback import LAW
 from crazychoir.guidance.mission import Mission, has
+from crazychoir.guidance.orders import STANDING
 from crazychoir.math3d import Vec
 from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.mailbox import Call
@@ -59,7 +60,8 @@ class Score(Actor):
         self.log: deque[str] = deque(maxlen=LOGGED)
         self.min_separation = float("inf")
         self.touching: dict[tuple[int, int], float] = {}
-        self.flown: dict[int, float] = dict.fromkeys(self.ids, 0.0)
+        self._lengths = dict.fromkeys(self.ids, 0.0)
+        self._flew: set[int] = set()
         self.errors: list[tuple[float, float]] = []
         self._tracks: dict[int, list[tuple[float, ...]]] = {i: [] for i in self.ids}
         self._apart = dict.fromkeys(self.ids, DRAWN)
@@ -87,7 +89,7 @@ class Score(Actor):
     def _hear_truth(self, i: int, state: State, age: float) -> None:
         before = self._truth.get(i)
         if before is not None:
-            self.flown[i] += math.dist(state.p.tolist(), before[0].tolist())
+            self._lengths[i] += math.dist(state.p.tolist(), before[0].tolist())
         self._truth[i] = (state.p, state.v, self.bus.clock.now() - age)
         self._keep(i, self.bus.clock.now() - age, state.p)
 
@@ -100,6 +102,15 @@ class Score(Actor):
         if len(track) > LONGEST:
             del track[1::2]
             self._apart[i] *= 2.0
+
+    @property
+    def flown(self) -> dict[int, float]:
+        """m: how far each drone has moved, in truth; 0 for one that stands, however its own estimate drifts there."""
+        return {i: 0.0 if self._stands(i) else length for i, length in self._lengths.items()}
+
+    def _stands(self, i: int) -> bool:
+        """Whether it has said how it is, and has never taken off."""
+        return i in self.statuses and i not in self._flew
 
     @property
     def places(self) -> dict[int, Vec]:
@@ -119,6 +130,8 @@ class Score(Actor):
 
     def _hear_status(self, i: int, status: Status, age: float) -> None:
         self.statuses[i] = status
+        if status.phase not in STANDING:
+            self._flew.add(i)
         if self.go_at is None and status.task != WAITING:
             self.go_at = self.bus.clock.now()
         flying = status.phase in ("hovering", "mission") and status.task == LAW
@@ -141,12 +154,15 @@ class Score(Actor):
             self.errors = [*beyond[-1:], (now - self._law_began, far)]
 
     def _compare(self, now: float) -> None:
-        """Distances of any two, of which something was heard lately, at one time."""
+        """Distances of any two, of which something was heard lately, at one time, unless both have never flown."""
         ids = [i for i in self.ids if now - self._truth[i][2] <= COMPARABLE]
         if len(ids) < 2:
             return
         p, v, when = (np.array(column) for column in zip(*(self._truth[i] for i in ids), strict=True))
         gaps = pdist(p + (now - when)[:, None] * v)
+        stand = [self._stands(i) for i in ids]
+        if any(stand):
+            gaps[[a and b for a, b in combinations(stand, 2)]] = math.inf
         least = float(gaps.min())
         self.min_separation = min(self.min_separation, least)
         if least < TOUCHING:

@@ -36,6 +36,8 @@ CLOSES = 3.0
 """s that closing a link takes at most; threads of cflib that hang in a driver are left behind."""
 NOBODY = "Connection refused"
 """Words of an operating system for a port at which nobody listens."""
+WORDLESS = "no word of itself"
+"""The stage of a connection that is open: what has not come then is a log."""
 LOG_DATA = 2
 RESET_LOGS = Packet(LOG, 1, b"\x05")
 
@@ -142,7 +144,7 @@ class Connection:
     def stage(self) -> str:
         """What has not come."""
         if self._opened.done():
-            return "no word of itself"
+            return WORDLESS
         if self._heard_ns is None:
             return "no answer"
         if self.version < VERSION_KNOWN:

@@ -20,7 +20,7 @@ from crazychoir.mocap.view import RateLimit
 from crazychoir.platforms import platform
 from crazychoir.radio import checks
 from crazychoir.radio.compressed import quaternion
-from crazychoir.radio.connection import Connection
+from crazychoir.radio.connection import WORDLESS, Connection
 from crazychoir.radio.contents import TableOfContents
 from crazychoir.radio.crtp import FORMS, HIGH_LEVEL, Packet
 from crazychoir.radio.dongles import DongleFailed
@@ -638,18 +638,33 @@ class RadioDrone(Actor):
     def problems(self) -> list[str]:
         """Why it may not take off."""
         if self.connection is None:
-            so_far = "" if self._opening is None else f", {self._opening.stage} so far"
-            return [self.problem or f"is being connected{so_far}"]
+            return [self.problem or self._comes()]
         if not (self._prepared and self._placed) and not self.flying:
             unseen = self.seen_by_cameras and self._pose.fresh() is None
             return ["the cameras do not see it" if unseen else "is being prepared"]
         begin = self._platform.battery.begin
-        found = [*checks.supervisor_problems(self.supervisor), *checks.battery_problems(self.battery, begin)]
+        harm = self._harm()
+        found = [harm] if harm else checks.supervisor_problems(self.supervisor)
+        found += checks.battery_problems(self.battery, begin)
         found += [text + REMEDY for text in self._astray()] + [WAS_CUT] * self._cut
         if self.flying:
             return found
         found += checks.link_problems(self.connection.latency, self.connection.answered)
         return found + (self._unseen() if self.seen_by_cameras else self._unsure())
+
+    def _comes(self) -> str:
+        """How far its link has come, which has not failed."""
+        if self._opening is None:
+            return "is being connected"
+        stage = self._opening.stage
+        spoken = stage == WORDLESS and self._own_ns > self._logs_ns
+        return "is being prepared" if spoken else f"is being connected, {stage} so far"
+
+    def _harm(self) -> str:
+        """What has broken it, empty if nothing has; of a virtual one, how it is switched off and on."""
+        switch = self.row.uri.startswith("udp") and self.supervisor & checks.LOCKED
+        hint = f" (`crazychoir virtual fault {self.drone} reboot=1`)" if switch else ""
+        return checks.harm(self.supervisor) + hint
 
     def _astray(self) -> list[str]:
         """What its last take-off has shown of the body that is taken for its own."""
@@ -683,7 +698,7 @@ class RadioDrone(Actor):
         self._has_flown = self._has_flown or self.flying
         self.port.publish(LINK, self.status())
         if self._own_ns:  # before, nobody knows whether it flies
-            self.port.publish(BODY, Body(checks.harm(self.supervisor), self.flying and not self._cut))
+            self.port.publish(BODY, Body(self._harm(), self.flying and not self._cut))
 
     # What its body's port asks -----------------------------------------------------------------------------------
 

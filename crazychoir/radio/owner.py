@@ -1,12 +1,8 @@
 """The owner of a dongle, in a process of its own: its drones' agents are elsewhere."""
 
-import contextlib
-import fcntl
 import logging
 import math
-import os
-from collections.abc import Iterator
-from typing import IO, Any
+from typing import Any
 
 from crazychoir.bus.local import BODIES, Bus
 from crazychoir.bus.topics import LINK
@@ -20,7 +16,6 @@ from crazychoir.radio.sights import Sights
 from crazychoir.radio.writer import Turns
 from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import Clock
-from crazychoir.runtime.places import runtime_folder
 from crazychoir.runtime.supervisor import Supervisor
 from crazychoir.safety.guard import Fence
 from crazychoir.simulation.remote import RemoteBody
@@ -165,35 +160,3 @@ class RadioProcess(Actor):
                 for i, drone in self.drones.items()
             },
         }  # fmt: skip
-
-
-@contextlib.contextmanager
-def owned(config: SwarmConfig, dongle: int) -> Iterator[None]:
-    """This process owns a dongle, or, of virtual drones, their addresses; Refused while another one does."""
-    uris = {i: config.drone(i).uri for i in config.dongles[dongle]}
-    names = {f"dongle-{dongle}" if uri.startswith("radio") else uri for uri in uris.values()}
-    with contextlib.ExitStack() as kept:
-        for name in sorted(names):
-            kept.enter_context(_locked(name.replace("/", "_").replace(":", "_"), f"dongle {dongle}"))
-        yield
-
-
-@contextlib.contextmanager
-def _locked(name: str, who: str) -> Iterator[None]:
-    folder = runtime_folder()
-    if folder is None:
-        yield
-        return
-    file: IO[str] = (folder / f".{name}.lock").open("a+")
-    try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        file.seek(0)
-        raise Refused(who, f"process {file.read().strip() or '?'} has it: end that one first") from None
-    else:
-        file.truncate(0)
-        file.write(str(os.getpid()))
-        file.flush()
-        yield
-    finally:
-        file.close()

@@ -221,7 +221,8 @@ class Pilot(Actor):
         self._up_at = math.inf  # s, when it was not seen on the floor
         self._obeyed = Action.NOMINAL  # the last verdict
         self._ticked_ns = 0
-        self._cut_for = ""
+        self.cut_for = ""
+        """Why its motors were cut for good; empty if they were not."""
         self._said = Throttle()
         self.braked = 0
         """How often the safety table has braked it in this flight."""
@@ -389,7 +390,7 @@ class Pilot(Actor):
         """The rule that keeps it from taking off now, and the words; both empty if none does."""
         if self.port.bus.stopped:
             return "stop", "emergency stop in force: no take-off until `crazychoir stop --clear`"
-        if why := self._cut_for or self.guard.latched:
+        if why := self.cut_for or self.guard.latched:
             return "again", f"{why}: no take-off until its agent is started again"
         if problems := self.unfit():
             return "unfit", f"{'; '.join(problems)}: no take-off"
@@ -544,7 +545,7 @@ class Pilot(Actor):
     def cut(self, reason: str) -> None:
         """Stop the motors, for good."""
         self._change(Event.STOP)
-        self._cut_for = self._cut_for or reason
+        self.cut_for = self.cut_for or reason
         self.link.cut()
         self._say("cut", reason)
 

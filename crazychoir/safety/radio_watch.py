@@ -27,7 +27,7 @@ class RadioWatch(Actor):
         self.port, self.guard, self.clock = port, guard, port.bus.clock
         self.firmware = firmware
         self._status: Latest[LinkStatus] = Latest(self.clock, f"drone {port.address} link", LINK.max_age)
-        self._low_since = math.inf
+        self._low_since, self._heard_at = math.inf, -math.inf
         port.bus.subscribe(LINK, source, port.address, self._status)
 
     async def run(self) -> None:
@@ -41,7 +41,8 @@ class RadioWatch(Actor):
         if status is None:
             return
         now, guard = self.clock.now(), self.guard
-        guard.tell("link", status.silence + self._status.age())
+        self._heard_at = max(self._heard_at, now - status.silence - self._status.age())
+        guard.tell("link", now - self._heard_at)  # an owner that was started again has not heard it, others have
         self._low_since = min(self._low_since, now) if status.battery < self.firmware.low else math.inf
         guard.tell("battery", now - self._low_since, f"{self.firmware.low}")
         missing = self.firmware.critical - status.battery

@@ -18,6 +18,8 @@ STRAYS = {"fpqr": 0.5, "frpy": 0.15, "vel": 0.05, "fullstate": 0.15}
 """m that are added by the last rates, or the last tilt, however slow it was. With these, no drone of the motor level
 has flown further in 2 s, of 150 on circles of 0.25 to 0.5 m at 0.02 to 1 m/s, for each sender but "fullstate", which
 is taken to be as "frpy"."""
+OFFERED = ("frpy", "vel")
+"""Senders of those that are offered in place of one that strays further; beside them xyz, which does not stray."""
 SPACE, MOST = 0.3, 0.25
 """m that is left around each home; and the share of half the fence that is given up at most."""
 
@@ -90,9 +92,12 @@ def crowded(swarm: Swarm, i: int, senders: Mapping[int, str]) -> str:
     if not near:
         return ""
     j = max(near, key=near.__getitem__)
+    far, most = math.dist(homes[i], homes[j]), max(STRAYS[senders[i]], STRAYS[senders[j]])
+    senders_less = [sender for sender in OFFERED if STRAYS[sender] < most]
     return (
-        f"starts {math.dist(homes[i], homes[j]):.2f} m from drone {j}, which the same dongle reaches: when that fails, "
-        f"both stray, and {needed[j]:.2f} m are needed. Put them further apart, or on two dongles, or send frpy or xyz"
+        f"starts {far:.2f} m from drone {j}, which the same dongle reaches: when that fails, both stray, and "
+        f"{needed[j]:.2f} m are needed. Put them further apart, or on two dongles, or send "
+        f"{' or '.join([*senders_less, 'xyz'])}"
     )
 
 

@@ -347,7 +347,8 @@ class Barrier:
         return len(self.graph.ids) if self.start == "all" else self.start
 
     def _fewer_text(self) -> str:
-        return f"{self.start} must be there" if self.start != "all" else "set start = n in the swarm file"
+        """How the others may fly without."""
+        return "set start = n in the swarm file" if self.start == "all" else f"lower start = {self.start} in the swarm file"
 
     def _refusals_text(self) -> str:
         """Who cannot fly, and why."""

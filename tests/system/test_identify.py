@@ -8,7 +8,7 @@ from system.hall import Hall, reached
 from typer.testing import CliRunner
 
 from crazychoir.cli.crazychoir import app
-from crazychoir.radio.owner import owned
+from crazychoir.radio.ownership import owned
 from crazychoir.swarm.config import default_swarm
 
 pytestmark = [pytest.mark.system, pytest.mark.real_time, pytest.mark.timeout(120)]
@@ -33,7 +33,7 @@ async def test_its_leds_are_lit_and_nobody_elses_and_not_while_another_has_its_d
         with owned(config, 0):
             refused = CliRunner().invoke(app, command[-7:])
         assert refused.exit_code == 2
-        assert "has it: end that one first" in json.loads(refused.stdout)["error"]
+        assert "has it, and may fly drones: land them first" in json.loads(refused.stdout)["error"]
 
 
 def test_who_is_not_reached_by_a_radio_is_refused(tmp_path) -> None:

@@ -227,7 +227,8 @@ async def test_a_dongle_has_one_owner(tmp_path, exclusive) -> None:
         await hall.until(lambda state: all(said["client"] for said in state.values()), 30.0)
         second = await (await Program.start(*RADIO, "--swarm", hall.path, "--dongle", "0", "--json")).end(30.0)
         assert second["code"] == 2
-        assert second["error"] == f"dongle 0: refused: process {first.process.pid} has it: end that one first"
+        has_it = f"dongle 0: refused: process {first.process.pid} (swarm {config.name}) has it, and may fly drones"
+        assert second["error"].startswith(has_it)
         first.signal(signal.SIGTERM)
         assert (await first.end(20.0))["code"] == 0
         assert all(said["zeros"] == 0 for said in hall.state().values())

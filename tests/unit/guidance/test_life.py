@@ -107,3 +107,34 @@ def test_nothing_is_a_success(nothing):
 def test_what_a_mission_may_not_return(returned, said):
     with pytest.raises(TypeError, match=said):
         checked(returned)
+
+
+class Stopped:
+    """A pilot whose motors were cut for this reason, empty: they were not."""
+
+    note, brought_down, at_fence, mode, airborne = "", "", 0, Mode.CUT, False
+    clearance, guard = SimpleNamespace(ticks=0), SimpleNamespace(latched="")
+
+    def __init__(self, cut_for):
+        self.cut_for = cut_for
+
+
+@pytest.mark.parametrize("cut_for", ["emergency stop", ""])
+def test_who_ends_a_mission_after_an_emergency_stop_is_not_its_reason(cut_for):
+    @virtual
+    async def check(clock):
+        actor = GuidanceActor(SimpleNamespace(id=4, pilot=Stopped(cut_for)), None, None)
+        actor.abort("Ctrl-C (SIGINT): landing")
+        assert actor.over == (cut_for or "Ctrl-C (SIGINT): landing")
+
+    check()
+
+
+@virtual
+async def test_what_has_broken_a_drone_is_said_once(clock):
+    drone = SimpleNamespace(id=4, pilot=Stopped(""), harm=lambda: "locked")
+    actor = GuidanceActor(drone, None, None)
+    refused = "drone 4: refused: locked"
+    assert actor._judged({"success": False, "reason": refused})["reason"] == refused
+    assert actor._judged({"success": False, "reason": "it fell"})["reason"] == "it fell; locked"
+    assert actor._judged({"success": False})["reason"] == "locked"

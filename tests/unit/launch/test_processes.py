@@ -144,7 +144,10 @@ async def test_the_world_is_there_before_the_agents_and_ends_after_them(tmp_path
 
 @pytest.mark.parametrize(
     ("ends", "end", "orphaned"),
-    [("os.kill(os.getpid(), 9)", "was ended by SIGKILL", 0.3), ("exit(2)", "ended with code 2", 60.0)],
+    [
+        ("os.kill(os.getpid(), 9)", "was ended by SIGKILL: its drones stop", 0.3),
+        ("exit(2)", "ended with code 2: its drones do not fly", 60.0),
+    ],
     ids=["killed", "refused: at once"],
 )
 async def test_without_their_world_agents_end_that_do_not_by_themselves(tmp_path, monkeypatch, ends, end, orphaned):
@@ -160,7 +163,7 @@ async def test_without_their_world_agents_end_that_do_not_by_themselves(tmp_path
     monkeypatch.setattr(processes, "ORPHANED", orphaned)
     await run_children([(0,)], tmp_path / "s.json", default_swarm(1), [], said.append, owners=[WORLD_OWNER])
     assert children[0].returncode == 3
-    assert f"world: its owner {end}: its drones stop" in said
+    assert f"world: its owner {end}" in said
 
 
 async def test_without_a_dongle_for_good_only_agents_of_its_drones_end(tmp_path, monkeypatch):

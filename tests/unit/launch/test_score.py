@@ -184,3 +184,32 @@ def test_it_hears_when_the_first_drone_has_begun():
             await sky.clock.sleep(1.0)
 
     assert seen(scene).go_at == pytest.approx(3.0)
+
+
+def test_who_has_never_taken_off_has_flown_nothing_and_come_near_nobody():
+    async def scene(sky, phase):
+        for x in (0.0, 8.0):  # their estimates drift
+            for i in range(2):
+                sky.tells(i, "on ground", WAITING)
+                sky.at(i, (x, 0.01 * i, 0))
+            sky.tells(2, phase)
+            sky.at(2, (x, 0.5, 0))
+            await sky.looks()
+
+    standing = seen(lambda sky: scene(sky, "on ground"), n=3)
+    assert standing.flown == {0: 0.0, 1: 0.0, 2: 0.0}
+    assert (standing.min_separation, standing.touching) == (float("inf"), {})
+    one_flies = seen(lambda sky: scene(sky, "taking off"), n=3)
+    assert one_flies.flown == {0: 0.0, 1: 0.0, 2: pytest.approx(8.0)}
+    assert one_flies.min_separation == pytest.approx(0.49)
+    assert one_flies.touching == {}
+
+
+def test_who_has_landed_has_flown_as_far_as_before():
+    async def scene(sky):
+        for phase, x in (("on ground", 0.0), ("mission", 3.0), ("on ground", 3.0)):
+            sky.tells(0, phase)
+            sky.at(0, (x, 0, 0))
+            await sky.looks()
+
+    assert seen(scene, n=1).flown == {0: pytest.approx(3.0)}

@@ -4,7 +4,9 @@ import asyncio
 import math
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
+import msgspec
 import numpy as np
 import pytest
 from virtual_time import virtual
@@ -14,6 +16,7 @@ from crazychoir.bus.topics import BODY
 from crazychoir.errors import ConfigError, LinkFailed, Refused
 from crazychoir.platforms import Battery
 from crazychoir.radio import checks
+from crazychoir.radio.connection import WORDLESS
 from crazychoir.radio.contents import TableOfContents
 from crazychoir.radio.crtp import FORMS, HIGH_LEVEL, PLATFORM, Packet
 from crazychoir.radio.drone import (
@@ -34,7 +37,7 @@ from crazychoir.runtime.mailbox import Call
 from crazychoir.safety.ascent import Track
 from crazychoir.safety.pose_gate import PoseGate
 from crazychoir.swarm.config import SwarmConfig
-from crazychoir.types import FPQR, FRPY, XYZ, Pose, Vel
+from crazychoir.types import FPQR, FRPY, XYZ, Body, Pose, Vel
 
 READY = checks.CAN_FLY | checks.AUTO_ARM
 STOP, LINE, LAND = (XYZ(verb, np.array([1.0, 0.0, 1.0, 0.0, 2.0])) for verb in ("stop", "line", "land"))
@@ -295,6 +298,39 @@ async def test_why_it_may_not_take_off(clock) -> None:
     assert drone.problems() == []
     drone.cut()
     assert drone.problems() == [WAS_CUT]
+
+
+@virtual
+async def test_one_that_has_spoken_is_being_prepared(clock) -> None:
+    drone, _ = made(clock)
+    drone.connection = None
+    assert drone.problems() == ["is being connected"]
+    drone._opening = SimpleNamespace(stage="no answer")
+    assert drone.problems() == ["is being connected, no answer so far"]
+    drone._opening, drone._logs_ns = SimpleNamespace(stage=WORDLESS), clock.now_ns()
+    assert drone.problems() == ["is being connected, no word of itself so far"]
+    await clock.sleep(0.1)
+    tell(drone, READY)
+    assert drone.problems() == ["is being prepared"], "its parameters take up to 2 s each"
+
+
+@virtual
+async def test_a_virtual_one_that_is_locked_is_switched_off_and_on_by_a_command(clock) -> None:
+    drone, _ = made(clock)
+    await clock.sleep(0.1)
+    tell(drone, READY)
+    drone._prepared = drone._placed = True
+    tell(drone, checks.LOCKED)
+    locked = "locked by its firmware until it is switched off and on"
+    assert drone.problems()[0] == f"{locked} (`crazychoir virtual fault 0 reboot=1`)"
+    said: list[Body] = []
+    drone.bus.port(1)
+    drone.bus.subscribe(BODY, BODIES, 1, Call(clock, lambda body, age: said.append(body), "body"))
+    drone.report()
+    await clock.sleep(0.1)
+    assert said[-1].harm == drone.problems()[0]
+    drone.row = msgspec.structs.replace(drone.row, uri="radio://0/80/2M/E7E7E7E701")
+    assert drone.problems()[0] == locked
 
 
 @virtual

@@ -64,3 +64,42 @@ async def test_a_battery_is_low_when_the_firmware_of_its_platform_says_so(clock)
     assert (action, reason[:25]) == (Action.LAND, "battery below 3.2 V for 5")
     own = replace(CRAZYFLIE_21, firmware=replace(CRAZYFLIE_21.firmware, critical=3.12))
     assert (await watched(clock, REACHED, 0.0, own, battery=3.1))[1].startswith("battery 0.02 V below 3.12 V: landing")
+
+
+@virtual
+async def test_an_owner_that_is_started_again_and_has_not_heard_it_is_no_silence(clock) -> None:
+    guard, action = await restarted(clock, 1.5, heard_again=True)
+    assert (action, guard.latched) == (Action.BRAKE, "")
+    assert guard.told("link") < 0.3
+
+
+@virtual
+async def test_one_that_never_hears_it_is_silent_from_the_last_packet_on(clock) -> None:
+    guard, action = await restarted(clock, 3.0, heard_again=False)
+    assert (action, guard.latched) == (Action.BRAKE, "")
+    assert guard.told("link") == pytest.approx(3.6, abs=0.15)
+    guard, action = await restarted(clock, 4.0, heard_again=False)
+    assert action is Action.LAND
+    assert guard.latched.startswith("its radio is silent for 4.0"), guard.latched
+
+
+@virtual
+async def test_before_any_packet_it_is_silent_for_ever(clock) -> None:
+    assert (await watched(clock, REACHED, 0.0, CRAZYFLIE_21, silence=math.inf))[0] is Action.LAND
+
+
+async def restarted(clock, seconds: float, heard_again: bool) -> tuple[Guard, Action]:
+    """Of a drone whose owner is gone for 0.5 s, then speaks for so long without having heard it, and then may have."""
+    bus = Bus(clock)
+    owner, port, guard = bus.port(BODIES + 3), bus.port(3), Guard(table=REACHED)
+    watch = RadioWatch(port, BODIES + 3, guard, CRAZYFLIE_21.firmware)
+    unheard = round(seconds / 0.1)
+    said = [0.02] * 3 + [None] * 5 + [math.inf] * unheard + ([0.02] * 3 if heard_again else [])
+    worst = Action.NOMINAL
+    for silence in said:
+        if silence is not None:
+            owner.publish(LINK, LinkStatus("connecting", silence))
+        await clock.sleep(0.1)
+        watch.look()
+        worst = max(worst, guard.check(clock.now(), HOVER, 0.01).action)
+    return guard, worst

@@ -60,3 +60,11 @@ def test_who_shares_a_dongle_and_starts_too_near_is_named() -> None:
     assert crowded(config, 0, dict.fromkeys(config.ids, "frpy")) == ""
     assert crowded(config, 0, {0: "fpqr", 3: "fpqr"}) == "", "drone 1 is sent places"
     assert "0.79 m are needed" in crowded(config, 0, fast | {1: "frpy"})
+    assert crowded(config, 0, fast).endswith("or on two dongles, or send frpy or vel or xyz")
+
+
+def test_who_strays_little_is_offered_only_what_strays_less() -> None:
+    drones = [{"id": i, "home": [0.2 * i, 0.0, 0.0], "uri": f"udp://127.0.0.1:{19850 + i}"} for i in range(2)]
+    config = SwarmConfig.of({"name": "a", "drones": drones, "collision": {"method": "off"}})
+    for sender, offered in (("frpy", "vel or xyz"), ("fullstate", "vel or xyz"), ("vel", "xyz")):
+        assert crowded(config, 0, dict.fromkeys(config.ids, sender)).endswith(f"two dongles, or send {offered}")
