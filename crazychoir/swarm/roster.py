@@ -348,7 +348,8 @@ class Barrier:
 
     def _fewer_text(self) -> str:
         """How the others may fly without."""
-        return "set start = n in the swarm file" if self.start == "all" else f"lower start = {self.start} in the swarm file"
+        do = "set start = n" if self.start == "all" else f"lower start = {self.start}"
+        return f"{do} in the swarm file"
 
     def _refusals_text(self) -> str:
         """Who cannot fly, and why."""

@@ -187,7 +187,7 @@ def refuse(barrier: Barrier) -> None:
     barrier.monitor.silent, barrier.refused = False, REFUSAL
 
 
-@pytest.mark.parametrize(("start", "do"), [("all", "set start = n in the swarm file"), (4, "lower start = 4 in the swarm file")])
+@pytest.mark.parametrize(("start", "do"), [("all", "set start = n in the swarm file"), (4, "lower start = 4")])
 def test_nobody_waits_for_one_that_cannot_fly_if_all_others_are_too_few(start, do):
     async def story(t: Team) -> float:
         barriers = [t.start(i, start=start) for i in range(4)]
