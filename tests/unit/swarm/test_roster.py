@@ -187,7 +187,7 @@ def refuse(barrier: Barrier) -> None:
     barrier.monitor.silent, barrier.refused = False, REFUSAL
 
 
-@pytest.mark.parametrize(("start", "do"), [("all", "set start = n in the swarm file"), (4, "lower start = 4")])
+@pytest.mark.parametrize(("start", "do"), [("all", "set start = n"), (4, "lower start = 4")])
 def test_nobody_waits_for_one_that_cannot_fly_if_all_others_are_too_few(start, do):
     async def story(t: Team) -> float:
         barriers = [t.start(i, start=start) for i in range(4)]
@@ -196,7 +196,7 @@ def test_nobody_waits_for_one_that_cannot_fly_if_all_others_are_too_few(start, d
         waiting = [b.go() for b in barriers if b.id != 1]
         for found in await asyncio.gather(*waiting, return_exceptions=True):
             assert isinstance(found, Refused)
-            assert str(found).endswith(f"{TOLD}Mend that, or {do}.")
+            assert str(found).endswith(f"{TOLD}Mend that, or {do} in the swarm file.")
         return t.clock.now()
 
     assert 3.0 <= team(graphs.path(4), story) < 3.5
