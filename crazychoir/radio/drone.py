@@ -67,6 +67,8 @@ LANDING = (0, 1)
 """Results in the answers of one that lands now, or does so already."""
 LANDED = 1.0
 """s later than a landing takes: its planner has ended it, and is not told to land any more, as it would begin anew."""
+IN_VAIN = 3.0
+"""s of words to land that are not answered, by one that is heard, after which its motors may be stopped instead."""
 STOPS = 0.5
 """s between two plans to stop, of a drone that stands."""
 WATCHDOG = 0.25
@@ -123,8 +125,9 @@ class RadioDrone(Actor):
         self.refused_plans = self.reconnected = self.malformed = 0
         self._stopped = True
         self._cut = self._placed = self._prepared = self._arming = self._fed = self._flown_here = False
-        self._cut_heard = self._told_to_land = False
+        self._cut_heard = False
         self._landing: XYZ | None = None
+        self._told_ns: int | None = None  # when it was told to land, and may have heard it
         self._landed_at = math.inf
         self._only_lands = ""
         self._due_ns = self._stop_due_ns = self._watchdog_ns = 0
@@ -360,11 +363,12 @@ class RadioDrone(Actor):
         """
         now_ns = self.clock.now_ns()
         if not self.flying or self._landing is None:
-            self._landing, self._landed_at, self._told_to_land = None, math.inf, False
+            self._landing, self._landed_at, self._told_ns = None, math.inf, None
         elif now_ns >= self._landing_ns:
             self._landing_ns = now_ns + round(UNHEARD * SECOND)
             if math.isinf(self._landed_at):
-                self._told_to_land = True
+                if self._told_ns is None or self._silent():
+                    self._told_ns = now_ns
                 self._transmit(self._landing)
             elif self.clock.now() < self._landed_at:
                 self._send_now(self.handler.relax)
@@ -416,8 +420,8 @@ class RadioDrone(Actor):
             return
         if self._only_lands:
             return
-        if self.connection is None or (idles(command) and self._flies_unheard()):
-            return  # it flies, and who sends has not flown it: it may not know
+        if self.connection is None or (idles(command) and (self._flies_unheard() or self._comes_down())):
+            return  # it flies, and who sends may not know
         now_ns, stops = self.clock.now_ns(), idles(command)
         if isinstance(command, XYZ):
             if stops and now_ns < self._stop_due_ns:
@@ -432,8 +436,8 @@ class RadioDrone(Actor):
             self._arm()
         if self._take_off is not None and not stops and not self.flying:
             self._take_off.begin(self.clock.now())
-        self._stopped, self._landing, self._landed_at, self._told_to_land = stops, None, math.inf, False
-        self._flown_here = self._flown_here or not (stops or self.connection.silence > DEGRADED)
+        self._stopped, self._landing, self._landed_at, self._told_ns = stops, None, math.inf, None
+        self._flown_here = self._flown_here or not (stops or self._silent())
         self._transmit(self._within_reach(command))
 
     def _flies_unheard(self) -> bool:
@@ -441,6 +445,17 @@ class RadioDrone(Actor):
         low = self.config.flight.ground + ON_THE_FLOOR
         stands = self.place is not None and self.clock.now() - self.place[0] < LATELY and self.place[1].p[2] < low
         return self.flying and not self._flown_here and not stands
+
+    def _comes_down(self) -> bool:
+        """Whether it lands, or will as soon as it hears: it needs nobody who stops its motors before."""
+        if self._landing is None or not self.flying:
+            return False
+        if self._landed_at < math.inf:
+            return self.clock.now() < self._landed_at
+        return self._silent() or self._told_ns is None or self.clock.now_ns() - self._told_ns < IN_VAIN * SECOND
+
+    def _silent(self) -> bool:
+        return self.connection is None or self.connection.silence > DEGRADED
 
     def _within_reach(self, command: Command) -> Command:
         """A line that ends far from where the drone is gets the time for it."""
@@ -562,7 +577,7 @@ class RadioDrone(Actor):
             return
         result = packet.data[3]
         if packet.data[:1] == FORMS["land"].head and self._landing is not None:
-            if not self._told_to_land:
+            if self._told_ns is None:
                 return  # of a landing before this one, that has been ended since
             if result in LANDING:
                 self._landed_at = min(self._landed_at, self.clock.now() + float(self._landing.flat[4]) + LANDED)

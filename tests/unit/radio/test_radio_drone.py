@@ -20,6 +20,7 @@ from crazychoir.radio.connection import WORDLESS
 from crazychoir.radio.contents import TableOfContents
 from crazychoir.radio.crtp import FORMS, HIGH_LEVEL, PLATFORM, Packet
 from crazychoir.radio.drone import (
+    IN_VAIN,
     JUMPS,
     LOST,
     ORPHANED,
@@ -172,6 +173,35 @@ async def _lands(clock, kind) -> None:
     assert planner.sent.index(head("notify_setpoint_stop")) == planner.sent.index(head("land")) + 3, "at the answer"
     assert planner.sent.count(head("notify_setpoint_stop")) > 10, "one word may be lost"
     assert head("planner_stop") in planner.sent[-2:]
+
+
+@virtual
+async def test_one_that_comes_down_is_not_stopped_above_the_floor_by_who_takes_it_to_have_landed(clock) -> None:
+    drone, kept = made(clock, "frpy")
+
+    async def idle(seconds: float) -> int:
+        """How often its motors are stopped meanwhile."""
+        kept.sent.clear()
+        for _ in range(round(10 * seconds)):
+            tell(drone, READY | checks.FLYING)
+            drone.send(FRPY(np.zeros(4)))
+            drone._go_on_landing()
+            await clock.sleep(0.1)
+        return kept.sent.count(head("stop")) + sum(port == 3 for port, _, _ in kept.sent)
+
+    tell(drone, READY | checks.FLYING)
+    drone.send(FRPY(np.array([0.3, 0.0, 0.0, 0.0])))
+    kept.silence = 5.0
+    drone.send(LAND)
+    assert await idle(10.0) == 0, "it may not have heard it"
+    kept.silence = 0.0
+    assert await idle(2.5) == 0
+    drone._heard(Packet(HIGH_LEVEL, 0, bytes([*FORMS["land"].head, 0, 0, 0])))
+    assert await idle(2.5) == 0, "it lands, for 2 s"
+    assert await idle(2.0) > 0
+    drone.send(LAND)
+    assert await idle(IN_VAIN - 0.5) == 0
+    assert await idle(1.0) > 0, "it hears, and does not answer"
 
 
 @virtual
