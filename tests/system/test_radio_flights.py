@@ -70,7 +70,7 @@ async def test_who_is_absent_or_silent_is_named_and_the_others_fly(tmp_path) -> 
         result = await run.end(120.0)
         state = hall.state()
     assert [result["results"][i]["success"] for i in "13"] == [True, True], result["reasons"]
-    assert "Connection refused" in result["reasons"]["0"]
+    assert "no virtual drone is there" in result["reasons"]["0"]
     assert "no answer within" in result["reasons"]["2"]
     assert state[1]["poses"] > 0
     assert state[0]["impact"] == state[2]["impact"] == 0.0, "they have not moved"
