@@ -92,7 +92,7 @@ TEXT = {
     "body": "its body does not rise as it takes off: another drone's, or too little thrust: {doing}",
     "astray": "{said}: {doing}",
     "gone": "its body, or another, is seen {value:.2f} m outside the limit area: {doing}",
-    "tumbled": "tumbled, crashed or locked, as its firmware says: {doing}",
+    "tumbled": "{said}tumbled, crashed or locked, as its firmware says: {doing}",
 }
 EDGE = 0.005
 """m: how far from the fence is said from here on."""

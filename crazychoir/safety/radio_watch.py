@@ -12,6 +12,8 @@ from crazychoir.types import LinkStatus
 
 TUMBLED, LOCKED, CRASHED = 1 << 5, 1 << 6, 1 << 7
 """Bits of the firmware's supervisor: it flies no more."""
+SILENT, LATELY = 0.5, 5.0
+"""s without a packet that are worth a word of who has fallen, and for how many s after them."""
 
 
 class RadioWatch(Actor):
@@ -28,6 +30,7 @@ class RadioWatch(Actor):
         self.firmware = firmware
         self._status: Latest[LinkStatus] = Latest(self.clock, f"drone {port.address} link", LINK.max_age)
         self._low_since, self._heard_at = math.inf, -math.inf
+        self._gap, self._gap_ended = 0.0, -math.inf
         port.bus.subscribe(LINK, source, port.address, self._status)
 
     async def run(self) -> None:
@@ -41,13 +44,20 @@ class RadioWatch(Actor):
         if status is None:
             return
         now, guard = self.clock.now(), self.guard
-        self._heard_at = max(self._heard_at, now - status.silence - self._status.age())
-        guard.tell("link", now - self._heard_at)  # an owner that was started again has not heard it, others have
+        self._hear(now - status.silence - self._status.age(), now)
+        guard.tell("link", now - self._heard_at)
         self._low_since = min(self._low_since, now) if status.battery < self.firmware.low else math.inf
         guard.tell("battery", now - self._low_since, f"{self.firmware.low}")
         missing = self.firmware.critical - status.battery
         guard.tell("empty", missing if missing > 0.0 else -math.inf, f"{self.firmware.critical}")
-        guard.tell("tumbled", float(bool(status.supervisor & (TUMBLED | LOCKED | CRASHED))))
+        silent = f"its radio was silent for {self._gap:.2f} s, it is " if now - self._gap_ended < LATELY else ""
+        guard.tell("tumbled", float(bool(status.supervisor & (TUMBLED | LOCKED | CRASHED))), silent)
+
+    def _hear(self, at: float, now: float) -> None:
+        """Its last packet came at s; an owner that was started again has not heard it yet, the one before has."""
+        if math.isfinite(self._heard_at) and at - self._heard_at > SILENT:
+            self._gap, self._gap_ended = at - self._heard_at, now
+        self._heard_at = max(self._heard_at, at)
 
     def turning(self) -> bool:
         """Whether its motors turn, as its firmware has said last; True while nobody says anything."""

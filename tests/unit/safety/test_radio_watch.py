@@ -103,3 +103,22 @@ async def restarted(clock, seconds: float, heard_again: bool) -> tuple[Guard, Ac
         watch.look()
         worst = max(worst, guard.check(clock.now(), HOVER, 0.01).action)
     return guard, worst
+
+
+@virtual
+async def test_who_was_locked_while_its_radio_was_silent_is_said_so(clock) -> None:
+    bus = Bus(clock)
+    owner, port, guard = bus.port(BODIES + 3), bus.port(3), Guard(table=REACHED)
+    watch = RadioWatch(port, BODIES + 3, guard, CRAZYFLIE_21.firmware)
+    owner.publish(LINK, LinkStatus("up", silence=0.0, battery=3.9, supervisor=FLYING))
+    for _ in range(23):
+        await clock.sleep(0.1)
+        watch.look()
+        guard.check(clock.now(), HOVER, 0.01)
+    assert guard.latched == ""
+    owner.publish(LINK, LinkStatus("up", silence=0.0, battery=3.9, supervisor=1 << 6))
+    await clock.sleep(0.1)
+    watch.look()
+    guard.check(clock.now(), HOVER, 0.01)
+    assert guard.latched.startswith("its radio was silent for 2.3")
+    assert "s, it is tumbled, crashed or locked, as its firmware says: motors cut" in guard.latched
