@@ -56,7 +56,8 @@ class Flight:
     """What the truth was since the fault.
 
     still: s after it when each drone's motors stood;  levelled: s when its firmware levelled it out;  far: m, the
-    largest distance from home along an axis while they turned.
+    largest distance from home along an axis while they turned;  came: each half second, of each drone, s, x, y, z m,
+    and how many packets and poses it has been sent, to see by what went wrong.
     """
 
     result: dict[str, Any] = field(default_factory=dict)
@@ -65,6 +66,7 @@ class Flight:
     levelled: dict[int, float] = field(default_factory=dict)
     last: dict[int, dict[str, Any]] = field(default_factory=dict)
     far: dict[int, float] = field(default_factory=dict)
+    came: dict[int, list[tuple[float, ...]]] = field(default_factory=dict)
 
     def look(self, t: float, state: dict[int, dict[str, Any]]) -> None:
         for i, said in state.items():
@@ -76,6 +78,9 @@ class Flight:
                 self.still.setdefault(i, t)
             if said["supervisor"] == "warning: level out":
                 self.levelled.setdefault(i, t)
+            came = self.came.setdefault(i, [])
+            if not came or t > came[-1][0] + 0.5:
+                came.append((*(round(x, 2) for x in (t, *said["p"])), said["up"], said["poses"]))
         self.last = state
 
     def reason(self, i: int) -> str:
@@ -88,13 +93,13 @@ class Flight:
 
     def landed(self, i: int, reason: str, within: float) -> None:
         """It was brought down, whole."""
-        assert reason in self.reason(i), (i, self.reason(i), self.text)
-        assert self.still[i] < within, (i, self.still, self.text)
+        assert reason in self.reason(i), (i, self.reason(i), self.came[i], self.text)
+        assert self.still[i] < within, (i, self.still, self.came[i], self.text)
         assert self.softly(i)
 
     def fell(self, i: int, reason: str, after: float, within: float) -> None:
         """Its motors were stopped, then."""
-        assert reason in self.reason(i), (i, self.reason(i), self.text)
+        assert reason in self.reason(i), (i, self.reason(i), self.came[i], self.text)
         assert after < self.still[i] < within, (i, self.still, self.text)
         assert self.last[i]["impact"] > 1.5, "it fell"
 
@@ -115,7 +120,7 @@ class Flight:
     def softly(self, i: int) -> bool:
         said = self.last[i]
         assert said["resting"]
-        assert not said["crashed"], (i, said, self.text)
+        assert not said["crashed"], (i, said["crashed"], self.came[i], self.text)
         return bool(said["impact"] < 1.0)
 
 
