@@ -81,7 +81,8 @@ def fly_real(
         address = next(iter(link.bus.ports))
         watched = watch or (lambda score: None)
         score = Score(
-            link.bus, config.ids, goal_of(mission, config), watched, address=address, source=config.source
+            link.bus, config.ids, goal_of(mission, config), watched, address=address, source=config.source,
+            unseen={*config.reached} - {*config.seen},
         )  # fmt: skip
         recorder = Recorder(link.bus, config.ids, file, address, config.source) if file else None
         async with attached(link, score, *([recorder] if recorder else [])):

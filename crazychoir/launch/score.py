@@ -2,7 +2,7 @@
 
 import math
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import combinations
@@ -44,7 +44,8 @@ class Score(Actor):
     It is as large after an hour as after a minute.
     errors: (s since the law began, m of the drone that is farthest from its goal), the last time that anybody was
     beyond SETTLED, and the newest;  touching: {(i, j): m}, the least distance of pairs that came
-    nearer than TOUCHING;  source: the address that says a topic of a drone.
+    nearer than TOUCHING;  source: the address that says a topic of a drone;  unseen: drones that
+    alone say where they are.
     """
 
     bus: Bus
@@ -54,6 +55,7 @@ class Score(Actor):
     name: str = "score"
     address: int = OBSERVER
     source: Callable[[Topic, int], int] = lambda topic, i: i
+    unseen: Collection[int] = ()
 
     def __post_init__(self) -> None:
         self.statuses: dict[int, Status] = {}
@@ -105,12 +107,12 @@ class Score(Actor):
 
     @property
     def flown(self) -> dict[int, float]:
-        """m: how far each drone has moved, in truth; 0 for one that stands, however its own estimate drifts there."""
+        """m: how far each drone has moved, in truth; 0 for one that stands, however what it takes for that drifts."""
         return {i: 0.0 if self._stands(i) else length for i, length in self._lengths.items()}
 
     def _stands(self, i: int) -> bool:
-        """Whether it has said how it is, and has never taken off."""
-        return i in self.statuses and i not in self._flew
+        """Whether it has never taken off, as it says, and nobody but itself sees where it is."""
+        return i in self.statuses and i not in self._flew and i in self.unseen
 
     @property
     def places(self) -> dict[int, Vec]:

@@ -109,6 +109,7 @@ async def test_six_take_off_and_one_flies_a_word_that_was_drawn_and_space_stops_
             await program.kill()
 
 
+@pytest.mark.slow
 async def test_a_task_is_added_by_clicks_on_the_floor_while_they_fly(tmp_path, compiled):
     tables = {
         "mission_options": {"tasks": 6, "later": 0, "until": 60.0}, "fence": {"min": [-3, -3, 0], "max": [7, 7, 3]},

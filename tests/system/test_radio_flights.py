@@ -76,6 +76,7 @@ async def test_who_is_absent_or_silent_is_named_and_the_others_fly(tmp_path) -> 
     assert state[0]["impact"] == state[2]["impact"] == 0.0, "they have not moved"
 
 
+@pytest.mark.slow
 async def test_a_drone_in_hover_keeps_hovering_through_a_reconnect_and_sees_no_zero_set_point(tmp_path) -> None:
     config = reached(figures(1, "xyz").replace(mission_options={"size": 0.1, "laps": 3.0, "period": 10.0}))
     async with Hall(config, tmp_path) as hall:

@@ -164,6 +164,7 @@ async def kill_an_agent(folder: Path) -> None:
     assert "drone 1: no command for" in run.program.text
 
 
+@pytest.mark.slow
 async def test_an_owner_or_an_agent_that_is_killed_leaves_nobody_hanging(tmp_path):
     async with asyncio.TaskGroup() as group:
         group.create_task(kill_the_owner(tmp_path / "owner"))
