@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import json
+import os
 import signal
 import sys
 import time
@@ -38,8 +39,9 @@ class Program:
     async def start(cls, *command: str | Path) -> "Program":
         pipe = asyncio.subprocess.PIPE
         process = await asyncio.create_subprocess_exec(
-            *map(str, command), stdin=asyncio.subprocess.DEVNULL, stdout=pipe, stderr=pipe, limit=1 << 24
-        )
+            *map(str, command), stdin=asyncio.subprocess.DEVNULL, stdout=pipe, stderr=pipe, limit=1 << 24,
+            env={**os.environ, "PYTHONFAULTHANDLER": "1"},
+        )  # fmt: skip
         program = cls(process)
         program._reading = [asyncio.create_task(process.stdout.read()), asyncio.create_task(program._listen())]
         return program
@@ -55,12 +57,12 @@ class Program:
 
     async def end(self, seconds: float) -> dict[str, Any]:
         """Wait for its end; returns its JSON object, if that is what it answered, with the exit code and the answer."""
-        try:
-            async with asyncio.timeout(seconds):
-                out, _ = await asyncio.gather(*self._reading)
-                code = await self.process.wait()
-        except TimeoutError:
-            raise AssertionError(f"still running after {seconds:g} s; it said: {self.text}") from None
+        _, reading = await asyncio.wait(self._reading, timeout=seconds)
+        if reading:
+            self.signal(signal.SIGABRT)  # it says where all of its threads are
+            await asyncio.wait(reading, timeout=1.0)
+            raise AssertionError(f"still running after {seconds:g} s; it said: {self.text}")
+        code, out = await self.process.wait(), self._reading[0].result()
         told = json.loads(out) if out.startswith(b"{") else {}
         return {**told, "code": code, "answer": out.decode()}
 
