@@ -4,7 +4,6 @@ import ctypes
 import os
 import signal
 import sys
-import threading
 from collections.abc import Callable
 
 _PR_SET_PDEATHSIG = 1
@@ -22,22 +21,14 @@ def with_parent() -> None:
 def run(app: Callable[[], None]) -> None:
     """Run a command and end with its exit code, at once.
 
-    A session that does not close is left behind in a thread. Were its call to come back while the interpreter is being
-    taken down, the process would be aborted, after its result is written and with another exit code.
+    Who has had a Zenoh session has its threads, and maybe one that does not close: while the interpreter is being taken
+    down they may hang it, or abort the process, after its result is written and with another exit code.
     """
     try:
         app()
     except SystemExit as ended:
-        if isinstance(ended.code, int) and _left_behind():
+        if isinstance(ended.code, int) and "crazychoir.bus.zenoh" in sys.modules:
             sys.stdout.flush()
             sys.stderr.flush()
             os._exit(ended.code)
         raise
-
-
-def _left_behind() -> bool:
-    if "crazychoir.bus.zenoh" not in sys.modules:
-        return False
-    from crazychoir.bus.zenoh import CLOSING
-
-    return any(thread.name == CLOSING for thread in threading.enumerate())

@@ -9,7 +9,6 @@ import pytest
 HANGS = '''
 import atexit, threading, time
 import typer
-from crazychoir.bus import zenoh
 from crazychoir.cli import ending
 
 atexit.register(print, "taken down")
@@ -17,9 +16,11 @@ app = typer.Typer()
 
 
 @app.command()
-def command(code: int, left: bool):
-    if left:
-        threading.Thread(target=time.sleep, args=(60.0,), name=zenoh.CLOSING, daemon=True).start()
+def command(code: int, session: bool):
+    if session:
+        from crazychoir.bus import zenoh
+
+        threading.Thread(target=time.sleep, args=(60.0,)).start()
     print("the result")
     raise typer.Exit(code)
 
@@ -29,11 +30,11 @@ ending.run(app)
 
 
 @pytest.mark.parametrize("code", [0, 1])
-@pytest.mark.parametrize("left", [False, True])
-def test_a_session_that_does_not_close_changes_no_exit_code(code, left):
+@pytest.mark.parametrize("session", [False, True])
+def test_who_has_had_a_session_ends_at_once_with_its_exit_code(code, session):
     began = time.monotonic()
-    words = [sys.executable, "-c", HANGS, str(code), str(left)]
+    words = [sys.executable, "-c", HANGS, str(code), str(session)]
     done = subprocess.run(words, capture_output=True, text=True, check=False, timeout=50)
     assert done.returncode == code, done.stderr
-    assert done.stdout.splitlines() == (["the result"] if left else ["the result", "taken down"])
+    assert done.stdout.splitlines() == (["the result"] if session else ["the result", "taken down"])
     assert time.monotonic() - began < 40.0
