@@ -50,8 +50,9 @@ class RadioWatch(Actor):
         guard.tell("battery", now - self._low_since, f"{self.firmware.low}")
         missing = self.firmware.critical - status.battery
         guard.tell("empty", missing if missing > 0.0 else -math.inf, f"{self.firmware.critical}")
-        silent = f"its radio was silent for {self._gap:.2f} s, it is " if now - self._gap_ended < LATELY else ""
-        guard.tell("tumbled", float(bool(status.supervisor & (TUMBLED | LOCKED | CRASHED))), silent)
+        silent = max(now - self._heard_at, self._gap if now - self._gap_ended < LATELY else 0.0)
+        after = f"its radio was silent for {silent:.2f} s, it is " if SILENT < silent < math.inf else ""
+        guard.tell("tumbled", float(bool(status.supervisor & (TUMBLED | LOCKED | CRASHED))), after)
 
     def _hear(self, at: float, now: float) -> None:
         """Its last packet came at s; an owner that was started again has not heard it yet, the one before has."""

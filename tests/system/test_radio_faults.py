@@ -279,7 +279,7 @@ async def test_owners_of_dongles_that_are_killed(tmp_path, watchdog) -> None:
         if flight.result["results"][str(i)]["success"]:
             flight.flew_on(i)
         else:
-            flight.fell(i, "its radio was silent for ", 1.8, 2.6)
+            flight.fell(i, " silent for ", 1.8, 2.6)  # seen on the floor before its owner is back, or locked after
     if not watchdog and flight.result["results"]["2"]["success"]:
         flight.flew_on(2)
         flight.flew_on(WELL)

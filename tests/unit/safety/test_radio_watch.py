@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from functools import partial
 
 import pytest
 from virtual_time import virtual
@@ -9,6 +10,7 @@ from virtual_time import virtual
 from crazychoir.bus.local import BODIES, Bus
 from crazychoir.bus.topics import LINK
 from crazychoir.platforms import CRAZYFLIE_21, CRAZYFLIE_21_BRUSHLESS
+from crazychoir.runtime.clock import run_virtual
 from crazychoir.safety.guard import PLANS_ON_BOARD, REACHED, Action, Guard
 from crazychoir.safety.radio_watch import RadioWatch
 from crazychoir.types import LinkStatus, State
@@ -105,8 +107,12 @@ async def restarted(clock, seconds: float, heard_again: bool) -> tuple[Guard, Ac
     return guard, worst
 
 
-@virtual
-async def test_who_was_locked_while_its_radio_was_silent_is_said_so(clock) -> None:
+@pytest.mark.parametrize("silence", [0.0, math.inf], ids=["heard again", "by an owner whose link is not up yet"])
+def test_who_was_locked_while_its_radio_was_silent_is_said_so(silence) -> None:
+    run_virtual(partial(_locked, silence=silence))
+
+
+async def _locked(clock, silence) -> None:
     bus = Bus(clock)
     owner, port, guard = bus.port(BODIES + 3), bus.port(3), Guard(table=REACHED)
     watch = RadioWatch(port, BODIES + 3, guard, CRAZYFLIE_21.firmware)
@@ -116,9 +122,9 @@ async def test_who_was_locked_while_its_radio_was_silent_is_said_so(clock) -> No
         watch.look()
         guard.check(clock.now(), HOVER, 0.01)
     assert guard.latched == ""
-    owner.publish(LINK, LinkStatus("up", silence=0.0, battery=3.9, supervisor=1 << 6))
+    owner.publish(LINK, LinkStatus("up", silence=silence, battery=3.9, supervisor=1 << 6))
     await clock.sleep(0.1)
     watch.look()
     guard.check(clock.now(), HOVER, 0.01)
-    assert guard.latched.startswith("its radio was silent for 2.3")
+    assert guard.latched.startswith("its radio was silent for 2.")
     assert "s, it is tumbled, crashed or locked, as its firmware says: motors cut" in guard.latched
