@@ -71,13 +71,11 @@ class Beat:
     def wire(self) -> list[Any]:
         """As the codec takes it."""
         hears, lost = list(self.hears), list(self.lost)
-        said = [self.incarnation, self.epoch, self.checksum, hears, lost, self.mission_hash]
-        return [*said, self.refused] if self.refused else said
+        return [self.incarnation, self.epoch, self.checksum, hears, lost, self.mission_hash, self.refused]
 
     @classmethod
     def of(cls, value: Any) -> "Beat":
         """From the wire; raises TypeError, ValueError."""
-        incarnation, epoch, checksum, hears, lost, *texts = value
-        mission_hash, refused = texts if len(texts) == 2 else (*texts, "")
+        incarnation, epoch, checksum, hears, lost, mission_hash, refused = value
         numbers = int(incarnation), int(epoch), int(checksum)
         return cls(*numbers, tuple(map(int, hears)), tuple(map(int, lost)), str(mission_hash), str(refused))

@@ -320,6 +320,14 @@ def occluded(operator, i, seconds):
     pilot.tick = lambda pose: tick(pose if operator.clock.now() >= ends else None)
 
 
+async def held_in_its_mission(operator):
+    """Drone 0, by its operator; the others go on."""
+    await operator.order("take-off")
+    await operator.order("start")
+    await operator.clock.sleep(1.0)
+    await operator.order("hold", 0)
+
+
 def test_a_flight_on_command_begins_as_soon_as_the_safety_table_lets_it():
     async def scene(operator):
         await operator.order("take-off")
@@ -343,10 +351,7 @@ def test_a_flight_on_command_begins_as_soon_as_the_safety_table_lets_it():
 
 def test_a_law_that_wants_to_hover_does_not_end_a_flight_on_command():
     async def scene(operator):
-        await operator.order("take-off")
-        await operator.order("start")
-        await operator.clock.sleep(1.0)
-        await operator.order("hold", 0)
+        await held_in_its_mission(operator)
         assert await told(operator, "go-to", 0, p=[-1.0, 1.0, 0.8]) == (DONE, "there")
         assert await told(operator, "fly", 0, **way((-1.0, 1.0, 0.8), (-1.0, 2.0, 0.8))) == (DONE, "flown")
         await operator.order("land")
@@ -376,10 +381,7 @@ def test_the_newer_command_counts_and_a_hold_ends_a_flight():
 
 def test_a_flight_on_command_ends_when_guidance_has_failed_and_says_so():
     async def scene(operator):
-        await operator.order("take-off")
-        await operator.order("start")
-        await operator.clock.sleep(1.0)
-        await operator.order("hold", 0)
+        await held_in_its_mission(operator)
         kind, why = await told(operator, "go-to", 0, p=[0.0, 3.0, 0.6], duration=20.0)
         assert (kind, why.startswith("its guidance has failed: RuntimeError: no idea")) == (REFUSED, True), why
         y = operator.pilot(0).state.p[1]

@@ -288,14 +288,14 @@ def test_strange_heartbeats_and_rosters_are_counted():
             b"\xff",
             encode(None),
             encode([1, 2]),
-            encode([1, 2, 3, 4, 5, "abc"]),
-            encode(["x", 0, 0, [], [], ""]),
+            encode([1, 2, 3, 4, 5, "abc", ""]),
+            encode(["x", 0, 0, [], [], "", ""]),
         ]
         for payload in strange:
             port.deliver(HEARTBEAT.number, 1, payload, 1, "", 0, 0.0)
         for n, payload in enumerate([*strange[:3], encode({"epoch": 1}), encode(["x"])]):
             port.deliver(ROSTER.number, 1, payload, n, "1", 0, 0.0)
-        port.deliver(HEARTBEAT.number, 77, encode([1, 1, 0, [], [], "abc"]), 1, "", 0, 0.0)
+        port.deliver(HEARTBEAT.number, 77, encode([1, 1, 0, [], [], "abc", ""]), 1, "", 0, 0.0)
         assert not barrier.beats
         return port.counters.malformed
 
