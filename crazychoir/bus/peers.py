@@ -1,6 +1,6 @@
 """The other processes: whose token is there, what they have said, and which of them holds which address.
 
-Pure but for its callbacks: keys, tokens and bytes in. A HELLO counts only from a process whose token is there.
+Pure but for its callbacks: keys, tokens and bytes in. A HELLO counts only from a process of which a token is there.
 """
 
 import logging
@@ -25,18 +25,20 @@ OnRefused = Callable[[Refused], None]
 
 @dataclass(slots=True, eq=False)
 class Peer:
-    """Another process whose liveliness token is there; without `hello` it is not yet, or not, talked to.
+    """Another process, of which a liveliness token is there; without `hello` it is not yet, or not, talked to.
 
-    since_ns: when it began, by our clock;  said: its last HELLO as it came;  refusal: why it was not taken;
-    lanes: of the link.
+    tokens: their keys;  since_ns: when it began, by our clock;  said: its last HELLO as it came;  refusal: why it was
+    not taken;  asked: how many of our HELLOs it has not taken since its own came;  lanes: of the link.
     """
 
     process: str
     host: str
+    tokens: set[str]
     hello: Hello | None = None
     since_ns: int = 0
     said: bytes | None = None
     refusal: str = ""
+    asked: int = 0
     lanes: dict[Class, Any] = field(default_factory=dict)
 
 
@@ -56,18 +58,23 @@ class Peers:
         self._said: Hello | None = None
         self._payload = b""
 
-    def came(self, host: str, process: str) -> Peer | None:
+    def came(self, host: str, process: str, token: str) -> Peer | None:
         """A token is there; returns the peer if it is new."""
-        known = process == self.bus.process or process in self.by_name
-        if known or len(self.by_name) >= MAX_PEERS:
+        known = self.by_name.get(process)
+        if known is not None and known.host == host:
+            known.tokens.add(token)
+        if known is not None or process == self.bus.process or len(self.by_name) >= MAX_PEERS:
             return None
-        peer = self.by_name[process] = Peer(process, host)
+        peer = self.by_name[process] = Peer(process, host, {token})
         return peer
 
-    def went(self, host: str, process: str) -> Peer | None:
-        """A token has gone; returns the peer that was lost. A drone that another process flies by now is not gone."""
+    def went(self, host: str, process: str, token: str) -> Peer | None:
+        """A token has gone; returns the peer whose last one it was. A drone that another process flies is not gone."""
         peer = self.by_name.get(process)
         if peer is None or peer.host != host:
+            return None
+        peer.tokens.discard(token)
+        if peer.tokens:
             return None
         del self.by_name[process]
         self._route()

@@ -1,11 +1,15 @@
 """Between processes: one Zenoh session, one wildcard subscriber, one put a (peer process, class, loop pass).
 
     frames  choir/<swarm>/f/<destination process>/<source host>/<source process>/<class>
-    tokens  choir/<swarm>/live/<host>/<process>
+    tokens  choir/<swarm>/live/<host>/<process>[/<number>]
 
 Zenoh's threads hand bytes to the event loop through one deque and one wake-up a burst; every put is DROP and never
 waits. A peer is a process whose liveliness token is there; it is talked to when its HELLO has come, which both
 sides send until each has heard the other.
+
+Zenoh 1.10 loses a token now and then when a link breaks and comes back under load: frames flow, the token never comes
+again, neither by asking nor if it is declared anew; one with another key comes. Who hears frames of a process without
+a token therefore answers with its HELLO; who reads in there that it is not known declares a token more.
 """
 
 import asyncio
@@ -32,7 +36,7 @@ from crazychoir.bus.frames import (
     encode_frame,
 )
 from crazychoir.bus.local import ANY, Bus
-from crazychoir.bus.peers import OnRefused, OnToken, Peer, Peers
+from crazychoir.bus.peers import MAX_PEERS, OnRefused, OnToken, Peer, Peers
 from crazychoir.bus.topics import HELLO, LOG, Class, Topic
 from crazychoir.errors import CodecError, ConfigError
 from crazychoir.runtime.actor import Actor
@@ -132,6 +136,8 @@ class ZenohLink(Actor):
         self._full: list[Lane] = []
         self._after: deque[Callable[[], None]] = deque()
         self._to_greet: dict[str, None] = {}
+        self._strangers: dict[str, None] = {}
+        self._tokens = 0
         self._declared: list[Any] = []
         self._session: zenoh.Session | None = None
 
@@ -147,13 +153,18 @@ class ZenohLink(Actor):
         self._session = session
         received = zenoh.handlers.Callback(self._received, indirect=True)
         tokens = zenoh.handlers.Callback(self._token, indirect=True)
-        live = f"choir/{self.swarm}/live"
         self._declared = [
             session.declare_subscriber(f"choir/{self.swarm}/f/{self.bus.process}/**", received),
-            session.liveliness().declare_subscriber(f"{live}/*/*", tokens, history=True),
-            session.liveliness().declare_token(f"{live}/{self.bus.host}/{self.bus.process}"),
+            session.liveliness().declare_subscriber(f"choir/{self.swarm}/live/*/*/**", tokens, history=True),
         ]
+        self._declare_token(session)
         self.bus.forwarder = self
+
+    def _declare_token(self, session: zenoh.Session) -> None:
+        key = f"choir/{self.swarm}/live/{self.bus.host}/{self.bus.process}"
+        key += f"/{self._tokens}" if self._tokens else ""
+        self._tokens += 1
+        self._declared.append(session.liveliness().declare_token(key))
 
     async def run(self) -> None:
         """Repeat HELLO: often to those who have not heard it or whom we have not, seldom when all know all."""
@@ -165,10 +176,8 @@ class ZenohLink(Actor):
             due = tick % ASKING == 0 and age < SETTLED
             if due or age == 0.0 or tick % (SETTLED * ASKING) == 0:
                 self.greet()
-                continue
-            for peer in self.peers.values():
-                if not peer.refusal and not self.table.mutual(peer):
-                    self._greet(peer)
+            self._answer_strangers()
+            self._ask_again()
 
     async def on_stop(self) -> None:
         """Send what is waiting and close the session, in a thread: it may take its time."""
@@ -249,6 +258,30 @@ class ZenohLink(Actor):
         self._to_greet[peer.process] = None
         self._schedule_flush()
 
+    def _ask_again(self) -> None:
+        """HELLO to those who have not heard it; who sends its own and takes none of ours has lost our token."""
+        session, unseen = self._session, False
+        for peer in self.peers.values():
+            if peer.refusal or self.table.mutual(peer):
+                peer.asked = 0
+                continue
+            self._greet(peer)
+            peer.asked += peer.hello is not None
+            unseen = unseen or peer.asked == ASKING
+        if unseen and session is not None:
+            self._declare_token(session)
+
+    def _answer_strangers(self) -> None:
+        strangers, self._strangers = self._strangers, {}
+        session = self._session
+        if session is None:
+            return
+        payload, age = self.table.hello()
+        hello = Envelope(HELLO.number, 0, (), 0, 0, age, "", payload)
+        frame = encode_frame(Frame(self.bus.process, self.table.incarnation, HELLO.klass, [hello]))
+        for process in strangers:
+            session.put(self._key(process, HELLO.klass), frame, congestion_control=zenoh.CongestionControl.DROP)
+
     def _add(self, peer: Peer, klass: Class, message: Envelope) -> None:
         session = self._session
         if session is None:
@@ -267,7 +300,7 @@ class ZenohLink(Actor):
 
     def _lane(self, session: zenoh.Session, peer: Peer, klass: Class) -> Lane:
         publisher = session.declare_publisher(
-            self._key(peer, klass),
+            self._key(peer.process, klass),
             congestion_control=zenoh.CongestionControl.DROP,
             priority=_PRIORITY[klass],
             reliability=zenoh.Reliability.RELIABLE,
@@ -277,8 +310,8 @@ class ZenohLink(Actor):
         lane = peer.lanes[klass] = Lane(buffer, publisher)
         return lane
 
-    def _key(self, peer: Peer, klass: Class) -> str:
-        return f"choir/{self.swarm}/f/{peer.process}/{self.bus.host}/{self.bus.process}/{klass.name.lower()}"
+    def _key(self, process: str, klass: Class) -> str:
+        return f"choir/{self.swarm}/f/{process}/{self.bus.host}/{self.bus.process}/{klass.name.lower()}"
 
     def _schedule_flush(self) -> None:
         if not self._flushing:
@@ -339,7 +372,7 @@ class ZenohLink(Actor):
             if readers:
                 line = Envelope(LOG.number, drone, readers, 0, 0, 0.0, "", encode(text))
                 frame = encode_frame(Frame(self.bus.process, self.table.incarnation, LOG.klass, [line]))
-                session.put(self._key(peer, LOG.klass), frame)
+                session.put(self._key(peer.process, LOG.klass), frame)
 
     # Receiving ------------------------------------------------------------------------------------------------
 
@@ -374,14 +407,14 @@ class ZenohLink(Actor):
                 log.error("a frame at %s was not taken: %s", key, error, exc_info=error)
 
     def _token_came(self, key: str, data: bytes, arrived_ns: int) -> None:
-        _, host, process = key.rsplit("/", 2)
-        peer = self.table.came(host, process)
+        host, process, *_ = key.split("/")[3:]
+        peer = self.table.came(host, process, key)
         if peer is not None:
             self._greet(peer)
 
     def _token_went(self, key: str, data: bytes, arrived_ns: int) -> None:
-        _, host, process = key.rsplit("/", 2)
-        peer = self.table.went(host, process)
+        host, process, *_ = key.split("/")[3:]
+        peer = self.table.went(host, process, key)
         for lane in peer.lanes.values() if peer is not None else ():
             self.counters.dropped += len(lane.buffer)
             lane.buffer.take()
@@ -400,6 +433,8 @@ class ZenohLink(Actor):
         peer = self._sender(key, frame)
         if peer is None:
             counters.strangers += 1
+            if len(self._strangers) < MAX_PEERS:
+                self._strangers[frame.process] = None
             return
         counters.frames_received += 1
         self._distribute(peer, frame.envelopes, (self._now_ns() - arrived_ns) / SECOND)

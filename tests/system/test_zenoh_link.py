@@ -340,6 +340,24 @@ async def test_a_peer_that_sends_nonsense_is_counted(ground: Ground) -> None:
     token.undeclare()
 
 
+async def test_a_token_that_is_lost_while_the_link_holds_is_made_up_for(ground: Ground) -> None:
+    link = await ground.link([0])
+    other = await ground.link([1], "c-1", listen=[endpoint(ground.ports[1])])
+    await until(ground.knows(link, "c-1"))
+    await until(ground.knows(other, "a-1"))
+    token = next(iter(link.peers["c-1"].tokens))
+    link._token_went(token, b"", 0)
+    assert "c-1" not in link.peers
+    other.bus.ports[1].send(ROUND, (0,), b"x")
+    await until(ground.knows(link, "c-1"), 4.0)
+    await until(ground.knows(other, "a-1"), 1.0)
+    assert token not in link.peers["c-1"].tokens
+    arrived: list[bytes] = []
+    link.bus.ports[0].handlers[ROUND.number] = lambda *message: arrived.append(message[1])
+    other.bus.ports[1].send(ROUND, (0,), b"y")
+    await until(lambda: arrived == [b"y"], 1.0)
+
+
 async def test_what_cannot_be_sent_is_counted(ground: Ground) -> None:
     link = await ground.link([0])
     await ground.child([1])

@@ -50,7 +50,7 @@ class Here:
         self.clock.ns = round(uptime * 1e9)
 
     def hear(self, said: Hello, age: float = 0.0) -> bool:
-        peer = self.peers.came("there", said.process) or self.peers.by_name[said.process]
+        peer = self.peers.came("there", said.process, "token") or self.peers.by_name[said.process]
         return self.peers.greeted(peer, said.payload(), age)
 
 
@@ -63,14 +63,24 @@ def test_a_peer_is_known_from_token_to_token(here: Here) -> None:
     assert here.hear(hello(heard=[])) is True, "it does not know us"
     assert here.hear(hello()) is False
     assert here.peers.directory[1].process == "b"
-    assert here.peers.went("elsewhere", "b") is None, "the token of another host"
-    assert here.peers.went("there", "b") is not None
+    assert here.peers.went("elsewhere", "b", "token") is None, "the token of another host"
+    assert here.peers.went("there", "b", "token") is not None
     assert (here.peers.directory, here.peers.by_name) == ({}, {})
     assert here.tokens == [([1], True), ([1], False)]
 
 
+def test_a_peer_is_there_while_one_of_its_tokens_is(here: Here) -> None:
+    here.hear(hello())
+    assert here.peers.came("there", "b", "another") is None
+    assert here.peers.came("elsewhere", "b", "a third, of another host") is None
+    assert here.peers.went("there", "b", "token") is None
+    assert here.peers.directory[1].process == "b"
+    assert here.peers.went("there", "b", "another") is not None
+    assert here.tokens == [([1], True), ([1], False)]
+
+
 def test_hello_of_somebody_else_is_refused(here: Here) -> None:
-    peer = here.peers.came("there", "b")
+    peer = here.peers.came("there", "b", "token")
     with pytest.raises(CodecError, match="sent by b on there"):
         here.peers.greeted(peer, hello("c").payload(), 0.0)
     assert peer.hello is None
@@ -136,7 +146,7 @@ def test_a_third_party_believes_the_elder(here: Here) -> None:
     here.hear(hello("young", (5,), uptime=1.0))
     here.hear(hello("old", (5, 6), uptime=9.0))
     assert [here.peers.directory[i].process for i in (5, 6)] == ["old", "old"]
-    here.peers.went("there", "old")
+    here.peers.went("there", "old", "token")
     assert here.peers.directory[5].process == "young"
 
 
@@ -150,7 +160,7 @@ def test_interests_count_once_both_have_heard(here: Here) -> None:
     here.hear(hello(drones=(), observers=[10_001], interests=wish))
     here.hear(hello(drones=(), observers=[10_001], interests=wish, uptime=3.0))
     assert sent == [(10_001,)], "the latched value, once"
-    here.peers.went("there", "b")
+    here.peers.went("there", "b", "token")
     here.bus.ports[0].publish(STATUS, Status("flying"))
     assert sent == [(10_001,)]
 
@@ -167,7 +177,7 @@ def test_an_emergency_stop_spreads_to_newcomers(here: Here) -> None:
 
 
 def test_peers_are_bounded(here: Here) -> None:
-    made = [here.peers.came("there", f"p{k}") for k in range(MAX_PEERS + 5)]
+    made = [here.peers.came("there", f"p{k}", "token") for k in range(MAX_PEERS + 5)]
     assert sum(isinstance(peer, Peer) for peer in made) == MAX_PEERS
 
 
@@ -215,6 +225,6 @@ def test_a_drone_that_was_started_again_is_not_gone_with_its_former_process(here
     here.hear(hello("old", drones=(1, 2), uptime=100.0))
     here.hear(hello("new", drones=(1,), incarnation=3, uptime=0.1))
     here.tokens.clear()
-    here.peers.went("there", "old")
+    here.peers.went("there", "old", "token")
     assert here.tokens == [([2], False)]
     assert here.peers.directory[1].process == "new"
