@@ -67,9 +67,14 @@ def check(listen: Iterable[str], connect: Iterable[str]) -> None:
                 raise ConfigError(f"{where} endpoint", endpoint, allowed, do)
 
 
+def is_name(text: str) -> bool:
+    """Whether it can be part of a key, and means only itself there."""
+    return _CHUNK.fullmatch(text) is not None
+
+
 def check_name(where: str, name: str) -> None:
     """Raises ConfigError for a name that cannot be part of a key."""
-    if not _CHUNK.fullmatch(name):
+    if not is_name(name):
         raise ConfigError(f"name of the {where}", name, "1 to 100 of A-Z, a-z, 0-9, _, . and -")
 
 

@@ -280,7 +280,10 @@ class ZenohLink(Actor):
         hello = Envelope(HELLO.number, 0, (), 0, 0, age, "", payload)
         frame = encode_frame(Frame(self.bus.process, self.table.incarnation, HELLO.klass, [hello]))
         for process in strangers:
-            session.put(self._key(process, HELLO.klass), frame, congestion_control=zenoh.CongestionControl.DROP)
+            try:
+                session.put(self._key(process, HELLO.klass), frame, congestion_control=zenoh.CongestionControl.DROP)
+            except zenoh.ZError:
+                self.counters.put_errors += 1
 
     def _add(self, peer: Peer, klass: Class, message: Envelope) -> None:
         session = self._session
@@ -433,8 +436,7 @@ class ZenohLink(Actor):
         peer = self._sender(key, frame)
         if peer is None:
             counters.strangers += 1
-            if len(self._strangers) < MAX_PEERS:
-                self._strangers[frame.process] = None
+            self._is_stranger(key, frame.process)
             return
         counters.frames_received += 1
         self._distribute(peer, frame.envelopes, (self._now_ns() - arrived_ns) / SECOND)
@@ -444,6 +446,12 @@ class ZenohLink(Actor):
         _, host, process, _ = key.rsplit("/", 3)
         peer = self.peers.get(process)
         return peer if peer is not None and peer.host == host and frame.process == process else None
+
+    def _is_stranger(self, key: str, process: str) -> None:
+        """To be answered, unless its name is forged, ours, or none."""
+        named = endpoints.is_name(process) and key.rsplit("/", 2)[-2] == process != self.bus.process
+        if named and len(self._strangers) < MAX_PEERS:
+            self._strangers[process] = None
 
     def _distribute(self, peer: Peer, messages: list[Envelope], waited: float) -> None:
         directory, ports = self.directory, self.bus.ports

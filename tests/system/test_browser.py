@@ -148,6 +148,7 @@ async def test_a_task_is_added_by_clicks_on_the_floor_while_they_fly(tmp_path, c
             await program.kill()
 
 
+@pytest.mark.slow
 async def test_it_fits_a_phone_is_labelled_and_its_colours_can_be_told_apart(tmp_path, compiled):
     async with flying(six(processes=1), tmp_path) as team:
         program, address = await dashboard(team.path)

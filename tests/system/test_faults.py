@@ -325,6 +325,7 @@ async def stop_restart_and_clear(folder: Path) -> None:
         assert "emergency stop" in first["results"]["0"]["reason"]
 
 
+@pytest.mark.slow
 async def test_hostile_bytes_are_counted_and_an_emergency_stop_holds_until_it_is_cleared(tmp_path):
     async with asyncio.TaskGroup() as group:
         group.create_task(plan_and_fly_under_attack(tmp_path / "attack"))
