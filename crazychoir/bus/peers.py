@@ -16,6 +16,8 @@ from crazychoir.runtime.clock import SECOND
 
 log = logging.getLogger(__name__)
 MAX_PEERS = 512
+MAX_TOKENS = 16
+"""Of a peer."""
 
 OnToken = Callable[[list[int], bool], None]
 """Called with the drones of a process whose token has gone (False), or is there and its HELLO has come (True)."""
@@ -28,7 +30,7 @@ class Peer:
     """Another process, of which a liveliness token is there; without `hello` it is not yet, or not, talked to.
 
     tokens: their keys;  since_ns: when it began, by our clock;  said: its last HELLO as it came;  refusal: why it was
-    not taken;  asked: how many of our HELLOs it has not taken since its own came;  lanes: of the link.
+    not taken;  lanes: of the link.
     """
 
     process: str
@@ -38,7 +40,6 @@ class Peer:
     since_ns: int = 0
     said: bytes | None = None
     refusal: str = ""
-    asked: int = 0
     lanes: dict[Class, Any] = field(default_factory=dict)
 
 
@@ -61,7 +62,7 @@ class Peers:
     def came(self, host: str, process: str, token: str) -> Peer | None:
         """A token is there; returns the peer if it is new."""
         known = self.by_name.get(process)
-        if known is not None and known.host == host:
+        if known is not None and known.host == host and len(known.tokens) < MAX_TOKENS:
             known.tokens.add(token)
         if known is not None or process == self.bus.process or len(self.by_name) >= MAX_PEERS:
             return None

@@ -1,15 +1,11 @@
 """Between processes: one Zenoh session, one wildcard subscriber, one put a (peer process, class, loop pass).
 
     frames  choir/<swarm>/f/<destination process>/<source host>/<source process>/<class>
-    tokens  choir/<swarm>/live/<host>/<process>[/<number>]
+    tokens  choir/<swarm>/live/<host>/<process>[/<number>]    numbered ones: see estranged.py
 
 Zenoh's threads hand bytes to the event loop through one deque and one wake-up a burst; every put is DROP and never
 waits. A peer is a process whose liveliness token is there; it is talked to when its HELLO has come, which both
 sides send until each has heard the other.
-
-Zenoh 1.10 loses a token now and then when a link breaks and comes back under load: frames flow, the token never comes
-again, neither by asking nor if it is declared anew; one with another key comes. Who hears frames of a process without
-a token therefore answers with its HELLO; who reads in there that it is not known declares a token more.
 """
 
 import asyncio
@@ -20,12 +16,14 @@ import threading
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Self
 
 import zenoh
 
 from crazychoir.bus import endpoints
 from crazychoir.bus.codec import encode
+from crazychoir.bus.estranged import Estranged
 from crazychoir.bus.frames import (
     MAX_DESTINATIONS,
     Envelope,
@@ -35,8 +33,9 @@ from crazychoir.bus.frames import (
     decode_frame,
     encode_frame,
 )
+from crazychoir.bus.hello import Hello
 from crazychoir.bus.local import ANY, Bus
-from crazychoir.bus.peers import MAX_PEERS, OnRefused, OnToken, Peer, Peers
+from crazychoir.bus.peers import OnRefused, OnToken, Peer, Peers
 from crazychoir.bus.topics import HELLO, LOG, Class, Topic
 from crazychoir.errors import CodecError, ConfigError
 from crazychoir.runtime.actor import Actor
@@ -55,6 +54,8 @@ RUNTIME = "(rx: (worker_threads: 1))"
 """Zenoh's threads: two that receive wake each other for every frame, which costs a twentieth more CPU."""
 ASKING = 4
 """HELLOs a second to a peer that is not yet talked to."""
+TOKENS = 8
+"""Of ours beyond the first, the newest."""
 _PRIORITY = {
     Class.ESTOP: zenoh.Priority.REAL_TIME,
     Class.CONTROL: zenoh.Priority.INTERACTIVE_HIGH,
@@ -82,7 +83,8 @@ class LinkCounters:
     malformed, other_version: frames that could not be read;  strangers: frames and messages from those that have no
     token (or whose HELLO overtook it), or speak for others;  unsendable: messages that no frame takes;  dropped:
     messages for a peer that went away;  overflowed: frames that a hung event loop did not take;  failed: frames whose
-    handler raised;  worst_put_s: s, the longest put.
+    handler raised;  tokens: that were declared once more, since another process lost ours;  worst_put_s: s, the longest
+    put.
     """
 
     frames_sent: int = 0
@@ -96,6 +98,7 @@ class LinkCounters:
     overflowed: int = 0
     failed: int = 0
     put_errors: int = 0
+    tokens: int = 0
     worst_put_s: float = 0.0
 
 
@@ -124,6 +127,7 @@ class ZenohLink(Actor):
         for where, name in (("swarm", swarm), ("host", bus.host), ("process", bus.process)):
             endpoints.check_name(where, name)
         self.bus, self.swarm, self.listen, self.connect = bus, swarm, listen, connect
+        self._live = f"choir/{swarm}/live"
         self.counters = LinkCounters()
         self.table = Peers(bus, swarm, incarnation, version, on_token, on_refused)
         self.peers, self.directory = self.table.by_name, self.table.directory
@@ -136,8 +140,8 @@ class ZenohLink(Actor):
         self._full: list[Lane] = []
         self._after: deque[Callable[[], None]] = deque()
         self._to_greet: dict[str, None] = {}
-        self._strangers: dict[str, None] = {}
-        self._tokens = 0
+        self._estranged = Estranged()
+        self._tokens: deque[Any] = deque()
         self._declared: list[Any] = []
         self._session: zenoh.Session | None = None
 
@@ -155,16 +159,10 @@ class ZenohLink(Actor):
         tokens = zenoh.handlers.Callback(self._token, indirect=True)
         self._declared = [
             session.declare_subscriber(f"choir/{self.swarm}/f/{self.bus.process}/**", received),
-            session.liveliness().declare_subscriber(f"choir/{self.swarm}/live/*/*/**", tokens, history=True),
+            session.liveliness().declare_subscriber(f"{self._live}/*/*/**", tokens, history=True),
+            session.liveliness().declare_token(f"{self._live}/{self.bus.host}/{self.bus.process}"),
         ]
-        self._declare_token(session)
         self.bus.forwarder = self
-
-    def _declare_token(self, session: zenoh.Session) -> None:
-        key = f"choir/{self.swarm}/live/{self.bus.host}/{self.bus.process}"
-        key += f"/{self._tokens}" if self._tokens else ""
-        self._tokens += 1
-        self._declared.append(session.liveliness().declare_token(key))
 
     async def run(self) -> None:
         """Repeat HELLO: often to those who have not heard it or whom we have not, seldom when all know all."""
@@ -176,8 +174,10 @@ class ZenohLink(Actor):
             due = tick % ASKING == 0 and age < SETTLED
             if due or age == 0.0 or tick % (SETTLED * ASKING) == 0:
                 self.greet()
-            self._answer_strangers()
-            self._ask_again()
+            for peer in self.peers.values():
+                if not peer.refusal and not self.table.mutual(peer):
+                    self._greet(peer)
+            self._greet_estranged(gone_too=tick % ASKING == 0)
 
     async def on_stop(self) -> None:
         """Send what is waiting and close the session, in a thread: it may take its time."""
@@ -195,7 +195,7 @@ class ZenohLink(Actor):
 
     def _close(self, session: zenoh.Session, closed: asyncio.Event) -> None:
         try:
-            for declared in reversed(self._declared):
+            for declared in reversed([*self._declared, *self._tokens]):
                 declared.undeclare()
             session.close()
         except zenoh.ZError as error:
@@ -258,32 +258,31 @@ class ZenohLink(Actor):
         self._to_greet[peer.process] = None
         self._schedule_flush()
 
-    def _ask_again(self) -> None:
-        """HELLO to those who have not heard it; who sends its own and takes none of ours has lost our token."""
-        session, unseen = self._session, False
-        for peer in self.peers.values():
-            if peer.refusal or self.table.mutual(peer):
-                peer.asked = 0
-                continue
-            self._greet(peer)
-            peer.asked += peer.hello is not None
-            unseen = unseen or peer.asked == ASKING
-        if unseen and session is not None:
-            self._declare_token(session)
-
-    def _answer_strangers(self) -> None:
-        strangers, self._strangers = self._strangers, {}
-        session = self._session
-        if session is None:
+    def _greet_estranged(self, gone_too: bool) -> None:
+        session, processes = self._session, self._estranged.due(gone_too)
+        if session is None or not processes:
             return
         payload, age = self.table.hello()
         hello = Envelope(HELLO.number, 0, (), 0, 0, age, "", payload)
         frame = encode_frame(Frame(self.bus.process, self.table.incarnation, HELLO.klass, [hello]))
-        for process in strangers:
-            try:
-                session.put(self._key(process, HELLO.klass), frame, congestion_control=zenoh.CongestionControl.DROP)
-            except zenoh.ZError:
-                self.counters.put_errors += 1
+        drop, priority = zenoh.CongestionControl.DROP, _PRIORITY[HELLO.klass]
+        for process in processes:
+            key = self._key(process, HELLO.klass)
+            self._put(partial(session.put, key, congestion_control=drop, priority=priority), frame)
+
+    def _declare_another_token(self, process: str) -> None:
+        session = self._session
+        if session is None:
+            return
+        self.counters.tokens += 1
+        key = f"{self._live}/{self.bus.host}/{self.bus.process}/{self.counters.tokens}"
+        log.info("%s hears us and has no token of ours: one more", process)
+        try:
+            self._tokens.append(session.liveliness().declare_token(key))
+            if len(self._tokens) > TOKENS:
+                self._tokens.popleft().undeclare()
+        except zenoh.ZError as error:
+            log.warning("a liveliness token could not be declared: %s", error)
 
     def _add(self, peer: Peer, klass: Class, message: Envelope) -> None:
         session = self._session
@@ -334,7 +333,7 @@ class ZenohLink(Actor):
                 log.warning("not sent: %s", error)
                 continue
             for frame in frames:
-                self._put(lane, frame)
+                self._put(lane.publisher.put, frame)
         for _ in range(len(self._after)):
             self._after.popleft()()
 
@@ -346,11 +345,11 @@ class ZenohLink(Actor):
             if name in self.peers:
                 self._add(self.peers[name], HELLO.klass, hello)
 
-    def _put(self, lane: Lane, frame: bytes) -> None:
+    def _put(self, put: Callable[[bytes], None], frame: bytes) -> None:
         counters = self.counters
         began_ns = self._now_ns()
         try:
-            lane.publisher.put(frame)
+            put(frame)
         except zenoh.ZError:
             counters.put_errors += 1
             return
@@ -411,6 +410,7 @@ class ZenohLink(Actor):
 
     def _token_came(self, key: str, data: bytes, arrived_ns: int) -> None:
         host, process, *_ = key.split("/")[3:]
+        self._estranged.came(process)
         peer = self.table.came(host, process, key)
         if peer is not None:
             self._greet(peer)
@@ -418,7 +418,10 @@ class ZenohLink(Actor):
     def _token_went(self, key: str, data: bytes, arrived_ns: int) -> None:
         host, process, *_ = key.split("/")[3:]
         peer = self.table.went(host, process, key)
-        for lane in peer.lanes.values() if peer is not None else ():
+        if peer is None:
+            return
+        self._estranged.went(process)
+        for lane in peer.lanes.values():
             self.counters.dropped += len(lane.buffer)
             lane.buffer.take()
             lane.publisher.undeclare()
@@ -436,7 +439,7 @@ class ZenohLink(Actor):
         peer = self._sender(key, frame)
         if peer is None:
             counters.strangers += 1
-            self._is_stranger(key, frame.process)
+            self._stranger(key, frame)
             return
         counters.frames_received += 1
         self._distribute(peer, frame.envelopes, (self._now_ns() - arrived_ns) / SECOND)
@@ -447,11 +450,29 @@ class ZenohLink(Actor):
         peer = self.peers.get(process)
         return peer if peer is not None and peer.host == host and frame.process == process else None
 
-    def _is_stranger(self, key: str, process: str) -> None:
-        """To be answered, unless its name is forged, ours, or none."""
-        named = endpoints.is_name(process) and key.rsplit("/", 2)[-2] == process != self.bus.process
-        if named and len(self._strangers) < MAX_PEERS:
-            self._strangers[process] = None
+    def _stranger(self, key: str, frame: Frame) -> None:
+        """A frame without a token: its process is answered, unless its name is forged, known, ours, or none."""
+        _, host, process, _ = key.rsplit("/", 3)
+        known = process == self.bus.process or process in self.peers
+        if known or process != frame.process or not endpoints.is_name(process):
+            return
+        self._estranged.heard(process)
+        for message in frame.envelopes:
+            if message.topic == HELLO.number:
+                self._greeted_by_stranger(host, process, message.payload)
+
+    def _greeted_by_stranger(self, host: str, process: str, payload: bytes) -> None:
+        try:
+            hello = Hello.of(payload)
+        except CodecError:
+            self.counters.malformed += 1
+            return
+        if (hello.host, hello.process) == (host, process):
+            self._heard_of_us(process, self.bus.process in hello.heard)
+
+    def _heard_of_us(self, process: str, knows_us: bool) -> None:
+        if self._estranged.greeted(process, knows_us):
+            self._declare_another_token(process)
 
     def _distribute(self, peer: Peer, messages: list[Envelope], waited: float) -> None:
         directory, ports = self.directory, self.bus.ports
@@ -476,6 +497,9 @@ class ZenohLink(Actor):
                 self._greet(peer)
         except CodecError:
             self.counters.malformed += 1
+            return
+        if not peer.refusal:
+            self._heard_of_us(peer.process, self.table.mutual(peer))
 
 
 class Outside:

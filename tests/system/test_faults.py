@@ -264,8 +264,9 @@ def attack(config: SwarmConfig, ends: Callable[[], bool]) -> int:
     draw = np.random.default_rng(1)
     sent = 0
     with opened(config.endpoint(0)) as session:
-        live = f"choir/{config.name}/live/*/*"
-        tokens = [str(reply.ok.key_expr).split("/")[-2:] for reply in session.liveliness().get(live)]
+        live = f"choir/{config.name}/live/*/*/**"
+        keys = [str(reply.ok.key_expr) for reply in session.liveliness().get(live)]
+        tokens = sorted({tuple(key.split("/")[3:5]) for key in keys})
         while not ends():
             for _, process in tokens:
                 for host, claimed in (*tokens, ("nowhere", "stranger")):
