@@ -170,7 +170,7 @@ async def test_without_a_dongle_for_good_only_agents_of_its_drones_end(tmp_path,
     children, said = {}, []
 
     async def spawn(group, path, result, options):
-        seconds = 1.0 if group == (0, 1) else 60.0
+        seconds = 1.0 if group == (0, 1) else 600.0
         ends = "signal.signal(15, lambda *_: exit(3))"
         children[group] = await child(f"import signal, time; {ends}; time.sleep({seconds})")
         await asyncio.sleep(0.2)
