@@ -172,8 +172,11 @@ async def test_without_a_dongle_for_good_only_agents_of_its_drones_end(tmp_path,
     async def spawn(group, path, result, options):
         seconds = 1.0 if group == (0, 1) else 600.0
         ends = "signal.signal(15, lambda *_: exit(3))"
-        children[group] = await child(f"import signal, time; {ends}; time.sleep({seconds})")
-        await asyncio.sleep(0.2)
+        ready = tmp_path / f"ready{group[0]}"
+        touch = f"open({str(ready)!r}, 'w').close()"
+        children[group] = await child(f"import signal, time; {ends}; {touch}; time.sleep({seconds})")
+        while not ready.exists():  # noqa: ASYNC110 - of another process
+            await asyncio.sleep(0.01)
         return children[group]
 
     async def start(module, *words):
