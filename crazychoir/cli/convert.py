@@ -32,7 +32,7 @@ def convert(
     success = recording.complete or partial
     if as_json:
         topics = {topic: {"type": channel.type, "messages": channel.count} for topic, channel in bag.channels.items()}
-        told = {"complete": recording.complete, "lost": recording.lost, "folder": rosbag2, "messages": bag.count}
+        told = {**recording.lacks, "folder": rosbag2, "messages": bag.count}
         write_json({"success": success, **told, "topics": topics})
     else:
         text = f"{rosbag2}: {bag.count} messages of {len(bag.channels)} topics"

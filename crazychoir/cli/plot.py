@@ -48,7 +48,7 @@ def plot(
     figures = flight.figures()
     warn_of(recording, f"only its first {figures['seconds']:.1f} s are there")
     if as_json:
-        told = {"file": file, "complete": recording.complete, "lost": recording.lost, "about": recording.about}
+        told = {"file": file, **recording.lacks, "about": recording.about}
         write_json({"success": True, **told, "files": files, **figures})
     else:
         _show(recording, figures)

@@ -63,7 +63,7 @@ def render(
         fail(written, as_json)
     files = [path for path in (picture, video) if path is not None]
     if as_json:
-        told = {"file": file, "complete": recording.complete, "lost": recording.lost, "files": files}
+        told = {"file": file, **recording.lacks, "files": files}
         write_json({"success": True, **told, "seconds": float(times[-1] - times[0])})
     else:
         STDOUT.print(f"In {', '.join(map(str, files))}", markup=False, highlight=False, soft_wrap=True)

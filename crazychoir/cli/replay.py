@@ -51,7 +51,7 @@ def replay(
     except KeyboardInterrupt:
         raise typer.Exit(130) from None
     if as_json:
-        of_file = {"file": file, "complete": recording.complete, "lost": recording.lost}
+        of_file = {"file": file, **recording.lacks}
         write_json({"success": True, **of_file, **told})
     else:
         STDOUT.print(f"{told['messages']} messages, {told['seconds']:.2f} s of flight", highlight=False)

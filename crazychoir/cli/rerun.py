@@ -55,7 +55,7 @@ def rerun(
     where = UNSEEN if difference is None else str(difference)
     told = {
         "success": same, "mission": config.mission, "seed": config.seed,
-        "complete": recording.complete, "lost": recording.lost,
+        **recording.lacks,
         "recorded_digest": digest, "digest": result["digest"], "first_difference": None if same else where,
         "others": others, "simulated_s": result["simulated_s"], "wall_s": result["wall_s"],
         "recording": record,

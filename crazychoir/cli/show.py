@@ -136,9 +136,10 @@ def interrupted(as_json: bool) -> NoReturn:
 
 
 def warn_of(recording: "Recording", left: str) -> None:
-    """Say what a recording lacks: its end, and `left`, what is done with the rest; messages that were lost."""
+    """Say what a recording lacks: its end, and `left`, what is done with the rest; messages that were lost, or missed."""
     said = [f"the recording was {recording.fault}: {left}"] if recording.fault else []
     said += [f"messages lost while it was recorded: {recording.lost}"] if recording.lost else []
+    said += [f"messages that the network did not bring to its recorder: {recording.missed}"] if recording.missed else []
     for text in said:
         STDERR.print(f"{recording.path}: {text}", style="yellow", markup=False, highlight=False, soft_wrap=True)
 
@@ -267,9 +268,9 @@ def _flown(run: dict[str, Any]) -> str:
 
 def _recording(recording: dict[str, Any]) -> str:
     """Where it is, and what is not in it."""
-    lost, error = recording["lost"], recording["error"]
-    text = f"{recording['file']}: {recording['messages']} messages"
-    return text + (f", {lost} lost" if lost else "") + (f"; ended early: {error}" if error else "")
+    text, error = f"{recording['file']}: {recording['messages']} messages", recording["error"]
+    text += "".join(f", {recording[name]} {name}" for name in ("lost", "missed") if recording[name])
+    return text + (f"; ended early: {error}" if error else "")
 
 
 def _figures(value: Any) -> str:

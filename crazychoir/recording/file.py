@@ -71,6 +71,8 @@ class RecordingFile:
         """Messages in the file."""
         self.lost = 0
         """Messages that are not, as who records them counts."""
+        self.missed = 0
+        """Messages that did not come to who records, as he counts."""
         self.error = ""
         self._fd = _create(path)
         self._turn = threading.Lock()
@@ -101,13 +103,13 @@ class RecordingFile:
     def close(self, outcome: Mapping[str, str] | None = None) -> None:
         """End the file with what came of it, and with its index; one without a message goes.
 
-        outcome: texts, of which `ended` is why; how many messages were lost is always said beside them.
+        outcome: texts, of which `ended` is why; how many messages were lost and missed is always said beside them.
         """
         with self._turn:
             if self._fd < 0:
                 return
             if self.written and not self.error:
-                said = {"lost": str(self.lost), "ended": UNKNOWN, **(outcome or {})}
+                said = {"lost": str(self.lost), "missed": str(self.missed), "ended": UNKNOWN, **(outcome or {})}
                 self._writer.metadata(OUTCOME, said)
                 self._writer.finish()
                 self._put(sync=self.durable)

@@ -53,7 +53,7 @@ class Recording:
 
     about: what was flown;  swarm: the swarm file, as text;  mission: the text of the mission's file;  outcome: what
     came of it, of a complete recording: why it `ended`, and of a flight in virtual time its `digest`;  lost: messages
-    that are not in it;  chunks: of messages, that are whole;  fault: where it is cut off or spoilt, empty if it was
+    that are not in it;  missed: that the network did not bring to who recorded it;  chunks: of messages, that are whole;  fault: where it is cut off or spoilt, empty if it was
     ended in order;  topics: by (drone, topic).
     """
 
@@ -63,6 +63,7 @@ class Recording:
     mission: str = ""
     outcome: dict[str, str] = field(default_factory=dict)
     lost: int = 0
+    missed: int = 0
     chunks: int = 0
     fault: str = "not read"
     topics: dict[tuple[int, str], Values] = field(default_factory=dict)
@@ -71,6 +72,11 @@ class Recording:
     def complete(self) -> bool:
         """Whether it was ended in order, and all is there."""
         return not self.fault
+
+    @property
+    def lacks(self) -> dict[str, Any]:
+        """Whether it is complete, and what it does not have, for JSON."""
+        return {"complete": self.complete, "lost": self.lost, "missed": self.missed}
 
     @property
     def drones(self) -> list[int]:
@@ -137,7 +143,7 @@ def _take(recording: Recording, found: "_Series", opcode: int, body: bytes) -> N
                 recording.about = told.metadata
             elif told.name == OUTCOME:
                 recording.outcome = told.metadata
-                recording.lost = int(told.metadata.get("lost", 0))
+                recording.lost, recording.missed = (int(told.metadata.get(name, 0)) for name in ("lost", "missed"))
         case Opcode.ATTACHMENT:
             attached = Attachment.read(stream(body))
             if attached.name == SWARM_FILE:

@@ -29,12 +29,14 @@ MOST_WAITING = 64 << 20
 @dataclass
 class Recorded:
     """What came of a recording: messages in the file, and those that are not, as the disk was slow or no field of a
-    message holds them; error: why it ended before the flight, empty if it did not.
+    message holds them; missed: that were said to who looks on, and that the network did not bring, or too many at once;
+    error: why it ended before the flight, empty if it did not.
     """
 
     file: str
     messages: int
     lost: int
+    missed: int
     error: str
 
 
@@ -60,12 +62,12 @@ class Recorder(Actor):
         self._waiting: list[Entry] = []
         self._bytes = 0
         self._said = False
+        self._numbers: dict[tuple[int, int], int] = {}
         for i in ids:
             for topic in map(BY_NAME.__getitem__, topics):
                 take = partial(self._take, i, topic)
                 bus.subscribe(topic, source(topic, i), i if observer is None else observer, Call(self.clock, take))
-        if observer is None:
-            self._next, bus.tap = bus.tap, self._tap
+        self._next, bus.tap = bus.tap, self._rounds if observer is None else self._count
 
     async def run(self) -> None:
         """Write what has come, a few times a second, until the recording ends."""
@@ -87,7 +89,7 @@ class Recorder(Actor):
     def result(self) -> dict[str, Any]:
         """What came of it."""
         file = self.file
-        return asdict(Recorded(str(file.path), file.written, file.lost, file.error))
+        return asdict(Recorded(str(file.path), file.written, file.lost, file.missed, file.error))
 
     def _open(self, drone: int, topic: Topic, kind: Any) -> tuple[Series, Pack]:
         """The messages of one type under one topic: each type has a series of its own."""
@@ -120,7 +122,7 @@ class Recorder(Actor):
             self._said = True
             log.warning("recording %s: a message is lost: %s; further ones are counted", self.file.path, why)
 
-    def _tap(
+    def _rounds(
         self, to: int, topic: int, source: int, number: int, payload: bytes, channel: str, flags: int, age: float
     ) -> None:
         """A message has arrived: one of a round is recorded under its sender."""
@@ -128,3 +130,17 @@ class Recorder(Actor):
             self._next(to, topic, source, number, payload, channel, flags, age)
         if topic == ROUND.number:
             self._take(source, ROUND, Exchanged(to, number, flags, channel, payload), age)
+
+    def _count(
+        self, to: int, topic: int, source: int, number: int, payload: bytes, channel: str, flags: int, age: float
+    ) -> None:
+        """A message has arrived: those of a topic that came between it and the one before have not.
+
+        A latched value has no number, and one that begins anew is of an agent that was started again.
+        """
+        if self._next is not None:
+            self._next(to, topic, source, number, payload, channel, flags, age)
+        if number:
+            before = self._numbers.get((source, topic), number)
+            self._numbers[source, topic] = number
+            self.file.missed += max(0, number - before - 1)

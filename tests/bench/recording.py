@@ -1,43 +1,54 @@
-"""How many messages a second a recorder takes, and at what CPU: `recording.py [drones] [Hz] [seconds]`.
+"""How many messages a second a recorder takes, and at what CPU: `recording.py [drones] [Hz] [seconds] [--processes n]`.
 
-Drones say their states on one bus, in real time, each in its turn, and a recorder writes them: nothing may be lost.
-Prints one JSON object: messages said, written and lost, and CPU s of the process for each second of flight, with what
-the drones cost alone, on the same bus, where nobody records. Where the wall time is longer than the seconds that were
-asked for, the machine was too slow or too busy, and the drones have said less a second.
+Drones say their states in real time, each in its turn, and a recorder writes them: on one bus, or from n processes over
+Zenoh. On one bus nothing may be lost. Prints one JSON object: messages said, written, lost and missed, and CPU s of the
+recorder's process for each second of flight; on one bus also what the drones cost alone, where nobody records. Where
+the wall time is longer than the seconds that were asked for, the machine was too slow or too busy, and the drones have
+said less a second.
 """
 
+import argparse
 import asyncio
+import contextlib
 import json
+import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from crazychoir.bus.local import Bus
+from crazychoir.bus.hello import VERSION
+from crazychoir.bus.local import OBSERVER, Bus
 from crazychoir.bus.topics import STATE
+from crazychoir.bus.zenoh import ZenohLink
+from crazychoir.launch.network import apart, attached, observer
 from crazychoir.recording.file import RecordingFile
 from crazychoir.recording.recorder import Recorder
 from crazychoir.runtime.clock import Clock, run_wall
 from crazychoir.runtime.supervisor import Supervisor
+from crazychoir.swarm.config import SwarmConfig
 from crazychoir.types import State
 
 VALUES = 512
 """States that differ in all digits, said over and over: making them is no work of the recorder."""
+START = 30.0
+"""s within which all processes are there."""
 
 
-async def said(clock: Clock, bus: Bus, drones: int, rate: float, seconds: float) -> int:
+async def said(clock: Clock, bus: Bus, ids: Sequence[int], rate: float, seconds: float) -> int:
     """Let each drone say a state a period; returns how many were said."""
     draw = np.random.default_rng(0)
     states = [State(draw.normal(size=13)) for _ in range(VALUES)]
-    ports, count = [bus.ports[i] for i in range(drones)], 0
+    ports, count = [bus.ports[i] for i in ids], 0
     async for _ in clock.ticks(rate):
         for port in ports:
             port.publish(STATE, states[count % VALUES])
             count += 1
-        if count >= drones * rate * seconds:
+        if count >= len(ids) * rate * seconds:
             return count
     return count
 
@@ -54,31 +65,117 @@ def run(drones: int, rate: float, seconds: float, path: Path | None) -> dict[str
         supervisor = Supervisor(clock, "bench")
         running = asyncio.create_task(supervisor.run([recorder] if recorder else []))
         began, cpu = time.perf_counter(), time.process_time()
-        count = await said(clock, bus, drones, rate, seconds)
+        count = await said(clock, bus, range(drones), rate, seconds)
+        wall = time.perf_counter() - began
         supervisor.stop()
         await running
-        wall, used = time.perf_counter() - began, time.process_time() - cpu
+        used = time.process_time() - cpu
         told = recorder.result() if recorder else {}
         return {"said": count, "wall_s": wall, "cpu": used * drones * rate / count, **told}
 
     return run_wall(main)
 
 
-def measure(drones: int, rate: float, seconds: float) -> dict[str, Any]:
-    """Both runs, and the size of the file."""
+def on_one_bus(drones: int, rate: float, seconds: float, path: Path) -> dict[str, Any]:
+    """Without a recorder, and with one."""
+    alone = run(drones, rate, seconds, None)
+    recorded = run(drones, rate, seconds, path)
+    return {**recorded, "cpu_alone": alone["cpu"]}
+
+
+def swarm(drones: int, processes: int) -> SwarmConfig:
+    """So many, which nobody flies."""
+    places = [{"id": i, "home": [float(i % 40), float(i // 40), 0.0]} for i in range(drones)]
+    fence = {"min": [-2, -2, 0], "max": [42, 42, 3]}
+    raw = {"name": "recorded", "mission": "figure", "drones": places, "graph": "ring", "fence": fence}
+    return apart(SwarmConfig.of(raw), processes)
+
+
+def speak(path: str, group: int, rate: float, seconds: float) -> None:
+    """The drones of one process, once somebody reads them; prints how many they have said."""
+    config = SwarmConfig.load(path)
+    ids = config.groups()[group]
+
+    async def main(clock: Clock) -> None:
+        bus = Bus(clock, process=f"speaker-{group}", host="bench")
+        for i in ids:
+            bus.port(i)
+        link = ZenohLink(bus, config.name, listen=[config.endpoint(ids[0])], connect=[], incarnation=group + 1,
+                         version=VERSION)  # fmt: skip
+        async with attached(link):
+            async with asyncio.timeout(START):
+                while not any(peer.hello and peer.hello.interests for peer in link.peers.values()):
+                    await clock.sleep(0.1)
+            await clock.sleep(2.0)  # all others are read, too
+            began = time.perf_counter()
+            count = await said(clock, bus, ids, rate, seconds)
+            print(json.dumps({"said": count, "wall_s": time.perf_counter() - began}), flush=True)
+            await clock.sleep(2.0)
+
+    run_wall(main)
+
+
+def over_zenoh(drones: int, rate: float, seconds: float, path: Path, processes: int) -> dict[str, Any]:
+    """Recorded by one who looks on, as `crazychoir record` does."""
+    config = swarm(drones, processes)
+    file = path.with_name("swarm.json")
+    file.write_text(config.dumps())
+
+    async def main(clock: Clock) -> dict[str, Any]:
+        link = observer(clock, config)
+        bus, address = link.bus, next(a for a in link.bus.ports if a >= OBSERVER)
+        opened = RecordingFile(path, {"version": "bench"}, "{}", durable=True)
+        recorder = Recorder(bus, config.ids, opened, address, topics=["state"])
+        async with attached(link, recorder):
+            words = [[sys.executable, __file__, "--speak", str(file), str(k), str(rate), str(seconds)]
+                     for k in range(processes)]  # fmt: skip
+            speakers = [subprocess.Popen(line, stdout=subprocess.PIPE, text=True) for line in words]
+            with contextlib.ExitStack() as stack:
+                for speaker in speakers:
+                    stack.callback(speaker.kill)
+                async with asyncio.timeout(START):
+                    while not opened.written:
+                        await clock.sleep(0.05)
+                cpu = time.process_time()
+                ends = [asyncio.to_thread(speaker.communicate, None, START + 4 * seconds) for speaker in speakers]
+                told = [json.loads(out) for out, _ in await asyncio.gather(*ends)]
+                used = time.process_time() - cpu
+        count = sum(one["said"] for one in told)
+        wall = max(one["wall_s"] for one in told)
+        return {"said": count, "wall_s": wall, "cpu": used * drones * rate / count, **recorder.result()}
+
+    return run_wall(main)
+
+
+def measure(drones: int, rate: float, seconds: float, processes: int) -> dict[str, Any]:
+    """One run, and the size of the file."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "bench.mcap"
-        alone = run(drones, rate, seconds, None)
-        recorded = run(drones, rate, seconds, path)
+        if processes:
+            found = over_zenoh(drones, rate, seconds, path, processes)
+        else:
+            found = on_one_bus(drones, rate, seconds, path)
         size = path.stat().st_size
-    return {
-        "drones": drones, "rate_hz": rate, "said": recorded["said"], "written": recorded["messages"],
-        "lost": recorded["lost"], "error": recorded["error"], "wall_s": round(recorded["wall_s"], 3),
-        "cpu_alone": round(alone["cpu"], 3), "cpu": round(recorded["cpu"], 3),
-        "bytes_a_message": round(size / max(1, recorded["messages"]), 1),
-    }  # fmt: skip
+    written = found.pop("messages")
+    del found["file"]
+    figures = {name: round(value, 3) if isinstance(value, float) else value for name, value in found.items()}
+    return {"drones": drones, "rate_hz": rate, "processes": processes, "written": written, **figures,
+            "bytes_a_message": round(size / max(1, written), 1)}  # fmt: skip
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("drones", type=int, nargs="?", default=1000)
+    parser.add_argument("rate", type=float, nargs="?", default=100.0)
+    parser.add_argument("seconds", type=float, nargs="?", default=10.0)
+    parser.add_argument("--processes", type=int, default=0, help="over Zenoh, of so many; 0: on one bus")
+    if sys.argv[1:2] == ["--speak"]:
+        path, group, rate, seconds = sys.argv[2:]
+        speak(path, int(group), float(rate), float(seconds))
+        return
+    chosen = parser.parse_args()
+    print(json.dumps(measure(chosen.drones, chosen.rate, chosen.seconds, chosen.processes)))
 
 
 if __name__ == "__main__":
-    words = [float(word) for word in sys.argv[1:]] + [1000.0, 100.0, 10.0][len(sys.argv) - 1 :]
-    print(json.dumps(measure(int(words[0]), words[1], words[2])))
+    main()

@@ -79,7 +79,7 @@ def test_a_recorded_flight_is_the_same_flight(recorded, fly_short):
 def test_others_read_every_message(recorded):
     path, result = recorded
     found = by_mcap_ros2(path)
-    assert result["recording"] == {"file": str(path), "messages": len(found), "lost": 0, "error": ""}
+    assert result["recording"] == {"file": str(path), "messages": len(found), "lost": 0, "missed": 0, "error": ""}
     assert str(found) == str(by_rosbags(path))
     times = {name: [t for topic, _, t, _ in found if topic == name] for name in {topic for topic, *_ in found}}
     said = {name for name in OBSERVABLE if name not in ("log", "telemetry", "plan", "link")} | {"round"}

@@ -53,8 +53,8 @@ def test_a_file_says_what_was_flown(tmp_path):
 @pytest.mark.parametrize(
     ("lost", "said", "outcome"),
     [
-        (0, None, {"lost": "0", "ended": UNKNOWN}),
-        (7, {"ended": "Ctrl-C", "digest": "ab"}, {"lost": "7", "ended": "Ctrl-C", "digest": "ab"}),
+        (0, None, {"lost": "0", "missed": "0", "ended": UNKNOWN}),
+        (7, {"ended": "Ctrl-C", "digest": "ab"}, {"lost": "7", "missed": "0", "ended": "Ctrl-C", "digest": "ab"}),
     ],
 )
 def test_it_always_says_what_it_lacks_and_how_it_ended(tmp_path, lost, said, outcome):

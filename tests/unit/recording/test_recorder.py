@@ -80,7 +80,7 @@ def test_every_observable_topic_arrives_as_it_was_sent(tmp_path, observer):
 
     assert [topic.name for topic in VALUES] == list(OBSERVABLE)
     path = tmp_path / "a.mcap"
-    assert recorded(path, work, observer) == {"file": str(path), "messages": 12, "lost": 0, "error": ""}
+    assert recorded(path, work, observer) == {"file": str(path), "messages": 12, "lost": 0, "missed": 0, "error": ""}
     found = by_mcap_ros2(path)
     assert found == by_rosbags(path)
     assert [name for name, *_ in found] == [f"/drone1/{topic.name}" for topic in VALUES]
@@ -169,9 +169,28 @@ def test_what_cannot_be_written_hurts_nobody(tmp_path, caplog):
 
     result = recorded(tmp_path / "a.mcap", work)
     assert (result["messages"], result["lost"]) == (1, 4)
-    assert header(tmp_path / "a.mcap").outcome == {"lost": "4", "ended": "its flight has ended"}
+    assert header(tmp_path / "a.mcap").outcome == {"lost": "4", "missed": "0", "ended": "its flight has ended"}
     assert len(caplog.records) == 1
     assert "status of drone 0" in caplog.text
+
+
+def test_what_the_network_did_not_bring_is_counted(tmp_path):
+    """Of each topic of each drone on its own; a latched value and an agent that begins anew are no gap."""
+
+    async def work(clock, bus):
+        state, link = encode(State.at((0, 0, 0))), encode(LinkStatus("up"))
+        say = bus.ports[OBSERVER].deliver
+        for number in (7, 8, 11, 1, 2, 4):  # 9, 10 and 3 are not there
+            say(STATE.number, 0, state, number, "", 0, 0.0)
+        say(STATE.number, 1, state, 100, "", 0, 0.0)
+        say(STATE.number, 1, state, 101, "", 0, 0.0)
+        for number in (0, 3, 4):
+            say(LINK.number, 1, link, number, "", 0, 0.0)
+
+    path = tmp_path / "a.mcap"
+    result = recorded(path, work, OBSERVER)
+    assert (result["messages"], result["lost"], result["missed"]) == (11, 0, 3)
+    assert header(path).lacks == {"complete": True, "lost": 0, "missed": 3}
 
 
 def test_a_full_disk_ends_the_recording_not_the_flight(tmp_path, monkeypatch, caplog):
