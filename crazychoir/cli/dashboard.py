@@ -20,13 +20,18 @@ INSTALL = "the dashboard's packages: pip install 'crazychoir[dashboard]'"
 
 def dashboard(
     swarm: SwarmOption = None,
-    host: Annotated[str, typer.Option(help="Address to be served at; others than loopback: with a password.")] = LOCAL,
+    host: Annotated[
+        str, typer.Option(help="Address to be served at; others than loopback: with a password or an authority.")
+    ] = LOCAL,
     port: Annotated[int | None, typer.Option(min=1, max=65535, help="Else the first free one from 8765 on.")] = None,
     password_file: Annotated[
         Path | None, typer.Option(help=f"File with the password of the page; or in ${PASSWORD}.")
     ] = None,
     certificate: Annotated[Path | None, typer.Option(help="PEM file, for https; with --key.")] = None,
     key: Annotated[Path | None, typer.Option(help="PEM file of its key.")] = None,
+    authority: Annotated[
+        Path | None, typer.Option(help="PEM file: only browsers with a certificate that it has signed come in.")
+    ] = None,
 ) -> None:
     """Serve the operator's web page: view, commands, drawing, network, log. The swarm flies on without it."""
     try:
@@ -34,7 +39,7 @@ def dashboard(
     except ImportError as error:
         fail(ConfigError("crazychoir dashboard", f"no module {error.name}", INSTALL), as_json=False)
     try:
-        served = Served(host, port, _password(password_file), certificate, key)
+        served = Served(host, port, _password(password_file), certificate, key, authority)
     except ConfigError as error:
         fail(error, as_json=False)
 

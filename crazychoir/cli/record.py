@@ -64,7 +64,8 @@ def record(
     if as_json:
         write_json({"success": success, **told, "ended": ended})
     else:
-        text = f"{told['file']}: {told['messages']} messages, {told['lost']} lost, {told['missed']} missed; it ended: {ended}"
+        figures = ", ".join(f"{told[name]} {name}" for name in ("messages", "lost", "missed"))
+        text = f"{told['file']}: {figures}; it ended: {ended}"
         STDOUT.print(text, markup=False, highlight=False, soft_wrap=True)
     raise typer.Exit(0 if success else 1)
 

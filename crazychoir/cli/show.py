@@ -136,7 +136,7 @@ def interrupted(as_json: bool) -> NoReturn:
 
 
 def warn_of(recording: "Recording", left: str) -> None:
-    """Say what a recording lacks: its end, and `left`, what is done with the rest; messages that were lost, or missed."""
+    """Say what a recording lacks: its end, and `left`, what is done with the rest; messages lost or missed."""
     said = [f"the recording was {recording.fault}: {left}"] if recording.fault else []
     said += [f"messages lost while it was recorded: {recording.lost}"] if recording.lost else []
     said += [f"messages that the network did not bring to its recorder: {recording.missed}"] if recording.missed else []

@@ -4,6 +4,7 @@ import asyncio
 import contextlib
 import ipaddress
 import socket
+import ssl
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -58,7 +59,8 @@ class Outlook(Place, Protocol):
 class Served:
     """Where and to whom a page is served.
 
-    port: None for the first free one of PORTS;  password: what is wanted to come in;  certificate, key: PEM files.
+    port: None for the first free one of PORTS;  password: what is wanted to come in;  certificate, key: PEM files, for
+    https;  authority: PEM file of certificates: who comes in has one that is signed by one of these.
     """
 
     host: str = "127.0.0.1"
@@ -66,18 +68,30 @@ class Served:
     password: str | None = None
     certificate: Path | None = None
     key: Path | None = None
+    authority: Path | None = None
 
     def __post_init__(self) -> None:
         if self.password is not None and len(self.password) < 8:
             raise ConfigError("password", f"{len(self.password)} characters", "8 or more")
-        if not self.loopback and self.password is None:
-            do = "Name --password-file FILE, or leave --host out and use `ssh -L` to come from elsewhere."
-            raise ConfigError("--host", self.host, "a password, where others than this machine can come in", do)
-        for option, path in (("--certificate", self.certificate), ("--key", self.key)):
-            if path is not None and not path.is_file():
-                raise ConfigError(option, str(path), "a PEM file that is there")
+        if not self.loopback and self.password is None and self.authority is None:
+            do = "Name --password-file or --authority, or leave --host out and use `ssh -L` to come from elsewhere."
+            allowed = "a password or an authority, where others than this machine can come in"
+            raise ConfigError("--host", self.host, allowed, do)
         if (self.certificate is None) != (self.key is None):
             raise ConfigError("--certificate", "without --key, or --key without it", "both, or none")
+        if self.authority is not None and self.certificate is None:
+            raise ConfigError("--authority", "no --certificate and no --key", "https, in which browsers show theirs")
+        self._check_files()
+
+    def _check_files(self) -> None:
+        """Raises ConfigError for files that nobody can be served with."""
+        context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+        if self.certificate is not None:
+            with _readable("--certificate", f"{self.certificate}, {self.key}", "a PEM certificate and its own key"):
+                context.load_cert_chain(self.certificate, self.key, lambda: "")  # never ask for a key's password
+        if self.authority is not None:
+            with _readable("--authority", str(self.authority), "a PEM file of certificates"):
+                context.load_verify_locations(self.authority)
 
     @property
     def loopback(self) -> bool:
@@ -118,6 +132,17 @@ class Served:
         raise ConfigError("--port", where, "an address of this machine and a free port", problem=problem)
 
 
+@contextlib.contextmanager
+def _readable(option: str, found: str, allowed: str) -> Iterator[None]:
+    try:
+        yield
+    except ssl.SSLError as error:
+        reason = (error.reason or str(error)).replace("_", " ").lower()
+        raise ConfigError(option, found, allowed, problem=f"OpenSSL says {reason}") from error
+    except OSError as error:
+        raise ConfigError(option, found, allowed, problem=str(error.strerror)) from error
+
+
 async def serve(place: Outlook, served: Served, say: Callable[[str], None]) -> None:
     """The page of a swarm, until a signal ends it."""
     bus, clock, config = place.link.bus, place.clock, place.config
@@ -132,7 +157,8 @@ async def serve(place: Outlook, served: Served, say: Callable[[str], None]) -> N
     server = uvicorn.Server(uvicorn.Config(
         gate, log_level="warning", lifespan="on", ws_max_size=MOST_BODY, ws_per_message_deflate=False, ws_max_queue=8,
         timeout_graceful_shutdown=GRACE, server_header=False, proxy_headers=False, limit_concurrency=MOST_CONNECTIONS,
-        ssl_certfile=served.certificate, ssl_keyfile=served.key,
+        ssl_certfile=served.certificate, ssl_keyfile=served.key, ssl_ca_certs=served.authority,
+        ssl_cert_reqs=ssl.CERT_NONE if served.authority is None else ssl.CERT_REQUIRED,
     ))  # fmt: skip
     say(f"page of swarm {config.name}: {served.scheme}://{served.name}:{port}; Ctrl-C ends it, and the swarm flies on")
     streaming = asyncio.create_task(Supervisor(clock, "page").run([stream, links, board]))

@@ -53,8 +53,8 @@ class Recording:
 
     about: what was flown;  swarm: the swarm file, as text;  mission: the text of the mission's file;  outcome: what
     came of it, of a complete recording: why it `ended`, and of a flight in virtual time its `digest`;  lost: messages
-    that are not in it;  missed: that the network did not bring to who recorded it;  chunks: of messages, that are whole;  fault: where it is cut off or spoilt, empty if it was
-    ended in order;  topics: by (drone, topic).
+    that are not in it;  missed: that the network did not bring to who recorded it;  chunks: of messages, that are
+    whole;  fault: where it is cut off or spoilt, empty if it was ended in order;  topics: by (drone, topic).
     """
 
     path: Path

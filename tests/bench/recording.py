@@ -9,7 +9,6 @@ said less a second.
 
 import argparse
 import asyncio
-import contextlib
 import json
 import subprocess
 import sys
@@ -129,17 +128,19 @@ def over_zenoh(drones: int, rate: float, seconds: float, path: Path, processes: 
         async with attached(link, recorder):
             words = [[sys.executable, __file__, "--speak", str(file), str(k), str(rate), str(seconds)]
                      for k in range(processes)]  # fmt: skip
-            speakers = [subprocess.Popen(line, stdout=subprocess.PIPE, text=True) for line in words]
-            with contextlib.ExitStack() as stack:
-                for speaker in speakers:
-                    stack.callback(speaker.kill)
+            speakers = [await asyncio.create_subprocess_exec(*line, stdout=subprocess.PIPE) for line in words]
+            try:
                 async with asyncio.timeout(START):
                     while not opened.written:
                         await clock.sleep(0.05)
                 cpu = time.process_time()
-                ends = [asyncio.to_thread(speaker.communicate, None, START + 4 * seconds) for speaker in speakers]
-                told = [json.loads(out) for out, _ in await asyncio.gather(*ends)]
+                async with asyncio.timeout(START + 4 * seconds):
+                    told = [json.loads((await speaker.communicate())[0]) for speaker in speakers]
                 used = time.process_time() - cpu
+            finally:
+                for speaker in speakers:
+                    if speaker.returncode is None:
+                        speaker.kill()
         count = sum(one["said"] for one in told)
         wall = max(one["wall_s"] for one in told)
         return {"said": count, "wall_s": wall, "cpu": used * drones * rate / count, **recorder.result()}

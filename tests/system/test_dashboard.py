@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import http.client
 import http.cookiejar
 import json
 import signal
@@ -11,13 +12,14 @@ import urllib.request
 
 import numpy as np
 import pytest
+import trustme
 from system.agents import CRAZYCHOIR, Program, Team, flying, results, until
 
 pytest.importorskip("nicegui", reason="the page needs the extra: pip install 'crazychoir[dashboard]'")
 
 from system.pages import dashboard, looking_on, six
 from websockets.asyncio.client import connect
-from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.exceptions import ConnectionClosed, InvalidMessage, InvalidStatus
 
 pytestmark = [pytest.mark.system, pytest.mark.real_time]
 
@@ -168,24 +170,30 @@ async def test_the_page_of_loopback_is_closed_to_other_sites_other_names_and_ove
         await program.kill()
 
 
+def on_all(authority, folder):
+    """Options of a page at all addresses, with a certificate of that authority."""
+    files = {name: folder / f"{name}.pem" for name in ("certificate", "key")}
+    made = authority.issue_cert("localhost")
+    made.cert_chain_pems[0].write_to_path(files["certificate"])
+    made.private_key_pem.write_to_path(files["key"])
+    return "--host", "0.0.0.0", *(word for name, file in files.items() for word in (f"--{name}", str(file)))  # noqa: S104
+
+
 async def test_another_address_wants_a_password_and_may_have_a_certificate(tmp_path):
-    path, secret, key, certificate = (tmp_path / name for name in ("swarm.json", "secret", "key.pem", "cert.pem"))
+    path, secret = tmp_path / "swarm.json", tmp_path / "secret"
     path.write_text(six(processes=1).dumps())
     refused = await Program.start(*CRAZYCHOIR, "dashboard", "--swarm", path, "--host", "0.0.0.0")  # noqa: S104
     said = await refused.end(30.0)
     assert said["code"] == 2
     assert "--password-file" in refused.text
     secret.write_text("correct horse\n")
-    openssl = ("openssl", "req", "-x509", "-newkey", "rsa:2048", "-nodes", "-days", "2", "-subj", "/CN=localhost",
-               "-addext", "subjectAltName=DNS:localhost")  # fmt: skip
-    made = await Program.start(*openssl, "-keyout", key, "-out", certificate)
-    assert (await made.end(30.0))["code"] == 0, made.text
-    words = ("--host", "0.0.0.0", "--password-file", str(secret), "--certificate", str(certificate), "--key", str(key))  # noqa: S104
-    program, address = await dashboard(path, *words)
+    authority = trustme.CA()
+    program, address = await dashboard(path, "--password-file", str(secret), *on_all(authority, tmp_path))
     assert address.startswith("https://0.0.0.0:")
     try:
         address = address.replace("0.0.0.0", "localhost")  # noqa: S104
-        trusting = ssl.create_default_context(cafile=certificate)
+        trusting = ssl.create_default_context()
+        authority.configure_trust(trusting)
         status, body = await asyncio.to_thread(asks, address, context=trusting)
         assert (status, b"Password" in body) == (401, True)
         assert await refused_line(address, origin=address, ssl=trusting) in (401, 403)
@@ -204,5 +212,34 @@ async def test_another_address_wants_a_password_and_may_have_a_certificate(tmp_p
             address.replace("https", "wss") + "/line", origin=address, additional_headers=headers, ssl=trusting
         ) as socket:
             assert json.loads(await socket.recv())["about"]["ids"] == list(range(6))
+    finally:
+        await program.kill()
+
+
+async def test_who_has_a_certificate_of_the_authority_comes_in_and_nobody_else(tmp_path):
+    path, file = tmp_path / "swarm.json", tmp_path / "authority.pem"
+    path.write_text(six(processes=1).dumps())
+    authority, foreign = trustme.CA(), trustme.CA()
+    authority.cert_pem.write_to_path(file)
+    program, address = await dashboard(path, "--authority", str(file), *on_all(authority, tmp_path))
+    address = address.replace("0.0.0.0", "localhost")  # noqa: S104
+    try:
+        for signer in (None, foreign, authority):
+            mine = ssl.create_default_context()
+            authority.configure_trust(mine)
+            if signer is not None:
+                signer.issue_cert("operator@lab.example").configure_cert(mine)
+            line = connect(address.replace("https", "wss") + "/line", origin=address, ssl=mine)
+            if signer is authority:
+                assert (await asyncio.to_thread(asks, address, context=mine))[0] == 200
+                async with line as socket:
+                    assert json.loads(await socket.recv())["about"]["ids"] == list(range(6))
+                continue
+            with pytest.raises((OSError, http.client.HTTPException)):
+                await asyncio.to_thread(asks, address, context=mine)
+            with pytest.raises((OSError, EOFError, InvalidMessage)):
+                async with line:
+                    pass
+        assert "Traceback" not in program.text
     finally:
         await program.kill()

@@ -33,7 +33,7 @@ def installed(monkeypatch):
 def test_others_than_this_machine_need_a_password(installed, monkeypatch, host):
     code, text = said("--host", host)
     assert code == 2
-    assert "a password, where others than this machine can come in" in text
+    assert "a password or an authority, where others than this machine can come in" in text
     monkeypatch.setenv(PASSWORD, "short")
     code, text = said("--host", host)
     assert "8 or more" in text

@@ -69,7 +69,7 @@ def test_what_was_asked_for_is_there(record):
     said = json.loads(done.stdout)
     assert (done.exit_code, said["success"], said["messages"], said["lost"]) == (0, True, 6, 0)
     assert said["ended"] == "after 3.5 s"
-    assert recording.outcome == {"lost": "0", "ended": "after 3.5 s"}
+    assert recording.outcome == {"lost": "0", "missed": "0", "ended": "after 3.5 s"}
     assert recording.about == about(default_swarm(2), virtual=False)
     assert seconds == pytest.approx(3.5, abs=0.1)
 
@@ -120,7 +120,7 @@ def test_ctrl_c_is_told(record):
     done, recording, _ = record(interrupts)
     assert done.exit_code == 0
     assert recording.outcome["ended"] == "Ctrl-C"
-    assert "2 messages, 0 lost; it ended: Ctrl-C" in " ".join(done.stdout.split())
+    assert "2 messages, 0 lost, 0 missed; it ended: Ctrl-C" in " ".join(done.stdout.split())
 
 
 def test_a_disk_that_fails_is_told(record, monkeypatch):

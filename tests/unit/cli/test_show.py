@@ -152,12 +152,12 @@ def test_a_run_says_who_failed():
 
 
 def test_a_run_says_where_its_recording_is_and_what_it_lacks():
-    whole = {"file": "a.mcap", "messages": 7, "lost": 0, "error": ""}
+    whole = {"file": "a.mcap", "messages": 7, "lost": 0, "missed": 0, "error": ""}
     text = printed(show.summary_table(RUN | {"recording": whole}))
     assert "a.mcap: 7 messages" in text
     assert "lost" not in text
-    text = printed(show.summary_table(RUN | {"recording": whole | {"lost": 2, "error": "No space left"}}))
-    assert "a.mcap: 7 messages, 2 lost; ended early: No space left" in text
+    text = printed(show.summary_table(RUN | {"recording": whole | {"lost": 2, "missed": 3, "error": "No space left"}}))
+    assert "a.mcap: 7 messages, 2 lost, 3 missed; ended early: No space left" in text
     assert "recording" not in printed(show.summary_table(RUN | {"recording": None}))
 
 
