@@ -5,8 +5,8 @@ from typing import Any
 from crazychoir.dashboard.layout import button, choice, field, row, text
 
 HELP = (
-    "Draw with mouse, finger or pen; several strokes are joined by straight flights. The thin line is what was drawn, "
-    "the thick one what will be flown, here and in the room. Nothing flies before you say so."
+    "Draw, in one stroke or several; straight flights join them. Thin is what was drawn, thick what will be flown. "
+    "Choose in the table who flies it."
 )
 ABOVE, BELOW = 0.7, 0.3
 """m above those that hover where they took off, and below the fence: a drawing's height, unless it is set."""
@@ -19,15 +19,12 @@ def build(about: dict[str, Any]) -> None:
     text(f'<p class="help">{HELP}</p><canvas id="sketch" role="img" '
          'aria-label="Drawing of a path, x to the right, y up; a file can be loaded instead"></canvas>')  # fmt: skip
     with row():
+        button("Fly it with the chosen drones", "sketch.fly()", color="positive")
         button("Undo stroke", "sketch.undo()", "outline")
         button("Clear", "sketch.clear()", "outline")
-        button("Save CSV", "sketch.save('csv')", "outline")
-        button("Save SVG", "sketch.save('svg')", "outline")
-        text(field("area", "Shown", 4, "m", "range", min=1, max=20, step=1)
-             + '<span class="field"><label for="file">Load CSV or SVG</label>'
-             '<input id="file" type="file" accept=".csv,.svg"></span>')  # fmt: skip
     text('<p id="plan" role="status">Nothing is drawn.</p><canvas id="profile" role="img" '
          'aria-label="Speed and acceleration on the way"></canvas>')  # fmt: skip
+    text("<h3>How it is flown</h3>")
     with row():
         text(
             field("height", "Height", height, "m", step=0.1)
@@ -38,11 +35,13 @@ def build(about: dict[str, Any]) -> None:
             + field("v_max", "Speed limit", min(0.5, v_max), "m/s", "range", min=0.05, max=v_max, step=0.05)
             + field("a_max", "Acceleration limit", min(1.0, a_max), "m/s²", "range", min=0.1, max=a_max, step=0.1)
             + field("slower", "Times as long", 1, "", "range", min=1, max=10, step=0.1)
-        )
-    text("<h3>Fly it</h3>")
-    with row():
-        text(
-            field("offset_x", "Offset x from drone to drone", 0, "m", step=0.1)
+            + field("offset_x", "Offset x from drone to drone", 0, "m", step=0.1)
             + field("offset_y", "Offset y", 0.5, "m", step=0.1) + field("offset_z", "Offset z", 0, "m", step=0.1)
-        )  # fmt: skip
-        button("Fly it with the chosen drones", "sketch.fly()", color="positive")
+        )
+    text("<h3>The drawing</h3>")
+    with row():
+        text(field("area", "Shown", 4, "m", "range", min=1, max=20, step=1))
+        button("Save CSV", "sketch.save('csv')", "outline")
+        button("Save SVG", "sketch.save('svg')", "outline")
+        text('<span class="field"><label for="file">Load CSV or SVG</label>'
+             '<input id="file" type="file" accept=".csv,.svg"></span>')  # fmt: skip

@@ -144,7 +144,7 @@ async def _loaded(name: str, text: str) -> dict[str, Any]:
 
 
 async def _saved(strokes: Strokes, kind: str) -> dict[str, Any]:
-    return {"saved": await _aside(saved, [np.array(stroke) for stroke in strokes], kind), "kind": kind}
+    return {"saved": {"text": await _aside(saved, [np.array(stroke) for stroke in strokes], kind), "kind": kind}}
 
 
 async def _aside(work: Callable[P, T], *arguments: P.args, **named: P.kwargs) -> T:

@@ -172,6 +172,41 @@ for (let k = 1; k <= 20; k++) {
 """
 
 
+@pytest.mark.parametrize("kind", ["csv", "svg"])
+async def test_a_drawing_is_saved_as_a_file_and_loaded_again(tmp_path, kind):
+    strokes = "choir.sketch.strokes().map(stroke => stroke.map(([, x, y]) => [x, y]))"
+    async with looked_at(tmp_path) as (page, _, _program):
+        await page.click("#tab-draw")
+        await draw_word(page)
+        drawn = await page.evaluate(strokes)
+        async with page.expect_download() as waiting:
+            await page.click(f"text=Save {kind.upper()}")
+        file = tmp_path / (await waiting.value).suggested_filename
+        await (await waiting.value).save_as(file)
+        assert file.name == f"drawing.{kind}"
+        await page.click("#panel-draw >> text=Clear")
+        assert await page.evaluate(strokes) == []
+        await page.set_input_files("#file", file)
+        await page.wait_for_function("choir.sketch.strokes().length === 4")
+        for one, other in zip(await page.evaluate(strokes), drawn, strict=True):
+            assert np.array(one) == pytest.approx(np.array(other), abs=2e-4)
+
+
+async def test_no_tab_moves_the_table_and_what_flies_a_drawing_is_in_sight(tmp_path):
+    """Who has a box under his hand ticks that one."""
+    async with looked_at(tmp_path, viewport={"width": 1280, "height": 800}) as (page, _, _program):
+        first = page.locator('input[aria-label="drone 0"]')
+        places = []
+        for tab in ("fly", "draw", "tasks", "network", "plots", "log"):
+            await page.click(f"#tab-{tab}")
+            places.append((await first.bounding_box())["y"])
+        assert len(set(places)) == 1, places
+        await page.click("#tab-draw")
+        panel = await page.locator("#panel-draw").bounding_box()
+        button = await page.locator("text=Fly it with the chosen drones").bounding_box()
+        assert button["y"] + button["height"] < panel["y"] + panel["height"]
+
+
 async def test_a_drawing_of_very_many_points_is_thinned_and_what_is_too_large_is_not_sent(tmp_path):
     async with looked_at(tmp_path) as (page, wire, _):
         await page.click("#tab-draw")

@@ -137,9 +137,9 @@ function show() {
   paint();
 }
 
-function download({ saved, kind }) {
+function download({ text, kind }) {
   const link = document.createElement("a");
-  link.href = URL.createObjectURL(new Blob([saved], { type: kind === "svg" ? "image/svg+xml" : "text/csv" }));
+  link.href = URL.createObjectURL(new Blob([text], { type: kind === "svg" ? "image/svg+xml" : "text/csv" }));
   link.download = `drawing.${kind}`;
   link.click();
   URL.revokeObjectURL(link.href);
@@ -175,7 +175,7 @@ export function start() {
   on("plan", planned);
   on("selected", show);
   on("strokes", (loaded) => { strokes = loaded; changed(); });
-  on("saved", (saved) => download(saved));
+  on("saved", download);
   on("refused", (why) => strokes.length && !plan && said(why));
   on("drones", () => canvas.clientWidth && paint());
   on("theme", paint);

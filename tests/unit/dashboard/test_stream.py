@@ -406,8 +406,9 @@ async def test_what_was_planned_and_shown_is_flown(clock):
     assert len(server.those("fly")) == 1, "not what was drawn before"
     page.asks.put_nowait({"ask": "save", "strokes": [stroke], "kind": "svg"})
     await clock.sleep(0.2)
-    (text,) = page.told("saved")
-    page.asks.put_nowait({"ask": "load", "name": "a.svg", "text": text})
+    (made,) = page.told("saved")
+    assert made["kind"] == "svg"
+    page.asks.put_nowait({"ask": "load", "name": "a.svg", "text": made["text"]})
     await clock.sleep(0.2)
     assert [row[1:] for row in page.told("strokes")[0][0]] == [row[1:] for row in stroke]
     await server.end()
