@@ -5,14 +5,15 @@ a link to the page, bodies that are too large, and, where a password is wanted, 
 """
 
 import asyncio
+import hashlib
 import hmac
-import secrets
+import ipaddress
 from collections.abc import Awaitable, Callable, MutableMapping
 from http.cookies import CookieError, SimpleCookie
 from typing import Any
 from urllib.parse import parse_qs
 
-from crazychoir.runtime.clock import Clock
+from crazychoir.runtime.clock import SECOND, Clock
 
 Scope = MutableMapping[str, Any]
 Event = MutableMapping[str, Any]
@@ -23,8 +24,11 @@ App = Callable[[Scope, Receive, Send], Awaitable[None]]
 MOST_BODY = 1 << 18
 """Bytes of a request's body, and of one message of a page."""
 COOKIE, LOGIN = "crazychoir", "/login"
-MOST_SESSIONS, SESSION = 256, 12 * 3600.0
-"""SESSION: s, for which a password that was given counts."""
+SESSION = 12 * 3600
+"""s for which a password that was given counts."""
+SALT = b"crazychoir's page"
+SITE = 64
+"""Bits of an IPv6 address that one who comes cannot choose."""
 PAUSE, PATIENCE = 1.0, 3.0
 """s between two passwords that one address gives; for which one waits for its turn, at most."""
 MOST_ADDRESSES = 1024
@@ -64,7 +68,7 @@ class Gate:
         self, app: App, clock: Clock, hosts: tuple[str, ...] | None, password: str | None = None, tls: bool = False
     ) -> None:
         self.app, self.clock, self.hosts, self.password, self.tls = app, clock, hosts, password, tls
-        self._sessions: dict[str, float] = {}  # s, when each is over
+        self._key = hashlib.scrypt((password or "").encode(), salt=SALT, n=1 << 14, r=8, p=1, dklen=32)
         self._next: dict[str, float] = {}  # s, by address: when its next password is looked at
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -104,7 +108,17 @@ class Gate:
             cookie = SimpleCookie(headers.get("cookie", ""))
         except CookieError:
             return False
-        return COOKIE in cookie and self.clock.now() < self._sessions.get(cookie[COOKIE].value, 0.0)
+        until, _, signed = cookie[COOKIE].value.partition(".") if COOKIE in cookie else ("", "", "")
+        genuine = hmac.compare_digest(signed.encode(), self._signed(until).encode())
+        return genuine and self._today < int(until)
+
+    @property
+    def _today(self) -> int:
+        """s, since 1970: a session goes on when the server was started again."""
+        return (self.clock.now_ns() + self.clock.epoch_ns) // SECOND
+
+    def _signed(self, until: str) -> str:
+        return hmac.new(self._key, until.encode(), hashlib.sha256).hexdigest()
 
     async def _through(self, scope: Scope, receive: Receive, send: Send) -> None:
         """To the application, which gets no more than MOST_BODY bytes."""
@@ -145,7 +159,7 @@ class Gate:
         except TimeoutError:
             await _refuse(scope, send, 408, f"no whole request within {LOGIN_SECONDS:g} s")
             return
-        address = scope["client"][0] if scope.get("client") else ""
+        address = network_of(scope["client"][0]) if scope.get("client") else ""
         wait = self._turn(address)
         if wait > PATIENCE:
             await _form(send, 429, "Too many tries: wait a moment.")
@@ -168,13 +182,21 @@ class Gate:
         return wait
 
     async def _welcome(self, send: Send) -> None:
-        session = secrets.token_urlsafe(32)
-        while len(self._sessions) >= MOST_SESSIONS:
-            del self._sessions[next(iter(self._sessions))]
-        self._sessions[session] = self.clock.now() + SESSION
-        limits = f"Max-Age={SESSION:.0f}; Path=/; HttpOnly; SameSite=Strict{'; Secure' if self.tls else ''}"
-        cookie = f"{COOKIE}={session}; {limits}"
+        until = str(self._today + SESSION)
+        limits = f"Max-Age={SESSION}; Path=/; HttpOnly; SameSite=Strict{'; Secure' if self.tls else ''}"
+        cookie = f"{COOKIE}={until}.{self._signed(until)}; {limits}"
         await _answer(send, 303, b"", b"text/plain", [(b"location", b"/"), (b"set-cookie", cookie.encode())])
+
+
+def network_of(address: str) -> str:
+    """Whose an address is: it, or the network in which one may choose among its addresses."""
+    try:
+        found = ipaddress.ip_address(address.partition("%")[0])
+    except ValueError:
+        return address
+    if found.version == 4 or found.ipv4_mapped is not None:
+        return str(found)
+    return str(ipaddress.ip_network((int(found) >> (128 - SITE) << (128 - SITE), SITE)))
 
 
 def _of_another_site(headers: dict[str, str]) -> bool:

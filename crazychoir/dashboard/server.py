@@ -18,6 +18,7 @@ from starlette.staticfiles import StaticFiles
 from crazychoir.bus.local import Bus
 from crazychoir.dashboard.desk import Desk, Place
 from crazychoir.dashboard.gate import LOOPBACK, MOST_BODY, Gate
+from crazychoir.dashboard.guests import Guest
 from crazychoir.dashboard.model import SwarmModel
 from crazychoir.dashboard.operator import Operator
 from crazychoir.dashboard.page import THREE, Page
@@ -155,9 +156,10 @@ async def serve(place: Outlook, served: Served, say: Callable[[str], None]) -> N
     app = _app(stream, lambda: Operator(config, desk, board), Page(model.about()))
     gate = Gate(app, clock, served.hosts(port), served.password, tls=served.scheme == "https")
     server = uvicorn.Server(uvicorn.Config(
-        gate, log_level="warning", lifespan="on", ws_max_size=MOST_BODY, ws_per_message_deflate=False, ws_max_queue=8,
-        timeout_graceful_shutdown=GRACE, server_header=False, proxy_headers=False, limit_concurrency=MOST_CONNECTIONS,
-        ssl_certfile=served.certificate, ssl_keyfile=served.key, ssl_ca_certs=served.authority,
+        gate, http=Guest, log_level="warning", lifespan="on", ws_max_size=MOST_BODY, ws_per_message_deflate=False,
+        ws_max_queue=8, timeout_graceful_shutdown=GRACE, server_header=False, proxy_headers=False,
+        limit_concurrency=MOST_CONNECTIONS, ssl_certfile=served.certificate, ssl_keyfile=served.key,
+        ssl_ca_certs=served.authority,
         ssl_cert_reqs=ssl.CERT_NONE if served.authority is None else ssl.CERT_REQUIRED,
     ))  # fmt: skip
     say(f"page of swarm {config.name}: {served.scheme}://{served.name}:{port}; Ctrl-C ends it, and the swarm flies on")

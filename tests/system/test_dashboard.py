@@ -21,6 +21,8 @@ from system.pages import dashboard, looking_on, six
 from websockets.asyncio.client import connect
 from websockets.exceptions import ConnectionClosed, InvalidMessage, InvalidStatus
 
+from crazychoir.dashboard.guests import IDLE, MOST
+
 pytestmark = [pytest.mark.system, pytest.mark.real_time]
 
 
@@ -241,5 +243,29 @@ async def test_who_has_a_certificate_of_the_authority_comes_in_and_nobody_else(t
                 async with line:
                     pass
         assert "Traceback" not in program.text
+    finally:
+        await program.kill()
+
+
+async def test_strangers_who_say_nothing_keep_nobody_out(tmp_path):
+    """They come from another address; each connection is closed when nothing was asked on it."""
+    path, secret = tmp_path / "swarm.json", tmp_path / "secret"
+    path.write_text(six(processes=1).dumps())
+    secret.write_text("correct horse\n")
+    program, address = await dashboard(path, "--host", "0.0.0.0", "--password-file", str(secret))  # noqa: S104
+    port = int(address.rpartition(":")[2])
+    try:
+        strangers = [
+            await asyncio.open_connection("127.0.0.1", port, local_addr=(f"127.0.0.{2 + k % 2}", 0)) for k in range(600)
+        ]
+        strangers[0][1].write(b"GET / HTTP/1.1\r\nHost: x\r\n")  # and no more
+        ends = [asyncio.create_task(reader.read()) for reader, _ in strangers]
+        await asyncio.sleep(1.0)
+        assert sum(end.done() for end in ends) == 600 - 2 * MOST
+        assert (await asyncio.to_thread(asks, f"http://127.0.0.1:{port}"))[0] == 401
+        async with asyncio.timeout(2 * IDLE):
+            await asyncio.gather(*ends)
+        for _, writer in strangers:
+            writer.close()
     finally:
         await program.kill()

@@ -13,6 +13,7 @@ from crazychoir.dashboard.gate import (
     PAUSE,
     SESSION,
     Gate,
+    network_of,
 )
 
 PASSWORD = "correct horse"  # noqa: S105 - of a test
@@ -158,6 +159,18 @@ async def test_with_the_password_one_comes_in_and_wrong_ones_take_their_time(clo
     assert (await visitor.come(kind="websocket", origin="http://evil.example"))[0] == "close"
     await clock.sleep(SESSION - 1.0)
     assert (await visitor.come())[0] == 200
+    again = Gate(read_all, clock, None, PASSWORD)
+    other, visitor.gate = visitor.gate, again
+    assert (await visitor.come())[0] == 200, "the server was started again"
+    visitor.gate = Gate(read_all, clock, None, "another password")
+    assert (await visitor.come())[0] == 401
+    visitor.gate = other
+    name, _, value = visitor.cookie.partition("=")
+    until, _, signed = value.partition(".")
+    for forged in (f"{int(until) + 9}.{signed}", f"{until}.{signed[:-1]}", f".{signed}", until, "\u0661.x"):
+        visitor.cookie = f"{name}={forged}"
+        assert (await visitor.come())[0] == 401, forged
+    visitor.cookie = f"{name}={value}"
     await clock.sleep(2.0)
     assert (await visitor.come())[0] == 401, "it has come in too long ago"
     assert (await visitor.come(kind="websocket", origin=ORIGIN))[0] == "close"
@@ -204,3 +217,13 @@ async def test_what_is_no_request_goes_through(clock):
 
     await Gate(app, clock, (HOST,))({"type": "lifespan"}, None, None)
     assert through.is_set()
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "same"),
+    [("10.0.0.1", "10.0.0.2", False), ("2001:db8::1", "2001:db8::ffff:1", True),
+     ("2001:db8::1", "2001:db8:0:1::1", False), ("::ffff:10.0.0.1", "::ffff:10.0.0.2", False),
+     ("fe80::1%eth0", "fe80::2%eth0", True), ("", "", True)],
+)  # fmt: skip
+def test_who_may_choose_among_addresses_is_one(one, other, same):
+    assert (network_of(one) == network_of(other)) is same
