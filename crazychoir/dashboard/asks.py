@@ -33,10 +33,11 @@ class Order(Ask, frozen=True):
 
 
 class Stop(Ask, frozen=True):
-    """Emergency stop, or its end."""
+    """Emergency stop, or its end; key: of one that may be said again, so that it is not taken twice."""
 
     drones: Ids | None = None
     clear: bool = False
+    key: Annotated[str, Meta(max_length=40)] = ""
 
 
 class GoTo(Ask, frozen=True, tag="go-to"):

@@ -3,17 +3,19 @@
 import asyncio
 import math
 from collections import deque
-from collections.abc import Callable, Coroutine, Iterable, Mapping
+from collections.abc import Callable, Coroutine, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 from crazychoir.bus.commands import ACCEPTED, DONE, NOT_READY, REFUSED, Answer, Commander
 from crazychoir.bus.local import BODIES
 from crazychoir.dashboard.watch import Watch
+from crazychoir.errors import CrazyChoirError
 from crazychoir.runtime.clock import Clock
 from crazychoir.swarm.config import SwarmConfig
 
-SENT, SILENT = "sent", "silent"
+SENT, SILENT, UNFINISHED = "sent", "silent", "unfinished"
+"""Beside those of an answer; UNFINISHED: it has accepted it, and may do it yet."""
 ACKNOWLEDGED = 2.0
 """s within which a drone says that it has heard a command; it is resent meanwhile, and goes on being."""
 SECONDS = {
@@ -27,6 +29,8 @@ BESIDE = {
     "go": ("arm", "take-off", "start"), "go-to": ("take-off", "hold"), "fly": ("take-off", "hold"),
 }  # fmt: skip
 """By order: the older ones that still count beside it; it withdraws all others that nobody has acknowledged yet."""
+IN_TURN = "impair"
+"""Of these, a drone is asked for the next once it has answered to the one before: some add up, some do not."""
 REQUEST, STOP, LOOK = 5.0, 10.0, 0.05
 """s to wait for what is no motion; after which who has not acknowledged a stop is called silent; between two looks."""
 READY, RETRY = 15.0, 0.3
@@ -48,7 +52,8 @@ class Receipt:
     """A command, and what each drone has said to it.
 
     number: counts from 1;  t: s, when it was given;  answers: by drone, (kind, words): SENT until it has acknowledged,
-    then ACCEPTED, DONE or REFUSED, SILENT if it has not acknowledged in time;  version: counts changes of all receipts.
+    then ACCEPTED, DONE, REFUSED or UNFINISHED, SILENT if it has not acknowledged in time;  version: counts changes of
+    all receipts;  key: what the page calls it that asked for it, so that it is not taken twice.
     """
 
     number: int
@@ -57,6 +62,7 @@ class Receipt:
     t: float
     answers: dict[int, tuple[str, Any]] = field(default_factory=dict)
     version: int = 0
+    key: str = ""
 
     @property
     def open(self) -> bool:
@@ -70,11 +76,15 @@ class Receipt:
 
 @dataclass(eq=False)
 class _Asked:
-    """An order to one drone that is still asked of it. begun: whether it has acknowledged it."""
+    """An order to one drone that is still asked of it.
+
+    begun: whether it has acknowledged it;  outdone: the contrary order after which it is not asked again.
+    """
 
     receipt: Receipt
     drone: int
     begun: bool = False
+    outdone: str = ""
 
 
 @dataclass(eq=False)
@@ -96,12 +106,13 @@ class Desk:
     """Gives commands; nothing here waits for them: their receipts grow.
 
     What is ordered later counts. A stop withdraws every open order that could move its drones, an order those older
-    ones that are contrary to it and not acknowledged yet: across an outage of the network none of them comes late.
+    ones that are contrary to it and not acknowledged yet, and who is not ready is not asked for such a one again:
+    across an outage of the network none of them comes late.
     """
 
     def __init__(self, place: Place, watch: Watch) -> None:
         self.place, self.watch = place, watch
-        self.receipts: deque[Receipt] = deque(maxlen=KEPT)
+        self.receipts: deque[Receipt] = deque()
         self.version = 0
         self._count = 0
         self._tasks: dict[asyncio.Task[None], None] = {}
@@ -115,30 +126,39 @@ class Desk:
     def order(
         self, verb: str, drones: Iterable[int] | None = None, seconds: float | None = None, words: str = "",
         each: Callable[[int], Mapping[str, Any]] = lambda i: {}, says: Callable[[Any], Any] = lambda detail: detail,
+        first: asyncio.Task[Any] | None = None,
     ) -> Receipt:  # fmt: skip
-        """Command these drones, None: all; each: the arguments of each;  says: its answer, as the receipt tells it."""
+        """Command these drones, None: all.
+
+        each: the arguments of each;  says: its answer, as the receipt tells it;  first: what has to be over before a
+        drone is asked; a later order, or a stop, counts meanwhile.
+        """
         receipt = self._new(verb, self.place.config.ids if drones is None else drones, words)
         limit = SECONDS.get(verb, REQUEST) if seconds is None else seconds
         if verb in MOTION:
-            beside = BESIDE.get(verb, ())
-            self._withdraw(receipt, verb, lambda asked: not asked.begun and asked.receipt.verb not in beside)
+            self._outdo(receipt, BESIDE.get(verb, ()))
+        before = {asked.drone: task for asked, task in self._asked.items() if asked.receipt.verb == verb == IN_TURN}
         for i in receipt.answers:
             asked = _Asked(receipt, i)
-            self._asked[asked] = self._spawn(self._ask(asked, limit, each(i), says))
+            self._asked[asked] = self._spawn(self._ask(asked, limit, each, says, before.get(i, first)))
         return receipt
 
-    def stop(self, drones: Iterable[int] | None = None, clear: bool = False) -> Receipt:
+    def stop(self, drones: Iterable[int] | None = None, clear: bool = False, key: str = "") -> Receipt:
         """Emergency stop of these drones, None: of the swarm, in force until it is cleared; or clear it.
 
-        A stop is sent until it is acknowledged, cleared here, or given anew.
+        A stop is sent until it is acknowledged, cleared here, or given anew. One of a key that is known is that one: a
+        page says it again, and somebody may have cleared it meanwhile.
         """
+        if known := [receipt for receipt in self.receipts if key and receipt.key == key]:
+            return known[0]
         config = self.place.config
         receipt = self._new("clear stop" if clear else "emergency stop", config.ids if drones is None else drones, "")
+        receipt.key = key
         bodies = [BODIES + i for i in config.elsewhere if i in receipt.answers]
         stop = _Stop(receipt, [*receipt.answers, *bodies], clear, alone=drones is not None and not clear)
         self._replace(stop)
         if not clear:
-            self._withdraw(receipt, "stop")
+            self._withdraw(receipt)
         self._stops[stop] = None
         self._spawn(self._stop(stop))
         return receipt
@@ -158,9 +178,16 @@ class Desk:
         self._count += 1
         receipt = Receipt(self._count, verb, words, round(self.place.clock.now(), 2))
         receipt.answers = {i: (SENT, "") for i in drones}
+        if len(self.receipts) == KEPT:
+            self._forget()
         self.receipts.append(receipt)
         self._changed(receipt)
         return receipt
+
+    def _forget(self) -> None:
+        """One receipt, the oldest; one of a stop that is still sent only if there are no others."""
+        sent = [stop.receipt for stop in self._stops]
+        self.receipts.remove(next((one for one in self.receipts if one not in sent), self.receipts[0]))
 
     def _spawn(self, work: Coroutine[Any, Any, None]) -> asyncio.Task[None]:
         task = asyncio.get_running_loop().create_task(work)
@@ -168,13 +195,28 @@ class Desk:
         task.add_done_callback(lambda done: self._tasks.pop(done, None))
         return task
 
-    def _withdraw(self, newer: Receipt, by: str, which: Callable[[_Asked], bool] = lambda asked: True) -> None:
-        """Ask the drones of a newer order no more for the motions that they were asked for."""
-        for asked, task in list(self._asked.items()):
-            if asked.drone in newer.answers and asked.receipt.verb in MOTION and which(asked):
-                del self._asked[asked]
-                task.cancel()
-                self._withdrawn(asked.receipt, asked.drone, by)
+    def _motions(self, newer: Receipt) -> list[_Asked]:
+        """What is asked of the drones of a newer order that could move them."""
+        return [one for one in self._asked if one.drone in newer.answers and one.receipt.verb in MOTION]
+
+    def _outdo(self, newer: Receipt, beside: Sequence[str]) -> None:
+        """Ask for what is contrary to a newer order no more; who has accepted it says by itself what comes of it."""
+        for asked in self._motions(newer):
+            if asked.receipt.verb in beside:
+                continue
+            if asked.begun:
+                asked.outdone = newer.verb
+            else:
+                self._drop(asked, newer.verb)
+
+    def _withdraw(self, stop: Receipt) -> None:
+        """Ask who is to stop for nothing more that moves him."""
+        for asked in self._motions(stop):
+            self._drop(asked, "stop")
+
+    def _drop(self, asked: _Asked, by: str) -> None:
+        self._asked.pop(asked).cancel()
+        self._withdrawn(asked.receipt, asked.drone, by)
 
     def _replace(self, newer: _Stop) -> None:
         """Send older stops, and clears, to its targets no more; a stop of the swarm stays beside one of some drones."""
@@ -200,37 +242,55 @@ class Desk:
         if receipt.answers[i] != (kind, words):
             receipt.answers[i] = kind, words
             self._changed(receipt)
-            if kind in (REFUSED, SILENT):
+            if kind in (REFUSED, SILENT, UNFINISHED):
                 self.watch.add(f"{receipt.verb}: {kind}: {words}", "warning", i)
 
     async def _ask(
-        self, asked: _Asked, seconds: float, arguments: Mapping[str, Any], says: Callable[[Any], Any]
+        self, asked: _Asked, seconds: float, each: Callable[[int], Mapping[str, Any]], says: Callable[[Any], Any],
+        first: asyncio.Task[Any] | None,
     ) -> None:  # fmt: skip
         clock, receipt, i = self.place.clock, asked.receipt, asked.drone
-        timer = clock.call_at(clock.now_ns() + round(ACKNOWLEDGED * 1e9), self._unheard, receipt, i, drone=i)
+        ends = clock.now() + seconds
         try:
-            answer = await self._answered(asked, seconds, arguments)
+            if first is not None:
+                await asyncio.wait([first])
+            answer = await self._heard(asked, ends, each(i))
         except TimeoutError:
             self._answer(receipt, i, SILENT, f"no answer within {seconds:g} s; is its agent running?")
             return
+        except CrazyChoirError as error:
+            self._answer(receipt, i, REFUSED, str(error))
+            return
+        except Exception as error:  # noqa: BLE001 - its receipt tells it
+            self._answer(receipt, i, REFUSED, f"{type(error).__name__}: {error}")
+            return
         finally:
-            timer.cancel()
             self._asked.pop(asked, None)
-        if answer.kind == ACCEPTED:
-            self._answer(receipt, i, REFUSED, f"not done within {seconds:g} s")
+        if asked.outdone and _waits(answer):
+            self._withdrawn(receipt, i, asked.outdone)
+        elif answer.kind == ACCEPTED:
+            self._answer(receipt, i, UNFINISHED, f"accepted, not done within {seconds:g} s")
         else:
             detail = says(answer.detail) if answer.kind == DONE else answer.detail
             self._answer(receipt, i, answer.kind, "" if detail is None else detail)
 
-    async def _answered(self, asked: _Asked, seconds: float, arguments: Mapping[str, Any]) -> Answer:
+    async def _heard(self, asked: _Asked, ends: float, arguments: Mapping[str, Any]) -> Answer:
+        """Its last answer; it is said if there is none for a while."""
+        clock, i = self.place.clock, asked.drone
+        timer = clock.call_at(clock.now_ns() + round(ACKNOWLEDGED * 1e9), self._unheard, asked.receipt, i, drone=i)
+        try:
+            return await self._answered(asked, ends, arguments)
+        finally:
+            timer.cancel()
+
+    async def _answered(self, asked: _Asked, ends: float, arguments: Mapping[str, Any]) -> Answer:
         """What it says at last; who is not ready yet is asked again, for at most READY s."""
         clock, commander, verb = self.place.clock, self.place.commander, asked.receipt.verb
-        began, asks = clock.now(), clock.now() + min(seconds, READY)
+        asks = min(ends, clock.now() + READY)
         while True:
-            left = began + seconds - clock.now()
+            left = ends - clock.now()
             answer = await commander.request(asked.drone, verb, left, lambda: self._begun(asked), **arguments)
-            waits = answer.kind == REFUSED and str(answer.detail).startswith(NOT_READY)
-            if not waits or clock.now() + RETRY >= asks:
+            if not _waits(answer) or asked.outdone or clock.now() + RETRY >= asks:
                 return answer
             asked.begun = False
             await clock.sleep(RETRY)
@@ -271,3 +331,8 @@ class Desk:
         for i, (kind, _) in stop.receipt.answers.items():
             if kind in (SENT, SILENT) and stop.has_obeyed(i):
                 self._answer(stop.receipt, i, DONE, "cleared" if stop.clear else "motors off")
+
+
+def _waits(answer: Answer) -> bool:
+    """Whether it may be asked again soon."""
+    return answer.kind == REFUSED and str(answer.detail).startswith(NOT_READY)

@@ -53,8 +53,8 @@ class Operator:
         match message:
             case Order(verb, drones):
                 self.desk.order(verb, self._those(drones))
-            case Stop(drones, clear):
-                self.desk.stop(self._those(drones), clear)
+            case Stop(drones, clear, key):
+                self.desk.stop(self._those(drones), clear, key)
             case GoTo():
                 self._go_to(message)
             case Draw():
@@ -120,13 +120,15 @@ class Operator:
         return {"plan": plan.shown()}
 
     def _fly(self, message: Fly) -> None:
+        """What each is told is made in a thread: it may take seconds, and a stop comes between."""
         plan = self._plan
         if plan is None:
             raise ConfigError("fly", "nothing that was planned", "a drawing that was planned, and shown, before")
-        told = messages(plan.path, self._checked(message.drones), message.offset, self.config)
+        drones = self._checked(message.drones)
+        told = asyncio.create_task(_aside(messages, plan.path, drones, message.offset, self.config))
         seconds = plan.path.duration + REACHES
         words = f"{plan.path.duration:.1f} s"
-        self.desk.order("fly", told, seconds, words, each=lambda i: told[i])
+        self.desk.order("fly", drones, seconds, words, each=lambda i: told.result()[i], first=told)
 
     def _those(self, drones: Ids | None) -> Ids | None:
         return None if drones is None else self._checked(drones)

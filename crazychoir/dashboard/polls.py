@@ -86,7 +86,10 @@ class TaskBoard(Actor):
         task.add_done_callback(lambda done: self._asking.pop(done, None))
 
     async def ask(self, verb: str, words: str, **arguments: Any) -> Receipt:
-        """Ask one drone, then others if it refuses; who does not answer may have done it: nobody else is asked then."""
+        """Ask one drone, then others if it refuses.
+
+        Who has accepted it, and who does not answer, may have done it, or may yet do it: nobody else is asked then.
+        """
         first = self._k % len(self.ids)
         for i in [*self.ids[first:], *self.ids[:first]][:MOST_ASKED]:
             receipt = self.desk.order(verb, [i], words=words, each=lambda i: arguments)

@@ -135,10 +135,10 @@ def messages(path: Piecewise, drones: Sequence[int], offset: Offset, config: Swa
     if not all(config.drone(i).leader for i in drones):
         _check_apart(drones, offset, config)
     limits, told = Limits(low=config.fence.min, high=config.fence.max), {}
+    ways = references(path)[1][:, 0:3]
     for i, by in _beside((0.0, 0.0, 0.0), offset, drones).items():
-        moved = shifted(path, by)
-        limits.check_places(references(moved)[1][:, 0:3], f"path of drone {i}")
-        told[i] = path_message(moved)
+        limits.check_places(ways + by, f"path of drone {i}")
+        told[i] = path_message(shifted(path, by))
     return told
 
 

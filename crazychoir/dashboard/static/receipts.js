@@ -23,7 +23,7 @@ function words(answers) {
   return Object.entries(groups).map(([said, ids]) => `${ids.length > 8 ? `${ids.length} drones` : ids.join(", ")} ${said}`).join("; ");
 }
 
-const isBad = ([kind]) => kind === "refused" || kind === "silent";
+const isBad = ([kind]) => ["refused", "silent", "unfinished"].includes(kind);
 const bad = ({ answers }) => Object.fromEntries(Object.entries(answers).filter(([, answer]) => isBad(answer)));
 
 function outcome({ answers }) {

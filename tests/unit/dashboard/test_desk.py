@@ -1,11 +1,13 @@
+import asyncio
+
 from virtual_time import virtual
 
 from crazychoir.bus.commands import ACCEPTED, DONE, NOT_READY, REFUSED, Commander, CommandServer
 from crazychoir.bus.local import OBSERVER, Bus
 from crazychoir.bus.topics import REQUEST
-from crazychoir.dashboard.desk import ACKNOWLEDGED, KEPT, SENT, SILENT, STOP, Desk
+from crazychoir.dashboard.desk import ACKNOWLEDGED, KEPT, SENT, SILENT, STOP, UNFINISHED, Desk
 from crazychoir.dashboard.watch import Watch
-from crazychoir.errors import Refused
+from crazychoir.errors import ConfigError, Refused
 from crazychoir.swarm.config import SwarmConfig
 
 
@@ -75,7 +77,8 @@ async def test_what_is_accepted_and_not_done_in_time_is_said(clock):
     swarm = Swarm(clock)
     receipt = swarm.desk.order("land", [0], seconds=0.5)
     await swarm.desk.settled(receipt)
-    assert receipt.answers == {0: (REFUSED, "not done within 0.5 s")}
+    assert receipt.answers == {0: (UNFINISHED, "accepted, not done within 0.5 s")}, "it may do it yet"
+    assert [line.text for line in swarm.watch.after(0)] == ["land: unfinished: accepted, not done within 0.5 s"]
 
 
 @virtual
@@ -228,6 +231,119 @@ async def test_who_is_to_be_asked_again_is_not_when_something_else_was_ordered(c
 
 
 @virtual
+async def test_who_has_accepted_a_take_off_and_was_told_to_hold_is_not_asked_for_it_again(clock):
+    swarm, asked = Swarm(clock), []
+
+    async def later(verb, arguments):
+        asked.append(verb)
+        if verb == "take-off":
+            await clock.sleep(0.3)
+            raise Refused("drone 0", f"{NOT_READY}: waiting for the others")
+
+    CommandServer(swarm.bus.ports[0], later, print)
+    rising = swarm.desk.order("take-off", [0])
+    await clock.sleep(0.1)
+    assert rising.answers == {0: (ACCEPTED, "")}
+    hears, lines = swarm.deaf(0), swarm.watch.count
+    deliver, swarm.commander.port.deliver = swarm.commander.port.deliver, lambda *message: None
+    await clock.sleep(1.0)
+    holding = swarm.desk.order("hold", [0])
+    assert rising.answers == {0: (ACCEPTED, "")}, "it says by itself what comes of it"
+    await clock.sleep(1.0)
+    swarm.commander.port.deliver = deliver
+    hears()
+    await swarm.desk.settled(holding)
+    await swarm.desk.settled(rising)
+    await clock.sleep(3.0)
+    assert asked == ["take-off", "hold"]
+    assert rising.answers == {0: (REFUSED, "withdrawn by hold")}
+    assert swarm.watch.count == lines, "no trouble"
+    swarm.desk.close()
+
+
+@virtual
+async def test_changes_of_the_network_are_made_in_the_order_in_which_they_were_ordered(clock):
+    swarm, told = Swarm(clock), []
+
+    async def note(verb, arguments):
+        told.append(arguments)
+
+    CommandServer(swarm.bus.ports[0], note, print)
+    hears = swarm.deaf(0)
+    words = [{"cut": {"a": [0]}}, {"loss": 0.9}, {"clear": True}, {"loss": 0.1}]
+    receipts = []
+    for one in words:
+        receipts.append(swarm.desk.order("impair", [0], each=lambda i, one=one: one))
+        await clock.sleep(0.55)
+    hears()
+    for receipt in receipts:
+        await swarm.desk.settled(receipt)
+    assert told == words
+    hears = swarm.deaf(0)
+    late = [swarm.desk.order("impair", [0], each=lambda i, k=k: {"loss": k}) for k in (0.2, 0.3)]
+    began = clock.now()
+    await swarm.desk.settled(late[1])
+    assert [receipt.answers[0][0] for receipt in late] == [SILENT, SILENT]
+    assert clock.now() < began + 5.2, "each gets its time from when it was ordered"
+    swarm.desk.close()
+
+
+@virtual
+async def test_a_stop_counts_while_what_was_ordered_before_is_still_prepared(clock):
+    swarm = Swarm(clock)
+
+    async def prepared():
+        await clock.sleep(3.0)
+        return {0: {"p": [0, 0, 1]}}
+
+    def fly():
+        told = asyncio.create_task(prepared())
+        return swarm.desk.order("fly", [0], 60.0, each=lambda i: told.result()[i], first=told)
+
+    flying = fly()
+    await clock.sleep(1.0)
+    assert flying.answers == {0: (SENT, "")}
+    swarm.desk.stop()
+    assert flying.answers == {0: (REFUSED, "withdrawn by stop")}
+    await clock.sleep(5.0)
+    assert swarm.obeyed == []
+    flying = fly()
+    await swarm.desk.settled(flying)
+    assert swarm.obeyed == [("fly", {"p": [0, 0, 1]})]
+    swarm.desk.close()
+
+
+@virtual
+async def test_what_cannot_be_prepared_is_refused_with_the_reason(clock):
+    swarm = Swarm(clock)
+    errors = (ConfigError("path", 7, "less"), "path: found 7; allowed: less."), (OSError("full"), "OSError: full")
+    for error, why in errors:
+
+        async def fails(error=error):
+            raise error
+
+        told = asyncio.create_task(fails())
+        receipt = swarm.desk.order("fly", [0, 1], 60.0, each=lambda i, told=told: told.result()[i], first=told)
+        await swarm.desk.settled(receipt)
+        for kind, words in receipt.answers.values():
+            assert kind == REFUSED
+            assert why in words
+
+
+@virtual
+async def test_a_stop_that_is_said_again_is_not_taken_twice(clock):
+    swarm = Swarm(clock)
+    first = swarm.desk.stop(key="a")
+    await clock.sleep(0.2)
+    await swarm.desk.settled(swarm.desk.stop([0, 1], clear=True))
+    assert swarm.desk.stop(key="a") is first
+    assert not swarm.bus.stopped
+    assert swarm.desk.stop(key="b") is not first
+    assert swarm.desk.stop() is not swarm.desk.stop(), "without a key each is another"
+    swarm.desk.close()
+
+
+@virtual
 async def test_a_page_is_told_what_has_changed_since_it_was_told_last(clock):
     swarm = Swarm(clock)
     first = swarm.desk.order("land", [0])
@@ -242,6 +358,11 @@ async def test_a_page_is_told_what_has_changed_since_it_was_told_last(clock):
     for _ in range(KEPT):
         swarm.desk.order("go", [0])
     assert len(swarm.desk.after(0)) == KEPT
+    stop = swarm.desk.stop([2])
+    for _ in range(KEPT):
+        swarm.desk.order("go", [0])
+    assert len(swarm.desk.after(0)) == KEPT
+    assert stop in swarm.desk.after(0), "it is still sent"
     swarm.desk.close()
 
 

@@ -5,13 +5,13 @@ import numpy as np
 import pytest
 from virtual_time import virtual
 
-from crazychoir.bus.commands import Commander, CommandServer
+from crazychoir.bus.commands import REFUSED, Commander, CommandServer
 from crazychoir.bus.impairment import Impairment
 from crazychoir.bus.local import OBSERVER, Bus
 from crazychoir.bus.rules import Partition
 from crazychoir.bus.topics import STATE
 from crazychoir.dashboard import operator
-from crazychoir.dashboard.desk import Desk
+from crazychoir.dashboard.desk import SILENT, UNFINISHED, Desk
 from crazychoir.dashboard.model import RATE, SwarmModel
 from crazychoir.dashboard.operator import Operator
 from crazychoir.dashboard.polls import LATER, Links, TaskBoard
@@ -319,6 +319,30 @@ async def test_tasks_are_listed_and_who_refuses_one_leaves_it_to_the_next(clock,
     assert server.those("task_cancel") == [(1, "task_cancel", {"id": 4})]
 
 
+@served
+async def test_a_task_that_one_has_accepted_or_may_have_heard_is_given_to_nobody_else(clock, server, page):
+    added = []
+
+    async def slow(i, verb, arguments):
+        if verb == "task_add":
+            added.append(i)
+            await clock.sleep(60.0)
+        return {"tasks": []}
+
+    server.execute = slow
+    page.asks.put_nowait({"ask": "add-task", "pickup": [1.0, 2.0]})
+    await clock.sleep(12.0)
+    assert added == [0]
+    (receipt,) = server.desk.receipts
+    assert receipt.answers == {0: (UNFINISHED, "accepted, not done within 5 s")}
+    server.bus.ports[0].deliver = lambda *message: None
+    server.board._k = 0
+    await server.board.ask("task_add", "", pickup=[1.0, 2.0])
+    assert added == [0]
+    assert server.desk.receipts[-1].answers[0][0] == SILENT
+    assert len(server.desk.receipts) == 2
+
+
 @virtual
 async def test_a_mission_without_tasks_is_asked_seldom(clock):
     server = Server(clock)
@@ -382,6 +406,39 @@ async def test_a_goal_is_for_the_first_and_the_others_keep_their_distance(clock,
     assert server.those("go-to") == [
         (2, "go-to", {"p": [1.0, 1.0, 1.0], "yaw": None}), (0, "go-to", {"p": [1.0, 1.5, 1.0], "yaw": None}),
     ]  # fmt: skip
+
+
+@virtual
+async def test_a_stop_comes_between_while_what_each_flies_is_made(clock):
+    server, making = Server(clock), []
+    page = server.page()
+
+    async def aside(work, *arguments, **named):
+        if work is operator.messages:
+            making.append(clock.now())
+            await clock.sleep(3.0)
+        return work(*arguments, **named)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(operator, "_aside", aside)
+        page.asks.put_nowait({"ask": "draw", "strokes": [[[0, 0, 0], [1, 1, 0]]]})
+        await clock.sleep(0.5)
+        page.asks.put_nowait({"ask": "fly", "drones": [1]})
+        await clock.sleep(0.5)
+        assert [receipt.verb for receipt in server.desk.receipts] == ["fly"], "it is told at once"
+        page.asks.put_nowait({"ask": "stop"})
+        await clock.sleep(0.2)
+        assert server.bus.stopped
+        await clock.sleep(5.0)
+        assert not server.those("fly")
+        assert server.desk.receipts[0].answers == {1: (REFUSED, "withdrawn by stop")}
+        page.asks.put_nowait({"ask": "fly", "drones": [1, 2], "offset": [0, 50.0, 0]})
+        await clock.sleep(4.0)
+    assert not server.those("fly")
+    kind, words = server.desk.receipts[-1].answers[1]
+    assert (kind, len(making)) == (REFUSED, 2)
+    assert "path of drone 2" in words
+    await server.end()
 
 
 @virtual
