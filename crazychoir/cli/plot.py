@@ -17,13 +17,15 @@ if TYPE_CHECKING:
     from crazychoir.recording.work import Work
 
 HEADS = {
+    "source": "place by",
     "flown_m": "flown m", "highest_m": "highest m", "fastest_m_s": "fastest m/s", "compared_s": "compared s",
     "tracking_rmse_m": "RMSE m", "tracking_max_m": "worst m", "estimation_rmse_m": "state RMSE m",
 }  # fmt: skip
 COMPARED = (
-    "RMSE, worst: truth against the reference position, for so many seconds as there was one (a law that commands "
+    "RMSE, worst: its place against the reference position, for so many seconds as there was one (a law that commands "
     "accelerations has none). State RMSE: truth against what the drone took for its position."
 )
+BY_STATE = "By state: where the drone took itself to be, as its truth was not recorded, or nobody saw it from outside."
 
 
 def plot(
@@ -33,35 +35,47 @@ def plot(
 ) -> None:
     """Draw a recorded flight: paths, heights, errors, distances, tasks, messages, convergence; with tables (CSV)."""
     set_up_logging()
-    from crazychoir.recording.figures import TOPICS, flight_of  # numerics: 1 s that --help does not need
+    from crazychoir.bus.topics import RESULT, STATUS  # numerics: 1 s that --help does not need
+    from crazychoir.recording.figures import TOPICS, flight_of
     from crazychoir.recording.reading import read
     from crazychoir.recording.talk import talk_of
     from crazychoir.recording.work import work_of
 
     try:
-        recording = read(file, TOPICS)
-        flight, began = flight_of(recording), recording.seconds[0]
+        recording = read(file, (*TOPICS, STATUS.name, RESULT.name))
+        flight, (began, ended) = flight_of(recording), recording.seconds
         folder = out or file.with_suffix("")
-        files = _write(flight, work_of(file, began), talk_of(file, began), folder)
+        files, missing = _write(file, flight, work_of(file, began), talk_of(file, began), folder)
     except CrazyChoirError as error:
         fail(error, as_json)
-    figures = flight.figures()
+    figures = {"seconds": ended - began, **flight.figures()}
     warn_of(recording, f"only its first {figures['seconds']:.1f} s are there")
     if as_json:
         told = {"file": file, **recording.lacks, "about": recording.about}
-        write_json({"success": True, **told, "files": files, **figures})
+        write_json({"success": True, **told, "files": files, "not_drawn": missing, **figures})
     else:
         _show(recording, figures)
+        if missing:
+            text = "; ".join(f"{name}: {why}" for name, why in missing.items())
+            STDOUT.print(f"Not drawn: {text}", markup=False, highlight=False, soft_wrap=True)
         names = ", ".join(path.stem for path in files if path.suffix == ".png")
         text = f"In {folder}/: {names} (.png and .pdf), and what they show as tables (.csv)"
         STDOUT.print(text, markup=False, highlight=False, soft_wrap=True)
 
 
-def _write(flight: "Flight", work: "Work", talk: "Talk", folder: Path) -> list[Path]:
-    """Pictures and tables; raises ConfigError where they cannot be written."""
+def _write(
+    file: Path, flight: "Flight", work: "Work", talk: "Talk", folder: Path
+) -> tuple[list[Path], dict[str, str]]:
+    """Pictures and tables, and why others are not there; raises ConfigError where none can be, or be written."""
     from crazychoir.recording.plots import draw, of_flight
+    from crazychoir.recording.reading import FLIGHT
+    from crazychoir.recording.records import DO
     from crazychoir.recording.team_plots import of_team
 
+    (pictures, missing), (more, without) = of_flight(flight), of_team(flight, work, talk)
+    pictures, missing = pictures | more, missing | without
+    if not pictures:
+        raise ConfigError(str(file), "; ".join(dict.fromkeys(missing.values())), FLIGHT, DO)
     tables = [folder / f"drone{track.drone}.csv" for track in flight.tracks]
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -73,7 +87,7 @@ def _write(flight: "Flight", work: "Work", talk: "Talk", folder: Path) -> list[P
         ):  # fmt: skip
             tables.append(folder / f"{name}.csv")
             write(tables[-1])
-        return [*draw(of_flight(flight) | of_team(flight, work, talk), folder), *tables]
+        return [*draw(pictures, folder), *tables], missing
     except OSError as error:
         raise ConfigError("--out", str(folder), "a folder that can be written", problem=str(error.strerror)) from error
 
@@ -83,8 +97,17 @@ def _show(recording: "Recording", figures: dict[str, Any]) -> None:
     title = f"{about['mission']}, seed {about['seed']}, {figures['seconds']:.2f} s of {about['time']} time"
     table = Table("drone", *HEADS.values(), title=title, box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), show_edge=False)
     for i, own in figures["drones"].items():
-        table.add_row(str(i), *("" if own[key] is None else f"{own[key]:.3f}" for key in HEADS))
+        table.add_row(str(i), *(_cell(own[key]) for key in HEADS))
+    if not figures["drones"]:
+        STDOUT.print(title, markup=False, highlight=False, soft_wrap=True)
+        return
     STDOUT.print(table)
     STDOUT.print(COMPARED)
+    if any(own["source"] == "state" for own in figures["drones"].values()):
+        STDOUT.print(BY_STATE)
     if least is not None:
         STDOUT.print(f"Least distance of two drones: {least:.3f} m", highlight=False)
+
+
+def _cell(figure: float | str | None) -> str:
+    return "" if figure is None else figure if isinstance(figure, str) else f"{figure:.3f}"

@@ -31,9 +31,10 @@ def render(
     set_up_logging()
     import numpy as np  # 1 s that --help does not need
 
-    from crazychoir.bus.topics import TRUTH
+    from crazychoir.bus.topics import STATE, TRUTH
     from crazychoir.recording.figures import flight_of
-    from crazychoir.recording.reading import read
+    from crazychoir.recording.reading import FLIGHT, read
+    from crazychoir.recording.records import DO
     from crazychoir.recording.video import check_video, write_video
     from crazychoir.swarm.config import SwarmConfig
 
@@ -42,9 +43,11 @@ def render(
         _check(picture, video)
         if video is not None:
             check_video(video, width, height)
-        recording = read(file, (TRUTH.name,))
+        recording = read(file, (TRUTH.name, STATE.name))
         warn_of(recording, "what lies before is drawn")
         flight, config = flight_of(recording), SwarmConfig.loads(recording.swarm, str(file))
+        if not flight.tracks:
+            raise ConfigError(str(file), "no two places of any drone", FLIGHT, DO)
         from crazychoir.recording.reenactment import Reenactment  # says what to do where there is no MuJoCo
 
         shown = Reenactment(flight, config, scene, enlarge, trail)

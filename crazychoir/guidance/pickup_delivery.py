@@ -127,5 +127,6 @@ class PDVRPGuidance(CFGuidance):
             "disclosed": list(solution.disclosed),
             "rounds": solution.rounds,
             "history": self.history,
+            "objective": list(self.problem.objective),
             "plan_digest": solution.plan_digest,
         }

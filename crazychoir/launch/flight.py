@@ -82,7 +82,7 @@ def fly_real(
         watched = watch or (lambda score: None)
         score = Score(
             link.bus, config.ids, goal_of(mission, config), watched, address=address, source=config.source,
-            unseen={*config.reached} - {*config.seen},
+            unseen=config.unseen,
         )  # fmt: skip
         recorder = Recorder(link.bus, config.ids, file, address, config.source) if file else None
         async with attached(link, score, *([recorder] if recorder else [])):

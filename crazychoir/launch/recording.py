@@ -12,6 +12,7 @@ import scipy
 
 from crazychoir.bus.hello import VERSION
 from crazychoir.guidance.mission import Mission
+from crazychoir.recording.figures import UNSEEN
 from crazychoir.recording.file import RecordingFile
 from crazychoir.swarm.config import SwarmConfig
 
@@ -46,6 +47,7 @@ def about(config: SwarmConfig, virtual: bool) -> dict[str, str]:
         "mission": config.mission or "",
         "seed": str(config.seed),
         "drones": ",".join(map(str, config.ids)),
+        UNSEEN: ",".join(map(str, config.unseen)),
         "time": "virtual" if virtual else "wall",
         **versions(),
     }

@@ -8,13 +8,13 @@ import numpy as np
 from scipy.spatial.distance import pdist
 
 from crazychoir.bus.topics import REFERENCE, STATE, TRUTH
-from crazychoir.errors import ConfigError
 from crazychoir.recording.odometry import into_world
 from crazychoir.recording.reading import Recording, Values
-from crazychoir.recording.records import DO
 from crazychoir.types import Mat, Vec
 
 TOPICS = (TRUTH.name, STATE.name, REFERENCE.name)
+UNSEEN = "unseen"
+"""What a recording's `about` calls the drones that nobody sees from outside."""
 JOINED = 0.15
 """s: places that are further apart in time are not joined by a line."""
 COLUMNS = (
@@ -26,13 +26,16 @@ COLUMNS = (
 
 @dataclass(frozen=True)
 class Track:
-    """One drone, at the n times t of its truth.
+    """One drone, at the n times t at which it was somewhere.
 
+    source: what says where it was: `truth`, or its own `state`, of a drone that nobody sees or whose truth was not
+    recorded: then there is nothing to compare its estimate with.
     t: (n,) s since the recording began;  p: (n, 3) m, world;  q: (n, 4);  v: (n, 3) m/s, world;  w: (n, 3) rad/s, body;
     reference, estimate: (n, 3) m, world, NaN where there is none.
     """
 
     drone: int
+    source: str
     t: Vec
     p: Mat
     q: Mat
@@ -53,12 +56,13 @@ class Track:
         distance: Vec = np.linalg.norm(self.p - self.estimate, axis=1)
         return distance
 
-    def figures(self) -> dict[str, float | None]:
+    def figures(self) -> dict[str, float | str | None]:
         """Lengths in m; None where nothing can be compared.
 
-        rmse = sqrt(mean(e^2)), e: tracking or estimation error at each time of the truth that has one.
+        rmse = sqrt(mean(e^2)), e: tracking or estimation error at each time of the track that has one.
         """
         return {
+            "source": self.source,
             "flown_m": float(np.linalg.norm(np.diff(self.p, axis=0), axis=1).sum()),
             "highest_m": float(self.p[:, 2].max()),
             "fastest_m_s": float(np.linalg.norm(self.v, axis=1).max()),
@@ -76,7 +80,9 @@ class Track:
 
 @dataclass(frozen=True)
 class Flight:
-    """All drones; separation: (m,) m, the least distance of any two at the times (m,) s; NaN: no two are known."""
+    """All drones of which it is known where they were; separation: (m,) m, the least distance of any two at the times
+    (m,) s; NaN: no two are known.
+    """
 
     tracks: tuple[Track, ...]
     times: Vec
@@ -86,18 +92,17 @@ class Flight:
         """Of the flight, and of each drone."""
         least = self.separation[np.isfinite(self.separation)]
         return {
-            "seconds": float(max(track.t[-1] for track in self.tracks)),
             "min_separation_m": float(least.min()) if len(least) else None,
             "drones": {track.drone: track.figures() for track in self.tracks},
         }
 
 
 def flight_of(recording: Recording) -> Flight:
-    """The flight of a recording; raises ConfigError if nobody's truth was recorded."""
-    began = recording.seconds[0]
-    tracks = [_track(recording, i, began) for i in recording.drones if len(recording.of(i, TRUTH.name)) > 1]
+    """The flight of a recording, of drones whose truth or state was recorded."""
+    sources = {i: _source(recording, i) for i in recording.drones}
+    tracks = [_track(recording, i, source) for i, source in sources.items() if source]
     if not tracks:
-        raise ConfigError(str(recording.path), "no truth of any drone", "a recording of simulated drones", DO)
+        return Flight((), np.zeros(0), np.zeros(0))
     times = np.arange(min(track.t[0] for track in tracks), max(track.t[-1] for track in tracks), 1.0 / TRUTH.rate)
     places = np.array([joined(track.t, track.p, times) for track in tracks])
     return Flight(tuple(tracks), times, np.array([_nearest(places[:, k]) for k in range(len(times))]))
@@ -126,11 +131,23 @@ def rms(e: Vec) -> float | None:
     return float(np.sqrt(np.mean(e**2))) if len(e) else None
 
 
-def _track(recording: Recording, i: int, began: float) -> Track:
-    t, x = _in_order(recording.of(i, TRUTH.name), began)
-    places = [joined(*_in_order(recording.of(i, name), began), t)[:, :3] for name in (REFERENCE.name, STATE.name)]
+def _source(recording: Recording, i: int) -> str:
+    """The topic that says where it was, empty if none does. The truth of one that nobody sees is its own estimate."""
+    unseen = str(i) in recording.about.get(UNSEEN, "").split(",")
+    topics = [STATE.name] if unseen else [TRUTH.name, STATE.name]
+    return next((name for name in topics if len(recording.of(i, name)) > 1), "")
+
+
+def _track(recording: Recording, i: int, source: str) -> Track:
+    began = recording.seconds[0]
+    t, x = _in_order(recording.of(i, source), began)
     p, q, v_b, w = x[:, 0:3], x[:, 3:7], x[:, 7:10], x[:, 10:13]
-    return Track(i, t, p, q, into_world(q, v_b), w, *places)
+    reference, estimate = (
+        joined(*_in_order(recording.of(i, name), began), t)[:, :3] for name in (REFERENCE.name, STATE.name)
+    )
+    if source == STATE.name:
+        estimate = np.full_like(p, np.nan)
+    return Track(i, source, t, p, q, into_world(q, v_b), w, reference, estimate)
 
 
 def _in_order(values: Values, began: float) -> tuple[Vec, Mat]:

@@ -1,6 +1,6 @@
 """Pictures of a flight for a column of a paper: 3.5 inches wide, as PNG and PDF."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from itertools import cycle
 from pathlib import Path
@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from crazychoir.bus.topics import STATE
 from crazychoir.optimization.picture import COLOURS, DASHES, INK
 from crazychoir.recording.figures import Flight, Track
 from crazychoir.swarm.checks import TOUCHING
@@ -29,6 +30,8 @@ STYLE: Any = {
 }  # fmt: skip
 Pictures = dict[str, tuple[float, "Callable[[Figure], None]"]]
 """By name: the height in inches, and what draws it."""
+Reasons = dict[str, str]
+"""By the name of a picture: why it is not drawn."""
 BAND: dict[str, Any] = {"color": "#cccccc", "linewidth": 2.8, "zorder": 1.5}
 """A broad band below the line of what was flown."""
 
@@ -51,15 +54,23 @@ def draw(pictures: Pictures, folder: Path) -> list[Path]:
     return files
 
 
-def of_flight(flight: Flight) -> Pictures:
-    """What is drawn of where drones were."""
-    return {
+def of_flight(flight: Flight) -> tuple[Pictures, Reasons]:
+    """What is drawn of where drones were, and what cannot be."""
+    all_pictures: Pictures = {
         "top": (3.3, partial(_draw_top, flight=flight)),
         "space": (3.2, partial(_draw_space, flight=flight)),
         "tracking": (2.4, partial(_draw_tracking, flight=flight)),
         "heights": (2.4, partial(_draw_heights, flight=flight)),
         "separation": (2.0, partial(_draw_separation, flight=flight)),
     }
+    missing: Reasons = {}
+    if not flight.tracks:
+        missing = dict.fromkeys(all_pictures, "no truth or state of any drone")
+    elif not any(np.isfinite(track.tracking).any() for track in flight.tracks):
+        missing["tracking"] = "no reference while it was known where a drone was"
+    if flight.tracks and not np.isfinite(flight.separation).any():
+        missing["separation"] = "no two drones at one time"
+    return {name: picture for name, picture in all_pictures.items() if name not in missing}, missing
 
 
 def _draw_top(figure: "Figure", flight: Flight) -> None:
@@ -128,10 +139,14 @@ def along_time(axes: Any, last: float, label: str) -> None:
 
 
 def lines(flight: Flight) -> list[tuple[dict[str, Any], Track]]:
-    """How each drone's line looks, and the drone; dashes show what lies below a line."""
-    n = len(flight.tracks)
-    looks: Any = zip(COLOURS, cycle(DASHES), strict=False) if n <= NAMED else zip(scale(n), n * ["-"], strict=True)
-    return [({"color": c, "linestyle": dash}, track) for (c, dash), track in zip(looks, flight.tracks, strict=False)]
+    """How each drone's line looks, and the drone."""
+    return list(zip(looks(len(flight.tracks)), flight.tracks, strict=True))
+
+
+def looks(n: int) -> list[dict[str, Any]]:
+    """Of the lines of n drones; dashes show what lies below a line."""
+    told: Any = zip(COLOURS[:n], cycle(DASHES), strict=False) if n <= NAMED else zip(scale(n), n * ["-"], strict=True)
+    return [{"color": colour, "linestyle": dash} for colour, dash in told]
 
 
 def scale(n: int) -> Mat:
@@ -147,33 +162,44 @@ def _reference(flight: Flight) -> str:
     return "reference" if any(np.isfinite(track.reference).any() for track in flight.tracks) else ""
 
 
-def name(
-    figure: "Figure", flight: Flight, band: str = "", started: bool = False, pad: float = 0.02
-) -> None:
-    """Say which line is which, and what the band is: by a legend above, or by a scale of colours."""
+def name(figure: "Figure", flight: Flight, band: str = "", started: bool = False, pad: float = 0.02) -> None:
+    """Say which line is which, and what the band is. Who is shown by its own state, not by truth, is marked."""
+    own = [track.source == STATE.name for track in flight.tracks]
+    marks = [" (state)" if one else "" for one in own]
+    names = [f"{track.drone}{mark}" for track, mark in zip(flight.tracks, marks, strict=True)]
+    note = "" if len(own) <= NAMED or not any(own) else " (state)" if all(own) else " (some: state)"
+    name_drones(figure, names, f"drone{note}", band, started, pad)
+
+
+def name_drones(
+    figure: "Figure", names: Sequence[str], label: str = "drone", band: str = "", started: bool = False,
+    pad: float = 0.02,
+) -> None:  # fmt: skip
+    """By a legend above, or, of many, by a scale of colours with this label."""
     from matplotlib.lines import Line2D
 
     handles = []
-    if len(flight.tracks) <= NAMED:
-        handles += [Line2D([], [], label=f"drone {track.drone}", **line) for line, track in lines(flight)]
+    if len(names) <= NAMED:
+        styles = zip(names, looks(len(names)), strict=True)
+        handles += [Line2D([], [], label=f"drone {one}", **style) for one, style in styles]
     if band:
         handles.append(Line2D([], [], label=band, **BAND))
     if started:
         handles.append(Line2D([], [], label="start", color=INK, marker="o", linestyle="", markersize=3.5))
     if handles:
-        figure.legend(handles=handles, loc="outside upper center", ncols=4)
-    if len(flight.tracks) > NAMED:
-        _draw_scale(figure, flight, pad)
+        figure.legend(handles=handles, loc="outside upper center", ncols=4 if max(map(len, names)) < 6 else 3)
+    if len(names) > NAMED:
+        _draw_scale(figure, names, label, pad)
 
 
-def _draw_scale(figure: "Figure", flight: Flight, pad: float) -> None:
+def _draw_scale(figure: "Figure", names: Sequence[str], label: str, pad: float) -> None:
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import BoundaryNorm, ListedColormap
 
-    n = len(flight.tracks)
+    n = len(names)
     norm = BoundaryNorm(np.arange(n + 1) - 0.5, n)
     mappable = ScalarMappable(norm, ListedColormap(list(scale(n))))
-    bar = figure.colorbar(mappable, ax=figure.axes[0], label="drone", fraction=0.04, pad=pad)
+    bar = figure.colorbar(mappable, ax=figure.axes[0], label=label, fraction=0.04, pad=pad)
     marks = np.unique(np.linspace(0, n - 1, min(n, 6)).round().astype(int))
-    bar.set_ticks(marks.tolist(), labels=[str(flight.tracks[k].drone) for k in marks])
+    bar.set_ticks(marks.tolist(), labels=[names[k].split()[0] for k in marks])
     bar.ax.minorticks_off()

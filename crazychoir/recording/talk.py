@@ -10,6 +10,7 @@ import numpy as np
 
 from crazychoir.bus.topics import RESULT, ROUND, STATUS
 from crazychoir.recording.sequence import told
+from crazychoir.routing.vehicle import MAKESPAN, TOTAL
 from crazychoir.runtime.clock import SECOND
 from crazychoir.types import Mat, Vec
 
@@ -38,13 +39,15 @@ class Channel:
 class Talk:
     """t: (n,) s;  rates: (n, 3) 1/s of messages between drones of the whole team, sent, lost, resent, on average since
     the time before;  channels: in order of their first message;  history: by drone, (n, 3) = round, value of the
-    relaxation m, cost of the best plan m, whenever they changed, NaN as long as unknown, of who has planned routes.
+    relaxation, cost of the best plan, whenever they changed, NaN as long as unknown, of who has planned routes.
+    unit: of these two: "m" of all routes, or "s" until the last drone is back, as the team has minimised.
     """
 
     t: Vec
     rates: Mat
     channels: tuple[Channel, ...]
     history: dict[int, Mat]
+    unit: str = "m"
 
     def write(self, path: Path) -> None:
         """The rates as a CSV file."""
@@ -66,7 +69,8 @@ class Talk:
         rows = [np.column_stack([np.full(len(own), i), own]) for i, own in sorted(self.history.items())]
         table = np.vstack(rows) if rows else np.zeros((0, 4))
         formats = ("%d", "%d", "%.6f", "%.6f")
-        np.savetxt(path, table, formats, ",", header="drone,round,relaxed_m,cost_m", comments="")
+        header = f"drone,round,relaxed_{self.unit},cost_{self.unit}"
+        np.savetxt(path, table, formats, ",", header=header, comments="")
 
 
 def talk_of(path: Path, began: float) -> Talk:
@@ -74,18 +78,21 @@ def talk_of(path: Path, began: float) -> Talk:
     counted: dict[int, list[tuple[float, ...]]] = {}
     said: dict[str, dict[int, dict[int, str]]] = {}
     history: dict[int, Mat] = {}
+    unit = "m"
     for message in told(path, (STATUS.name, ROUND.name, RESULT.name)):
         values, drone = message.values(), message.source.drone
         if message.source.topic == RESULT.name:
-            if changes := json.loads(values["json"]).get("history"):
+            result = json.loads(values["json"])
+            if changes := result.get("history"):
                 history[drone] = np.array(changes, dtype=float)
+                unit = "s" if result.get("objective", [TOTAL])[0] == MAKESPAN else "m"
         elif message.source.topic == STATUS.name:
             row = (message.came_ns / SECOND - began, *(float(values[name]) for name in COUNTERS))
             counted.setdefault(drone, []).append(row)
         elif values["kind"] in WITH_CONTENT:
             said.setdefault(values["channel"], {}).setdefault(values["round"], {}).setdefault(drone, values["json"])
     t, rates = _rates([np.array(rows) for rows in counted.values()])
-    return Talk(t, rates, tuple(_channel(name, rounds) for name, rounds in said.items()), history)
+    return Talk(t, rates, tuple(_channel(name, rounds) for name, rounds in said.items()), history, unit)
 
 
 def _rates(counted: list[Mat]) -> tuple[Vec, Mat]:
@@ -95,9 +102,17 @@ def _rates(counted: list[Mat]) -> tuple[Vec, Mat]:
     first, last = min(rows[0, 0] for rows in counted), max(rows[-1, 0] for rows in counted)
     at = np.arange(first, last + 1e-9, STEP)
     total = np.zeros((len(at), len(COUNTERS)))
-    for rows in counted:
+    for rows in map(_growing, counted):
         total += np.column_stack([np.interp(at, rows[:, 0], rows[:, n + 1]) for n in range(len(COUNTERS))])
     return at[1:], np.diff(total, axis=0) / STEP
+
+
+def _growing(rows: Mat) -> Mat:
+    """The same with counters that never fall: who says fewer than before was started anew, and counts from 0."""
+    steps = np.diff(rows[:, 1:], axis=0)
+    anew = (steps < 0.0).any(axis=1)
+    steps[anew] = rows[1:, 1:][anew]
+    return np.column_stack([rows[:, 0], np.cumsum(np.vstack([rows[:1, 1:], steps]), axis=0)])
 
 
 def _channel(name: str, rounds: Mapping[int, Mapping[int, str]]) -> Channel:

@@ -8,7 +8,7 @@ import numpy as np
 from crazychoir.guidance.feedback import LAW
 from crazychoir.optimization.picture import COLOURS, DASHES, INK
 from crazychoir.recording.figures import Flight
-from crazychoir.recording.plots import BAND, Pictures, along_time, lines, name
+from crazychoir.recording.plots import BAND, Pictures, Reasons, along_time, lines, looks, name, name_drones
 from crazychoir.recording.talk import COUNTERS, Talk
 from crazychoir.recording.work import ON_GROUND, Work
 
@@ -29,22 +29,33 @@ LEAST = 1e-6
 """m, and in the units of messages: what is nearer is drawn there."""
 END = 1.0
 """s over which the place is averaged where a drone's law has ended."""
+SAID = {"lost": "lost (simulated)"}
+"""Counters that the legend calls otherwise: what a real network loses, no sender counts."""
+PLANNED = {"m": "length of all routes [m]", "s": "time until all are back [s]"}
 
 
-def of_team(flight: Flight, work: Work, talk: Talk) -> Pictures:
-    """Those of which the recording has anything."""
+def of_team(flight: Flight, work: Work, talk: Talk) -> tuple[Pictures, Reasons]:
+    """Those of which the recording has anything, and why not the others."""
     pictures: Pictures = {}
+    missing: Reasons = {}
     if work.flown:
         pictures["tasks"] = (max(1.6, 0.75 + 0.27 * len(work.drones)), partial(_draw_tasks, work=work))
+    else:
+        missing["tasks"] = "nobody has left the ground" if work.spans else "no status of any drone"
     if len(talk.t):
         pictures["messages"] = (2.0, partial(_draw_messages, talk=talk))
+    else:
+        missing["messages"] = "no two statuses of a drone"
+    times = law_times(work)
     if talk.history:
-        pictures["convergence"] = (2.4, partial(_draw_history, flight=flight, talk=talk))
-    elif law_times(work):
+        pictures["convergence"] = (2.4, partial(_draw_history, talk=talk))
+    elif any(track.drone in times for track in flight.tracks):
         pictures["convergence"] = (2.4, partial(_draw_law, flight=flight, work=work))
     elif talk.channels:
         pictures["convergence"] = (2.0, partial(_draw_rounds, talk=talk))
-    return pictures
+    else:
+        missing["convergence"] = "no result with planned routes, no law with truth or state, no rounds"
+    return pictures, missing
 
 
 def law_times(work: Work) -> dict[int, tuple[float, float]]:
@@ -99,26 +110,24 @@ def _name_phases(figure: "Figure", seen: list[str], stopped: bool) -> None:
 def _draw_messages(figure: "Figure", talk: Talk) -> None:
     axes = figure.add_subplot()
     for label, rate, colour, dash in zip(COUNTERS, talk.rates.T, COLOURS, DASHES, strict=False):
-        axes.plot(talk.t, rate, color=colour, linestyle=dash, label=label)
+        axes.plot(talk.t, rate, color=colour, linestyle=dash, label=SAID.get(label, label))
     axes.set_ylim(bottom=0.0)
     along_time(axes, float(talk.t[-1]), "messages of all [1/s]")
     figure.legend(loc="outside upper center", ncols=3)
 
 
-def _draw_history(figure: "Figure", flight: Flight, talk: Talk) -> None:
+def _draw_history(figure: "Figure", talk: Talk) -> None:
     """What each drone knew in each round: the value of the relaxation, and the cost of the best plan."""
     axes = figure.add_subplot()
     last = max(float(own[-1, 0]) for own in talk.history.values())
-    for line, track in lines(flight):
-        own = talk.history.get(track.drone)
-        if own is not None:
-            rounds = np.append(own[:, 0], last + 1)
-            axes.step(rounds, np.append(own[:, 1], own[-1, 1]), where="post", **line)
-            axes.step(rounds, np.append(own[:, 2], own[-1, 2]), where="post", **BAND)
+    for line, (_, own) in zip(looks(len(talk.history)), sorted(talk.history.items()), strict=True):
+        rounds = np.append(own[:, 0], last + 1)
+        axes.step(rounds, np.append(own[:, 1], own[-1, 1]), where="post", **line)
+        axes.step(rounds, np.append(own[:, 2], own[-1, 2]), where="post", **BAND)
     axes.set_ylim(bottom=0.0)
     axes.set_xlabel("round")
-    axes.set_ylabel("length of all routes [m]")
-    name(figure, flight, band="best plan")
+    axes.set_ylabel(PLANNED[talk.unit])
+    name_drones(figure, [str(i) for i in sorted(talk.history)], band="best plan")
 
 
 def _draw_law(figure: "Figure", flight: Flight, work: Work) -> None:

@@ -176,6 +176,11 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
         return seen(self)
 
     @property
+    def unseen(self) -> tuple[int, ...]:
+        """The drones that alone say where they are: their truth is their own estimate; increasing."""
+        return tuple(i for i in self.reached if i not in self.seen)
+
+    @property
     def elsewhere(self) -> tuple[int, ...]:
         """The drones whose bodies, in real time, are reached by another process than their agent's; increasing."""
         return tuple(sorted((*self.owned, *self.reached)))

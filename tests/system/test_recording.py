@@ -155,7 +155,7 @@ def test_plot_says_and_draws(here, recorded, tmp_path, monkeypatch):
     table = here("crazychoir", "plot", path, "--out", tmp_path / "made")
     assert table.code == 0
     assert table.err == ""
-    for word in ("RMSE", "truth against the reference", f"{said.json['min_separation_m']:.3f} m", "made"):
+    for word in ("RMSE", "its place against the reference", f"{said.json['min_separation_m']:.3f} m", "made"):
         assert word in table.out
 
 

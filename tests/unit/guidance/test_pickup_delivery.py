@@ -86,6 +86,7 @@ def test_what_is_served_is_the_route_and_everybody_has_the_same_plan(flown):
         assert [stop["kind"] for stop in results[i]["served"]] == ["pickup", "delivery"]
     assert len({results[i]["plan_digest"] for i in config.ids}) == 1
     assert [results[i]["cost"] for i in config.ids] == pytest.approx([4.0] * 3)
+    assert [results[i]["objective"] for i in config.ids] == [["total"]] * 3
 
 
 def test_a_place_of_the_plane_is_visited_at_take_off_height_one_of_space_at_its_own():

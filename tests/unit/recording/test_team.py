@@ -73,7 +73,7 @@ def recorded(tmp_path):
 def track(drone):
     t = np.linspace(0.0, 7.0, 141)
     p = np.column_stack([np.exp(-t), np.full(141, float(drone)), np.ones(141)])
-    return Track(drone, t, p, np.zeros((141, 4)), 0 * p, 0 * p, 0 * p, 0 * p)
+    return Track(drone, "truth", t, p, np.zeros((141, 4)), 0 * p, 0 * p, 0 * p, 0 * p)
 
 
 def flight():
@@ -143,6 +143,14 @@ def test_who_is_heard_later_or_no_more_says_no_messages_meanwhile(recorded):
     assert talk.t[[0, -1]].tolist() == pytest.approx([0.5, 7.0])
 
 
+def test_an_agent_that_is_started_anew_counts_from_nothing(recorded):
+    """30 messages, 20 of another 50, and 10 more: none less than none."""
+    said = [(0.0, "mission", "", 0), (1.0, "mission", "", 30), (2.0, "mission", "", 20), (3.0, "mission", "", 30)]
+    talk = talk_of(recorded(statuses(2, said)), BEGAN)
+    assert talk.rates[:, 0] == pytest.approx([30, 30, 20, 20, 10, 10])
+    assert talk.rates[:, 1] == pytest.approx([6, 6, 4, 4, 2, 2])
+
+
 def test_what_has_no_content_is_no_message_of_a_round(recorded):
     said = [(0, REPEAT, encode(1.0)), (1, AHEAD, encode(3.0)), (2, WANT, b""), (3, FIN, b"")]
     path = recorded([(BEGAN, i, Exchanged(9, 4, kind, "mean", payload)) for i, kind, payload in said])
@@ -197,15 +205,16 @@ def test_how_routes_were_planned(recorded, tmp_path):
 def test_pictures_of_a_team(recorded, tmp_path, monkeypatch, more, names):
     monkeypatch.setattr(plots, "FORMATS", ("png",))
     path = recorded(statuses(2), more())
-    pictures = of_team(flight(), work_of(path, BEGAN), talk_of(path, BEGAN))
+    pictures, missing = of_team(flight(), work_of(path, BEGAN), talk_of(path, BEGAN))
     assert list(pictures) == names
+    assert sorted([*pictures, *missing]) == ["convergence", "messages", "tasks"]
     for file in draw(pictures, tmp_path):
         assert imread(file).shape[1] == round(300 * WIDTH)
 
 
 def test_of_a_recording_without_any_of_it_nothing_is_drawn(recorded):
     path = recorded([(BEGAN, 2, {"success": True})])
-    assert of_team(flight(), work_of(path, BEGAN), talk_of(path, BEGAN)) == {}
+    assert of_team(flight(), work_of(path, BEGAN), talk_of(path, BEGAN))[0] == {}
 
 
 SILENCE = Talk(np.zeros(0), np.zeros((0, 3)), (), {})
@@ -227,7 +236,7 @@ def data(axes):
 def test_a_bar_is_a_phase_and_a_mark_a_stop(recorded):
     path = recorded(statuses(2), statuses(4, SAID[:3]), [(BEGAN + 8.0, 2, RESULT)])
     work = work_of(path, BEGAN)
-    axes = drawn(of_team(flight(), work, SILENCE)["tasks"])
+    axes = drawn(of_team(flight(), work, SILENCE)[0]["tasks"])
     assert len(axes.patches) == len(work.spans)
     for bar, span in zip(axes.patches, work.spans, strict=True):
         assert (bar.get_x(), bar.get_width()) == pytest.approx((span.begin, span.end - span.begin))
@@ -241,17 +250,17 @@ def test_a_bar_is_a_phase_and_a_mark_a_stop(recorded):
 
 def test_names_of_stops_do_not_cover_each_other():
     stops = (Stop(2, 50.0, "abc"), Stop(2, 50.5, "d"), Stop(2, 60.0, "e"))
-    axes = drawn(of_team(flight(), Work((Span(2, 0.0, 100.0, "mission", ""),), stops), SILENCE)["tasks"])
+    axes = drawn(of_team(flight(), Work((Span(2, 0.0, 100.0, "mission", ""),), stops), SILENCE)[0]["tasks"])
     assert [text.get_va() for text in axes.texts] == ["bottom", "top", "bottom"]
 
 
 def test_the_picture_of_messages_shows_their_rates(recorded):
     talk = talk_of(recorded(statuses(2)), BEGAN)
-    axes = drawn(of_team(flight(), Work((), ()), talk)["messages"])
+    axes = drawn(of_team(flight(), Work((), ()), talk)[0]["messages"])
     for (t, rate), expected in zip(data(axes), talk.rates.T, strict=True):
         np.testing.assert_array_equal(t, talk.t)
         np.testing.assert_array_equal(rate, expected)
-    assert [line.get_label() for line in axes.lines] == ["sent", "lost", "resent"]
+    assert [line.get_label() for line in axes.lines] == ["sent", "lost (simulated)", "resent"]
 
 
 def test_routes_go_before_laws_and_these_before_rounds(recorded):
@@ -259,14 +268,14 @@ def test_routes_go_before_laws_and_these_before_rounds(recorded):
     labels = []
     for parts in ((result, law(), said), (law(), said), (said,)):
         path = recorded(statuses(2), *parts)
-        axes = drawn(of_team(flight(), work_of(path, BEGAN), talk_of(path, BEGAN))["convergence"])
+        axes = drawn(of_team(flight(), work_of(path, BEGAN), talk_of(path, BEGAN))[0]["convergence"])
         labels.append(axes.get_ylabel())
     assert labels == ["length of all routes [m]", "distance from end [m]", "distance from the mean"]
 
 
 def test_what_was_known_of_routes_in_each_round(recorded):
     path = recorded(statuses(2), [(BEGAN + 8.0, 2, RESULT)])
-    (k, relaxed), (_, best) = data(drawn(of_team(flight(), Work((), ()), talk_of(path, BEGAN))["convergence"]))
+    (k, relaxed), (_, best) = data(drawn(of_team(flight(), Work((), ()), talk_of(path, BEGAN))[0]["convergence"]))
     np.testing.assert_array_equal(k, [1, 4, 8, 9])
     np.testing.assert_array_equal(relaxed, [np.nan, 9.5, 7.25, 7.25])
     np.testing.assert_array_equal(best, [np.nan, np.nan, 8.0, 8.0])
@@ -274,7 +283,7 @@ def test_what_was_known_of_routes_in_each_round(recorded):
 
 def test_a_law_is_shown_by_the_distance_from_where_it_ended(recorded):
     path = recorded(law())
-    axes = drawn(of_team(flight(), work_of(path, BEGAN), SILENCE)["convergence"])
+    axes = drawn(of_team(flight(), work_of(path, BEGAN), SILENCE)[0]["convergence"])
     ((t, far),) = data(axes)
     own = track(4)
     during = (own.t >= 1.0) & (own.t <= 6.5)
@@ -292,9 +301,42 @@ def test_a_law_counts_from_its_first_step_to_its_last():
 
 def test_rounds_are_shown_by_their_spread_or_by_how_many_differ(recorded):
     of_numbers = rounds({2: [1.0, 2.0], 4: [3.0, 2.0]})
-    ((k, spread),) = data(drawn(of_team(flight(), Work((), ()), talk_of(recorded(of_numbers), BEGAN))["convergence"]))
+    talk = talk_of(recorded(of_numbers), BEGAN)
+    ((k, spread),) = data(drawn(of_team(flight(), Work((), ()), talk)[0]["convergence"]))
     assert (k.tolist(), spread.tolist()) == ([0, 1], [1.0, LEAST])
     of_words = rounds({2: ["a", "b"], 4: ["c", "b"]})
-    axes = drawn(of_team(flight(), Work((), ()), talk_of(recorded(of_words), BEGAN))["convergence"])
+    axes = drawn(of_team(flight(), Work((), ()), talk_of(recorded(of_words), BEGAN))[0]["convergence"])
     ((k, different),) = data(axes)
     assert (k.tolist(), different.tolist(), axes.get_ylim()) == ([0, 1], [2, 1], (0.0, 2.5))
+
+
+NOWHERE = Flight((), np.zeros(0), np.zeros(0))
+
+
+def test_of_a_team_that_nobody_saw_there_is_what_it_said(recorded):
+    """Without truth or state: all but the distances of a law."""
+    path = recorded(statuses(2), law(), [(BEGAN + 8.0, 2, RESULT)])
+    work, talk = work_of(path, BEGAN), talk_of(path, BEGAN)
+    pictures, missing = of_team(NOWHERE, work, talk)
+    assert (list(pictures), missing) == (["tasks", "messages", "convergence"], {})
+    axes = drawn(pictures["convergence"])
+    np.testing.assert_array_equal(data(axes)[0][1], [np.nan, 9.5, 7.25, 7.25])
+    (legend,) = axes.figure.legends
+    assert [text.get_text() for text in legend.get_texts()] == ["drone 2", "best plan"]
+    pictures, missing = of_team(NOWHERE, work, SILENCE)
+    assert list(pictures) == ["tasks"]
+    assert missing == {
+        "messages": "no two statuses of a drone",
+        "convergence": "no result with planned routes, no law with truth or state, no rounds",
+    }
+
+
+def test_what_was_minimised_has_its_unit(recorded, tmp_path):
+    for objective, unit, label in (
+        (["total"], "m", "length of all routes [m]"), (["makespan", "total"], "s", "time until all are back [s]"),
+    ):  # fmt: skip
+        talk = talk_of(recorded(statuses(2), [(BEGAN + 8.0, 2, RESULT | {"objective": objective})]), BEGAN)
+        assert drawn(of_team(flight(), Work((), ()), talk)[0]["convergence"]).get_ylabel() == label
+        talk.write_history(tmp_path / "convergence.csv")
+        header = (tmp_path / "convergence.csv").read_text().splitlines()[0]
+        assert header == f"drone,round,relaxed_{unit},cost_{unit}"

@@ -45,6 +45,7 @@ def test_who_says_what() -> None:
     assert config.source(POSE, 1) == 1
     own = swarm("udp://h:1", head="[radio]\nlog_rate = 50", keys='pose = "onboard"')
     assert (own.source(POSE, 0), own.seen) == (BODIES, ())
+    assert (config.unseen, own.unseen) == ((), (0,))
 
 
 @pytest.mark.parametrize(
