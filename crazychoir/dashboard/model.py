@@ -19,12 +19,14 @@ from crazychoir.swarm.checks import limit_area
 from crazychoir.swarm.config import SwarmConfig
 from crazychoir.types import FullState, LinkStatus, State, Status
 
-RATE, SELDOM = 30.0, 10.0
-"""Hz, of states; of references."""
+RATE, SELDOM, LINKS = 30.0, 10.0, 4.0
+"""Hz, of states; of references; of how radios reach their drones."""
 WINDOW = 5.0
 """s over which a share of lost messages is taken."""
 STALE = 2.0
 """s without a status after which a drone counts as not heard."""
+SILENT = LINK.max_age + 1.0 / LINKS
+"""s after which what was heard of a drone's radio says nothing any more."""
 COLUMNS = 17
 """Of a row of a frame: p, v, q, w as in State, s since that was so, p of the reference."""
 AGE, WANTED = 13, slice(14, 17)
@@ -36,12 +38,13 @@ KEPT = 240
 class Seen:
     """One drone, as far as it was heard.
 
-    heard: s, when its last status came;  lately: its messages to other drones.
+    heard: s, when its last status came;  linked: s, when its radio was as `link` says;  lately: its messages to others.
     """
 
     status: Status | None = None
     heard: float = -math.inf
     link: LinkStatus | None = None
+    linked: float = -math.inf
     result: dict[str, Any] | None = None
     lately: Lately = field(default_factory=lambda: Lately(WINDOW))
 
@@ -61,7 +64,7 @@ class SwarmModel:
             self._read(STATE, i, partial(self._hear_state, k), RATE)
             self._read(REFERENCE, i, partial(self._hear_reference, k), SELDOM)
             self._read(STATUS, i, partial(self._hear_status, i))
-            self._read(LINK, i, partial(self._hear_link, i), 2.0)
+            self._read(LINK, i, partial(self._hear_link, i), LINKS)
             self._read(RESULT, i, partial(self._hear_result, i))
             self._read(LOG, i, partial(self._hear_log, i))
 
@@ -96,7 +99,7 @@ class SwarmModel:
         self.costs.append((round(now, 2), k, cost, relaxed))
 
     def _hear_link(self, i: int, link: LinkStatus, age: float) -> None:
-        self.drones[i].link = link
+        self.drones[i].link, self.drones[i].linked = link, self.bus.clock.now() - age
 
     def _hear_result(self, i: int, result: dict[str, Any], age: float) -> None:
         self.drones[i].result = result
@@ -144,19 +147,24 @@ class SwarmModel:
 
     def _row(self, k: int, i: int) -> dict[str, Any]:
         seen, now = self.drones[i], self.bus.clock.now()
-        status, link = seen.status or Status(""), seen.link
+        status = seen.status or Status("")
         row: dict[str, Any] = {
             "id": i, "heard": now - seen.heard < STALE, "phase": status.phase, "task": status.task,
             "round": status.round, "cost": _known(status.cost), "lost": round(share(seen.lately), 3),
             "process": status.process, "host": status.host, "note": status.note, "suspect": status.suspect,
             "gone": status.gone, "age": _known(float(now - self._seen[k]), 2),
         }  # fmt: skip
-        if link is not None:
-            row |= {
-                "link": link.state, "latency": _known(link.latency, 4), "answered": _known(link.answered, 3),
-                "rssi": _known(link.rssi, 0), "battery": _known(link.battery, 2),
-            }  # fmt: skip
-        return row
+        return row if seen.link is None else row | _reached(seen.link, now - seen.linked)
+
+
+def _reached(link: LinkStatus, age: float) -> dict[str, Any]:
+    """How a radio reaches a drone, as it was `age` s ago; only for how long it is silent, once that is too long."""
+    if age > SILENT:
+        return {"link": "silent", "silent": round(age, 1)}
+    return {
+        "link": link.state, "latency": _known(link.latency, 4), "answered": _known(link.answered, 3),
+        "rssi": _known(link.rssi, 0), "battery": _known(link.battery, 2),
+    }  # fmt: skip
 
 
 def _mean(x: list[float]) -> float:

@@ -26,6 +26,9 @@ CLEAR = """<dialog id="clear" aria-labelledby="clear-what"><form method="dialog"
 emergency stop to end? Space still stops all.</p><button value="no" autofocus>Cancel</button>
 <button value="yes">End it</button></form></dialog>"""
 
+LINKS = """<p class="help legend">Links: what the <em>simulated</em> network loses, from green, 0 %, to red, 67 %; grey where
+one end does not hear the other.</p>"""
+
 
 class Page:
     """The same for all browsers; about: what SwarmModel.about says."""
@@ -44,7 +47,7 @@ class Page:
         self._top()
         with ui.element("main").classes("board"):
             with card("view", "view of the room"):
-                text('<div id="scene"></div>')
+                text(f'<div id="scene"></div>{LINKS}')
             with card("side", "controls"):
                 tabs({name: label for name, (label, _) in self.panels.items()})
                 for name, (_, build) in self.panels.items():

@@ -1,6 +1,7 @@
 """What the page says, sends and refuses to send, in a real browser; its server is there, and no drone."""
 
 import contextlib
+import json
 
 import numpy as np
 import pytest
@@ -277,6 +278,23 @@ async def test_what_plans_cost_and_how_near_their_bound_is_are_drawn(tmp_path):
         wire.page.send('{"costs": [[2.0, 3, 10.0, 8.0]]}')
         await page.wait_for_function("written.has('round 3, gap 20.0 %')")
         assert await page.is_visible("text=mean cost of the plans, and bound (dashed), by round")
+
+
+async def test_the_table_says_what_radios_answer_and_that_other_losses_are_simulated(tmp_path):
+    async with looked_at(tmp_path) as (page, wire, _):
+        cells = "[...document.querySelectorAll('#drones tr[data-drone=\"1\"] td')].map(cell => cell.textContent)"
+        drones = await page.evaluate("choir.seen.drones")
+        drones[1] |= {"link": "up", "rssi": -60, "answered": 0.983, "battery": 3.9, "lost": 0.1}
+        wire.page.send(json.dumps({"drones": drones}))
+        await page.wait_for_function(f"{cells}.includes('up, -60 dBm, 98 % answered') && {cells}.includes('10 %')")
+        drones[1] = {key: drones[1][key] for key in drones[0]} | {"link": "silent", "silent": 150.2}
+        wire.page.send(json.dumps({"drones": drones}))
+        await page.wait_for_function(f"{cells}.includes('silent for 150 s') && !{cells}.includes('3.9 V')")
+        heads = "[...document.querySelectorAll('#drones th[title]')].map(head => [head.textContent, head.title])"
+        titles = dict(await page.evaluate(heads))
+        assert "measured" in titles["radio"]
+        assert "no measure of a real network" in titles["simulated loss"]
+        assert "simulated" in await page.inner_text(".legend")
 
 
 WRITTEN = """

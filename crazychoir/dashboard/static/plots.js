@@ -1,4 +1,4 @@
-// Live curves of one drone: place against reference, velocity, rates, lost messages; and the cost of the plans.
+// Live curves of one drone: place against reference, velocity, rates, simulated loss; and the cost of the plans.
 import { curves } from "./canvas.js";
 import { on, row, seen } from "./line.js";
 import { make } from "./table.js";
@@ -11,7 +11,7 @@ const PLOTS = {
     { name: "xyz"[c], values: kept("p", c), tint: AXES[c] }, { name: "", values: kept("r", c), tint: AXES[c], dashed: true }]),
   "velocity, m/s": () => [0, 1, 2].map((c) => ({ name: `v${"xyz"[c]}`, values: kept("v", c), tint: AXES[c] })),
   "body rates, rad/s": () => [0, 1, 2].map((c) => ({ name: "pqr"[c], values: kept("w", c), tint: AXES[c] })),
-  "lost messages, %": () => [{ name: "lost", values: samples.map((s) => 100 * s.lost), tint: "--bad" }],
+  "messages lost by the simulated network, %": () => [{ name: "lost", values: samples.map((s) => 100 * s.lost), tint: "--bad" }],
   [PLAN]: () => [
     { name: costs.length ? `round ${costs.at(-1)[1]}${gap(...costs.at(-1))}` : "", values: costs.map((c) => c[2]), tint: "--accent" },
     { name: "", values: costs.map((c) => c[3]), tint: "--accent", dashed: true }],

@@ -4,7 +4,7 @@ import { colour, on, seen, selected, tell } from "./line.js";
 
 const TRAIL = 120, TRAIL_S = 0.1, ARM = 0.13, LABELS = 40;
 let renderer, camera, controls, scene, host, drones, references, trails, edges, path, tasks, room;
-let labels = [], links = [], waiting = 0, trailed = 0, drawn = -1, looked = false, tasked = "null";
+let labels = [], links = [], waiting = 0, trailed = 0, drawn = -1, looked = false, tasked = "null", apart;
 
 const at = (rows, k, c) => rows[k * seen.about.columns + c];
 const lines = (material) => unbounded(new THREE.LineSegments(new THREE.BufferGeometry(), material));
@@ -63,6 +63,7 @@ function build(about) {
   grid.position.set(Math.round((low[0] + high[0]) / 2), Math.round((low[1] + high[1]) / 2), about.ground);
   room.add(grid, box(low, high, colour("--accent")), box(about.limit[0], about.limit[1], colour("--bad")));
   scene.add(room);
+  apart = colour("--faint");
   drones = new THREE.InstancedMesh(body(), new THREE.MeshLambertMaterial(), n);
   scene.add(unbounded(drones));
   references = unbounded(new THREE.Points(new THREE.BufferGeometry(), new THREE.PointsMaterial({ size: 0.06, color: colour("--warn") })));
@@ -151,12 +152,15 @@ function trail(about, rows) {
   points.needsUpdate = true;
 }
 
+const misses = (one, other) => one && [...one.suspect, ...one.gone].includes(other.id);
+
 function connectEdges(rows) {
   const { position, color } = edges.geometry.attributes;
   links.forEach(({ ends, name }, e) => {
-    const known = seen.links?.[name];
-    const lost = known ?? (seen.drones.length ? (seen.drones[ends[0]].lost + seen.drones[ends[1]].lost) / 2 : 0);
-    paint.setHSL(0.33 * (1 - Math.min(1, 1.5 * lost)), 0.75, 0.45);
+    const pair = ends.map((k) => seen.drones[k]);
+    const lost = seen.links?.[name] ?? (seen.drones.length ? (pair[0].lost + pair[1].lost) / 2 : 0);
+    if (misses(...pair) || misses(...pair.reverse())) paint.set(apart);
+    else paint.setHSL(0.33 * (1 - Math.min(1, 1.5 * lost)), 0.75, 0.45);
     ends.forEach((k, end) => {
       position.setXYZ(2 * e + end, at(rows, k, 0), at(rows, k, 1), at(rows, k, 2));
       color.setXYZ(2 * e + end, paint.r, paint.g, paint.b);

@@ -1,16 +1,24 @@
 // The drones in words: a table with a box to choose each; the log.
 import { chosen, on, seen, select, selected } from "./line.js";
 
+const SIMULATED = "what the simulated network has lost of its messages to other drones; no measure of a real network";
+const RADIO = "its link, the strength of its signal, and the share of radio packets that it has answered: measured";
 const COLUMNS = [
   ["drone", (d) => d.id], ["phase", (d) => (d.heard ? d.phase : "not heard")], ["task", (d) => d.task],
   ["battery", (d) => unit(d.battery, "V")], ["latency", (d) => (d.latency == null ? "" : `${Math.round(1000 * d.latency)} ms`)],
-  ["lost", (d) => `${Math.round(100 * d.lost)} %`], ["rssi", (d) => unit(d.rssi, "dBm")],
+  ["radio", radio, RADIO], ["simulated loss", (d) => `${Math.round(100 * d.lost)} %`, SIMULATED],
   ["pose age", (d) => unit(d.age, "s")], ["round", (d) => d.round], ["cost", (d) => d.cost ?? ""],
   ["runs at", (d) => `${d.host} ${d.process}`], ["note", (d) => d.note],
 ];
 const unit = (value, name) => (value == null ? "" : `${value} ${name}`);
 const rows = new Map();
 let body;
+
+function radio({ link, silent, rssi, answered }) {
+  if (silent != null) return `silent for ${Math.round(silent)} s`;
+  const measured = [rssi == null ? "" : `${rssi} dBm`, answered == null ? "" : `${Math.round(100 * answered)} % answered`];
+  return [link, ...measured].filter(Boolean).join(", ");
+}
 
 export function make(tag, attributes = {}, ...children) {
   const element = document.createElement(tag);
@@ -27,7 +35,7 @@ export function set(element, text) {
 function build(table, about) {
   const all = make("input", { type: "checkbox", "aria-label": "all drones" });
   all.addEventListener("change", () => select(all.checked ? about.ids : []));
-  const head = make("tr", {}, make("th", { scope: "col" }, all), ...COLUMNS.map(([name]) => make("th", { scope: "col" }, name)));
+  const head = make("tr", {}, make("th", { scope: "col" }, all), ...COLUMNS.map(([name, , title]) => make("th", { scope: "col", ...(title && { title }) }, name)));
   body = make("tbody");
   rows.clear();
   for (const i of about.ids) {

@@ -5,7 +5,7 @@ from virtual_time import virtual
 
 from crazychoir.bus.local import OBSERVER, Bus
 from crazychoir.bus.topics import LINK, LOG, REFERENCE, RESULT, STATE, STATUS
-from crazychoir.dashboard.model import AGE, COLUMNS, STALE, WANTED, WINDOW, SwarmModel
+from crazychoir.dashboard.model import AGE, COLUMNS, SILENT, STALE, WANTED, WINDOW, SwarmModel
 from crazychoir.dashboard.watch import KEPT, Watch
 from crazychoir.swarm.config import SwarmConfig
 from crazychoir.types import FullState, LinkStatus, State, Status
@@ -94,6 +94,24 @@ async def test_a_row_of_the_table_says_what_is_known_and_who_is_not_heard(clock)
     assert seen.row(7)["heard"] is False
     await clock.sleep(STALE)
     assert seen.row(3)["heard"] is False
+
+
+@virtual
+async def test_what_was_heard_of_a_radio_is_forgotten_once_its_owner_is_silent(clock):
+    seen = Seen(clock)
+    for _ in range(20):
+        seen.ports[3].publish(LINK, LinkStatus("up", rssi=-61.0, battery=3.9, latency=0.004, answered=0.98))
+        await clock.sleep(0.1)
+        last = seen.row(3)
+        assert clock.now() < 0.5 or (last["battery"], last["answered"]) == (3.9, 0.98)
+    for _ in range(20):
+        seen.ports[3].publish(STATUS, Status("mission"))
+        await clock.sleep(0.25)
+    row = seen.row(3)
+    assert (row["heard"], row["link"]) == (True, "silent")
+    assert 5.0 <= row["silent"] <= 5.3
+    assert not {"battery", "rssi", "latency", "answered"} & set(row)
+    assert LINK.max_age < SILENT < 1.0
 
 
 @virtual
