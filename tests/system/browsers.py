@@ -18,7 +18,8 @@ class Wire:
     """Between a page and its server.
 
     asked: what the page has sent;  lines: how many there were;  dead: nothing passes, of lines that begin meanwhile
-    later neither;  deaf: nothing passes to the server;  frame: what the page gets for a frame.
+    later neither;  deaf: nothing passes to the server;  frame: what the page gets for a frame;
+    news: what it gets in place of what the server tells of these.
     """
 
     def __init__(self) -> None:
@@ -26,6 +27,7 @@ class Wire:
         self.lines = 0
         self.dead = self.deaf = False
         self.frame: Callable[[bytes], bytes] = lambda data: data
+        self.news: dict[str, Any] = {}
         self.page: WebSocketRoute
 
     def lay(self, page: WebSocketRoute) -> None:
@@ -40,10 +42,14 @@ class Wire:
 
         def down(told: str | bytes) -> None:
             if not (born_dead or self.dead):
-                page.send(self.frame(told) if isinstance(told, bytes) else told)
+                page.send(self.frame(told) if isinstance(told, bytes) else self.told(told))
 
         page.on_message(up)
         server.on_message(down)
+
+    def told(self, text: str) -> str:
+        news: dict[str, Any] = json.loads(text)
+        return json.dumps({kind: self.news.get(kind, value) for kind, value in news.items()})
 
     async def cut(self) -> None:
         await self.page.close()

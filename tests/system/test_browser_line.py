@@ -297,6 +297,22 @@ async def test_the_table_says_what_radios_answer_and_that_other_losses_are_simul
         assert "simulated" in await page.inner_text(".legend")
 
 
+async def test_routes_are_drawn_from_where_their_drones_are(tmp_path):
+    async with looked_at(tmp_path) as (page, wire, _):
+        wire.frame = hovering({1: (0.0, 0.0, 1.0)})
+        await page.wait_for_timeout(1500)
+        bare, tour = await page.locator("#scene canvas").screenshot(), {"1": [[1.5, -1.5, 1.0], [-1.5, -1.5, 1.0]]}
+        wire.news = {"routes": tour}
+        await page.wait_for_function("choir.seen.routes?.[1]")
+        await page.wait_for_timeout(500)
+        drawn = await page.locator("#scene canvas").screenshot(path=tmp_path / "routes.png")
+        assert drawn != bare
+        wire.news = {"routes": {}}
+        await page.wait_for_function("!choir.seen.routes[1]")
+        await page.wait_for_timeout(500)
+        assert await page.locator("#scene canvas").screenshot() == bare
+
+
 WRITTEN = """
 (() => {
   const fill = CanvasRenderingContext2D.prototype.fillText;
