@@ -26,8 +26,8 @@ CLEAR = """<dialog id="clear" aria-labelledby="clear-what"><form method="dialog"
 emergency stop to end? Space still stops all.</p><button value="no" autofocus>Cancel</button>
 <button value="yes">End it</button></form></dialog>"""
 
-LINKS = """<p class="help legend">Links: what the <em>simulated</em> network loses, from green, 0 %, to red, 67 %; grey where
-one end does not hear the other.</p>"""
+LINKS = """<p class="help legend">Links: <em>simulated</em> loss from green, 0 %, to red, 67 %; grey where an end is not
+heard.</p>"""
 
 
 class Page:

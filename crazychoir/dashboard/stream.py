@@ -127,7 +127,7 @@ class Stream(Actor):
     def news(self) -> dict[str, Any]:
         """What changes slowly."""
         return {
-            "drones": self.model.table(), "costs": list(self.model.costs)[-1:], "tasks": self.board.tasks,
+            "drones": self.model.table(), "costs": self.model.costs(), "tasks": self.board.tasks,
             **self.overview.news(),
         }  # fmt: skip
 
@@ -152,8 +152,7 @@ class Stream(Actor):
                 raise error
 
     async def _tell(self, socket: Socket) -> None:
-        about = self.model.about() | {"costs": list(self.model.costs)}
-        await socket.send_text(_text({"about": about}))
+        await socket.send_text(_text({"about": self.model.about()}))
         told, line, version, frame = 0, 0, 0, b""
         while True:
             await asyncio.shield(self._tick)
