@@ -54,7 +54,7 @@ from crazychoir.worlds import owners
 log = logging.getLogger(__name__)
 RESTARTED = 20.0
 """s without a word of the owner of a dongle, which `run` starts again, after which it does not come back."""
-QUERIES = ("param_get", "task_list", "links", "ping")
+QUERIES = ("param_get", "task_list", "overview", "ping")
 VERBS = (*ORDERS, "go-to", "fly", "impair", "param_set", "task_add", "task_cancel", *QUERIES)
 """What operators may ask of a drone; QUERIES change nothing."""
 
@@ -348,8 +348,8 @@ class Agent:
                 return await self._steering[drone.id].go_to(arguments)
             case "fly":
                 return await self._steering[drone.id].fly(arguments)
-            case "links":
-                return self._links(drone.id)
+            case "overview":
+                return self._overview(drone)
             case "task_add" | "task_cancel" | "task_list":
                 if not hasattr(drone.guidance, "member"):
                     raise Refused(f"drone {drone.id}", "its mission has not begun")
@@ -359,10 +359,18 @@ class Agent:
             case _:
                 raise Refused(f"drone {drone.id}", f"no command {verb!r}; there are {', '.join(VERBS)}")
 
-    def _links(self, i: int) -> dict[int, list[int]]:
-        """Messages that drone i has sent to each other one through the simulated network, and those that it lost."""
-        edges = self.bus.impairment.counters
-        return {j: [edge.sent, edge.lost] for (source, j), edge in edges.items() if source == i}
+    def _overview(self, drone: Drone) -> dict[str, Any]:
+        """What no topic says of it, for who looks on.
+
+        links: by drone, messages sent there through the simulated network, and those that it lost;  network: what is
+        simulated;  route: see CFGuidance.
+        """
+        network, begun = self.bus.impairment, hasattr(drone.guidance, "member")
+        return {
+            "links": {j: [to.sent, to.lost] for (i, j), to in network.counters.items() if i == drone.id},
+            "network": network.describe(),
+            "route": [list(map(float, p)) for p in drone.guidance.route()] if begun else [],
+        }
 
     def _stop(self, drone: Drone, on: bool) -> None:
         drone.port.publish(LOG, f"drone {drone.id}: {COMMANDED}{'emergency stop' if on else 'clear stop'}")

@@ -1,8 +1,7 @@
 """What a page knows of a swarm: the newest of each topic of each drone, as the bus brings it."""
 
 import math
-from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
@@ -31,7 +30,7 @@ COLUMNS = 17
 """Of a row of a frame: p, v, q, w as in State, s since that was so, p of the reference."""
 AGE, WANTED = 13, slice(14, 17)
 KEPT = 240
-"""Points of a curve of costs."""
+"""Rounds of a curve of costs."""
 
 
 @dataclass
@@ -55,8 +54,7 @@ class SwarmModel:
     def __init__(self, bus: Bus, address: int, config: SwarmConfig, watch: Watch) -> None:
         self.bus, self.address, self.config, self.watch = bus, address, config, watch
         self.drones = {i: Seen() for i in config.ids}
-        self.costs: deque[tuple[float, int, float, float]] = deque(maxlen=KEPT)
-        """t s, round, the mean cost of the plans of all drones that have one, and that of their relaxations, or NaN."""
+        self._plans: dict[int, dict[int, tuple[float, float]]] = {}  # by round and drone, its cost and relaxation
         self._rows = np.full((len(config.ids), COLUMNS), np.nan, dtype="<f4")
         self._seen = np.full(len(config.ids), -np.inf)
         self._wanted = np.full(len(config.ids), -np.inf)
@@ -90,13 +88,12 @@ class SwarmModel:
             self.watch.add(status.phase, "info", i)
         if status.note and (before is None or before.note != status.note):
             self.watch.told(i, status.note)
-        if math.isfinite(status.cost) and (before is None or before.round != status.round):
-            self._note_cost(now, status.round)
-
-    def _note_cost(self, now: float, k: int) -> None:
-        statuses = [seen.status for seen in self.drones.values() if seen.status is not None]
-        cost, relaxed = _mean([one.cost for one in statuses]), _mean([one.relaxed for one in statuses])
-        self.costs.append((round(now, 2), k, cost, relaxed))
+        if before is not None and status.sent < before.sent:  # its agent was started again
+            self._plans = {k: rest for k, of in self._plans.items() if (rest := {j: of[j] for j in of if j != i})}
+        if math.isfinite(status.cost):
+            self._plans.setdefault(status.round, {})[i] = status.cost, status.relaxed
+            if len(self._plans) > KEPT:
+                del self._plans[min(self._plans)]
 
     def _hear_link(self, i: int, link: LinkStatus, age: float) -> None:
         self.drones[i].link, self.drones[i].linked = link, self.bus.clock.now() - age
@@ -141,6 +138,17 @@ class SwarmModel:
             "height": config.flight.ground + config.flight.takeoff_height,
         }  # fmt: skip
 
+    def costs(self) -> list[tuple[int, float, float]]:
+        """By round: the mean cost of the plans of all drones that told one in that round, of their relaxations, or NaN.
+
+        While they plan, a relaxation is that of the routes that a drone knows by then: no bound.
+        """
+        curve = []
+        for k in sorted(self._plans):
+            costs, relaxed = zip(*self._plans[k].values(), strict=True)
+            curve.append((k, _mean(costs), _mean(relaxed)))
+        return curve
+
     def table(self) -> list[dict[str, Any]]:
         """A row a drone: how it is, and how it is reached. What is not known is None."""
         return [self._row(k, i) for k, i in enumerate(self.config.ids)]
@@ -168,7 +176,7 @@ def _reached(link: LinkStatus, age: float) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _mean(x: list[float]) -> float:
+def _mean(x: Iterable[float]) -> float:
     """Of what is finite; NaN of nothing."""
     known = [value for value in x if math.isfinite(value)]
     return float(np.mean(known)) if known else math.nan

@@ -1,4 +1,4 @@
-"""What no topic says, asked for now and then while somebody looks on: the tasks, and what each link has lost."""
+"""What no topic says, asked for now and then while somebody looks on: tasks, routes, and what is simulated."""
 
 import asyncio
 import math
@@ -8,9 +8,11 @@ from crazychoir.bus.commands import DONE, REFUSED
 from crazychoir.dashboard.desk import Desk, Receipt
 from crazychoir.dashboard.lately import Lately, share
 from crazychoir.runtime.actor import Actor
+from crazychoir.swarm.graph import span
+from crazychoir.swarm.impairment import in_words
 
-LINKS, TASKS = 8.0, 1.0
-"""Hz, of questions after the links of one drone, in turn; and after the tasks, of one drone."""
+OVERVIEWS, TASKS = 8.0, 1.0
+"""Hz, of questions to one drone, in turn, after its overview; and after the tasks, to one drone."""
 LATER = 10.0
 """s for which a swarm is not asked again that has no tasks."""
 PATIENCE = 0.8
@@ -21,28 +23,56 @@ MOST_ASKED = 3
 """Drones that are asked to do what one must, one after the other, until one has not refused."""
 
 
-class Links(Actor):
-    """Share of messages that the network has lost lately, by edge (i, j), i < j, both ways together."""
+class Overview(Actor):
+    """What all drones say of themselves, one after the other.
 
-    name = "links"
+    lost: share of messages that the simulated network has lost lately, by edge (i, j), i < j, both ways together;
+    routes: by drone, the places that it is to fly to, m;  networks: by drone, what it simulates, see Impairment.
+    """
+
+    name = "overview"
 
     def __init__(self, desk: Desk) -> None:
         self.desk, self.ids = desk, desk.place.config.ids
         self.watched = False
         self.lost: dict[tuple[int, int], float] = {}
+        self.routes: dict[int, list[list[float]]] = {}
+        self.networks: dict[int, dict[str, Any]] = {}
         self._of: dict[tuple[int, int], Lately] = {}
 
     async def run(self) -> None:
-        """One drone after the other."""
-        k, window = 0, max(WINDOW, 2.0 * len(self.ids) / LINKS)
-        async for _ in self.desk.place.clock.ticks(LINKS):
+        """One drone after the other; of one that does not answer no route or network is known."""
+        k, window = 0, max(WINDOW, 2.0 * len(self.ids) / OVERVIEWS)
+        async for _ in self.desk.place.clock.ticks(OVERVIEWS):
             if not self.watched:
                 continue
             i = self.ids[k % len(self.ids)]
             k += 1
-            answer = await _answer(self.desk, i, "links")
-            for j, (sent, lost) in (answer or {}).items():
+            answer = await _answer(self.desk, i, "overview")
+            self.routes.pop(i, None)
+            self.networks.pop(i, None)
+            if answer is None:
+                continue
+            self.networks[i] = answer["network"]
+            if answer["route"]:
+                self.routes[i] = [[round(x, 2) for x in p] for p in answer["route"]]
+            for j, (sent, lost) in answer["links"].items():
                 self._note(i, j, sent, lost, window)
+
+    def news(self) -> dict[str, Any]:
+        """What pages are told of it."""
+        links = {f"{i}-{j}": round(lost, 3) for (i, j), lost in self.lost.items()}
+        return {"links": links, "routes": self.routes, "network": self._network()}
+
+    def _network(self) -> dict[str, Any] | None:
+        """What is simulated: the rules of the first drone, and in words, by drone where these differ."""
+        same: dict[str, list[int]] = {}
+        for i in sorted(self.networks):
+            same.setdefault("; ".join(in_words(self.networks[i])), []).append(i)
+        if not same:
+            return None
+        words = [text if len(same) == 1 else f"drones {span(ids)}: {text}" for text, ids in same.items()]
+        return {"rules": self.networks[min(self.networks)]["rules"], "words": " | ".join(words)}
 
     def _note(self, i: int, j: int, sent: int, lost: int, window: float) -> None:
         self._of.setdefault((i, j), Lately(window)).note(self.desk.place.clock.now(), sent, lost)

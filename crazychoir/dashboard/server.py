@@ -22,7 +22,7 @@ from crazychoir.dashboard.guests import Guest
 from crazychoir.dashboard.model import SwarmModel
 from crazychoir.dashboard.operator import Operator
 from crazychoir.dashboard.page import THREE, Page
-from crazychoir.dashboard.polls import Links, TaskBoard
+from crazychoir.dashboard.polls import Overview, TaskBoard
 from crazychoir.dashboard.stream import Stream
 from crazychoir.dashboard.watch import Watch
 from crazychoir.errors import ConfigError
@@ -149,8 +149,8 @@ async def serve(place: Outlook, served: Served, say: Callable[[str], None]) -> N
     bus, clock, config = place.link.bus, place.clock, place.config
     watch = Watch(clock)
     model, desk = SwarmModel(bus, place.address, config, watch), Desk(place, watch)
-    links, board = Links(desk), TaskBoard(desk)
-    stream = Stream(model, desk, watch, links, board)
+    overview, board = Overview(desk), TaskBoard(desk)
+    stream = Stream(model, desk, watch, overview, board)
     listening = served.bound()
     port = listening.getsockname()[1]
     app = _app(stream, lambda: Operator(config, desk, board), Page(model.about()))
@@ -163,7 +163,7 @@ async def serve(place: Outlook, served: Served, say: Callable[[str], None]) -> N
         ssl_cert_reqs=ssl.CERT_NONE if served.authority is None else ssl.CERT_REQUIRED,
     ))  # fmt: skip
     say(f"page of swarm {config.name}: {served.scheme}://{served.name}:{port}; Ctrl-C ends it, and the swarm flies on")
-    streaming = asyncio.create_task(Supervisor(clock, "page").run([stream, links, board]))
+    streaming = asyncio.create_task(Supervisor(clock, "page").run([stream, overview, board]))
     try:
         await server.serve(sockets=[listening])
     finally:

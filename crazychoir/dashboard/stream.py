@@ -13,7 +13,7 @@ import msgspec
 from crazychoir.dashboard.asks import Message, Stop, read
 from crazychoir.dashboard.desk import Desk
 from crazychoir.dashboard.model import RATE, SwarmModel
-from crazychoir.dashboard.polls import Links, TaskBoard
+from crazychoir.dashboard.polls import Overview, TaskBoard
 from crazychoir.dashboard.watch import Watch
 from crazychoir.errors import CrazyChoirError
 from crazychoir.runtime.actor import Actor
@@ -98,8 +98,8 @@ class Stream(Actor):
 
     name = "stream"
 
-    def __init__(self, model: SwarmModel, desk: Desk, watch: Watch, links: Links, board: TaskBoard) -> None:
-        self.links, self.board = links, board
+    def __init__(self, model: SwarmModel, desk: Desk, watch: Watch, overview: Overview, board: TaskBoard) -> None:
+        self.overview, self.board = overview, board
         self.model, self.desk, self.watch, self.clock = model, desk, watch, model.bus.clock
         self.pages = 0
         self.frame, self.table = b"", b""
@@ -110,7 +110,7 @@ class Stream(Actor):
         """Make each frame once for all pages."""
         every, count = round(RATE / TABLES), 0
         async for _ in self.clock.ticks(RATE):
-            self.links.watched = self.board.watched = self.pages > 0
+            self.overview.watched = self.board.watched = self.pages > 0
             if not self.pages:
                 continue
             self.frame = self.model.frame()
@@ -126,10 +126,9 @@ class Stream(Actor):
 
     def news(self) -> dict[str, Any]:
         """What changes slowly."""
-        links = {f"{i}-{j}": round(lost, 3) for (i, j), lost in self.links.lost.items()}
         return {
-            "drones": self.model.table(), "costs": list(self.model.costs)[-1:], "links": links,
-            "tasks": self.board.tasks,
+            "drones": self.model.table(), "costs": self.model.costs(), "tasks": self.board.tasks,
+            **self.overview.news(),
         }  # fmt: skip
 
     async def serve(self, socket: Socket, answering: Answering) -> None:
@@ -153,8 +152,7 @@ class Stream(Actor):
                 raise error
 
     async def _tell(self, socket: Socket) -> None:
-        about = self.model.about() | {"costs": list(self.model.costs)}
-        await socket.send_text(_text({"about": about}))
+        await socket.send_text(_text({"about": self.model.about()}))
         told, line, version, frame = 0, 0, 0, b""
         while True:
             await asyncio.shield(self._tick)

@@ -82,6 +82,10 @@ class CFGuidance:
         """What an operator asks of this mission alone; returns the answer, or raises Refused."""
         raise Refused(f"drone {self.id}", f"this mission knows no command {verb!r}")
 
+    def route(self) -> list[Vec]:
+        """The places that it flies to one after the other, (3,) m, world, as far as they are planned: for a picture."""
+        return []
+
     def led(self, path: Trajectory) -> str:
         """An operator wants it to fly this path, as part of its mission; returns what it does, or raises Refused."""
         raise Refused(f"drone {self.id}", "its mission flies it: hold it first")

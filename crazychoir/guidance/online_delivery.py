@@ -160,6 +160,12 @@ class OnlinePDVRPGuidance(CFGuidance):
         """An operator adds a task, cancels one, or wants the list; see TaskSource."""
         return await self.source.asked(verb, arguments)
 
+    def route(self) -> list[Vec]:
+        """Over the stops that it is to serve, home."""
+        stops = [] if self.news.record.out else self.commitments.route
+        places = [*map(self._place, stops), self.own.home[:2]] if self.up or stops else []
+        return [self._above(p) for p in places]
+
     def _may_end(self) -> bool:
         """Whether a planning runs after which the mission may be over: it does not know of what is heard now."""
         return self.commitments.planning and self.news.record.idle
@@ -313,6 +319,11 @@ class OnlinePDVRPGuidance(CFGuidance):
             return np.array(self.news.book.tasks[stop.task].delivery)
         return np.array(self.news.standings()[stop.task].pickup)
 
+    def _above(self, p: Vec) -> Vec:
+        """(3,) m, over a place of the plane."""
+        flight = self.member.config.flight
+        return np.array([*p, flight.ground + flight.takeoff_height])
+
     def _leg(self, a: Vec, b: Vec) -> float:
         flight = self.member.config.flight
         start, goal = FullState.at(np.array([*a, 0.0])), np.array([*b, 0.0])
@@ -359,9 +370,8 @@ class OnlinePDVRPGuidance(CFGuidance):
 
     async def _to(self, goal: Vec, valid: Callable[[], bool]) -> bool:
         """Fly straight to a place, as long as it is where to fly."""
-        flight = self.member.config.flight
         await self._come_to_rest()
-        leg = asyncio.ensure_future(self.go_to([*goal.tolist(), flight.ground + flight.takeoff_height]))
+        leg = asyncio.ensure_future(self.go_to(self._above(goal)))
         began = np.array(self._here())
         try:
             while not leg.done():

@@ -28,6 +28,7 @@ class PDVRPGuidance(CFGuidance):
     def __init__(self, problem: LocalProblem, method: str = METHODS[0], service_time: float = 1.0) -> None:
         self.problem, self.method, self.service_time = problem, method, service_time
         self.served: list[dict[str, Any]] = []
+        self._stops: tuple[Stop, ...] = ()  # of the route that it flies, or will
         self.history: list[tuple[int, float | None, float | None]] = []
 
     def foresee(self, member: Member) -> None:
@@ -38,9 +39,13 @@ class PDVRPGuidance(CFGuidance):
         """Plan together, then fly, each its own route at once: the collision filter keeps them apart."""
         solution = await self.plan()
         route = solution.routes[0] if solution.routes else Route(self.id, (), 0.0)
-        await self.wait_for_start()
-        if route.stops:
-            await self.fly_route(route, solution)
+        self._stops = route.stops
+        try:
+            await self.wait_for_start()
+            if route.stops:
+                await self.fly_route(route, solution)
+        finally:
+            self._stops = ()
         self.member.report = lambda: self.news(f"done: {len(self.served)} stops", solution)
         return self.outcome(solution, route)
 
@@ -74,6 +79,11 @@ class PDVRPGuidance(CFGuidance):
         await self.go_to(self.above_end())
         self.member.report = lambda: self.news(f"landing: {len(self.served)} stops", solution)
         await self.land()
+
+    def route(self) -> list[Vec]:
+        """Over the stops that are left to where it ends."""
+        left = self._stops[len(self.served) :]
+        return [*map(self.place, left), self.above_end()] if self._stops else []
 
     def news(self, task: str, solution: Solution) -> dict[str, Any]:
         """Of a mission that flies its plan."""

@@ -121,6 +121,14 @@ class TaskAssignmentGuidance(CFGuidance):
             return {"tasks": [task | {"delivery": None} for task in said["tasks"]]}
         return said
 
+    def route(self) -> list[Vec]:
+        """To its task, or home when all are done."""
+        if self.member.pilot.mode not in FLIES:
+            return []
+        if self.news.ended or self._alone:
+            return [self._home]
+        return [] if (mine := self._mine) is None else [self._above(self.news.book.tasks[mine].pickup)]
+
     def _may_end(self) -> bool:
         return self._shares
 
@@ -243,6 +251,11 @@ class TaskAssignmentGuidance(CFGuidance):
         flight = self.member.config.flight
         return np.array([*place[0:2], flight.ground + flight.takeoff_height])
 
+    @property
+    def _home(self) -> Vec:
+        """(3,) m, over where it stood."""
+        return self._above(self.member.config.drone(self.id).home)
+
     def _pursue(self) -> None:
         """Fly to the own task, and have done it there; without one, wait in the air, where nobody else wants to be."""
         pilot = self.member.pilot
@@ -278,7 +291,7 @@ class TaskAssignmentGuidance(CFGuidance):
 
     async def _go_home(self) -> None:
         """Over the own home; nobody comes down while somebody flies about above."""
-        await self.go_to(self._above(self.member.config.drone(self.id).home))
+        await self.go_to(self._home)
         self.news.say(idle=True)
         ends = self._now + REUNION
         while self._now < ends and not (self._alone or self._all_home()):

@@ -19,7 +19,8 @@ class Wire:
     """Between a page and its server.
 
     asked: what the page has sent;  lines: how many there were;  dead: nothing passes, of lines that begin meanwhile
-    later neither;  deaf: nothing passes to the server;  frame: what the page gets for a frame;  drones: for a table.
+    later neither;  deaf: nothing passes to the server;  frame: what the page gets for a frame;  drones: for a table;
+    news: what it gets in place of what the server tells of these.
     """
 
     def __init__(self) -> None:
@@ -28,6 +29,7 @@ class Wire:
         self.dead = self.deaf = False
         self.frame: Callable[[bytes], bytes] = lambda data: data
         self.drones: Callable[[list[Row]], list[Row]] = lambda rows: rows
+        self.news: dict[str, Any] = {}
         self.page: WebSocketRoute
 
     def lay(self, page: WebSocketRoute) -> None:
@@ -42,14 +44,16 @@ class Wire:
 
         def down(told: str | bytes) -> None:
             if not (born_dead or self.dead):
-                page.send(self.frame(told) if isinstance(told, bytes) else self._news(told))
+                page.send(self.frame(told) if isinstance(told, bytes) else self.told(told))
 
         page.on_message(up)
         server.on_message(down)
 
-    def _news(self, text: str) -> str:
-        told = json.loads(text)
-        return json.dumps(told | {"drones": self.drones(told["drones"])}) if "drones" in told else text
+    def told(self, text: str) -> str:
+        news: dict[str, Any] = json.loads(text)
+        if "drones" in news:
+            news["drones"] = self.drones(news["drones"])
+        return json.dumps({kind: self.news.get(kind, value) for kind, value in news.items()})
 
     async def cut(self) -> None:
         await self.page.close()

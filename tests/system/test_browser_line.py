@@ -349,14 +349,56 @@ def hovering(places):
     return frame
 
 
-async def test_what_plans_cost_and_how_near_their_bound_is_are_drawn(tmp_path):
+async def test_what_plans_cost_and_their_relaxations_are_drawn_by_round(tmp_path):
     async with looked_at(tmp_path) as (page, wire, _):
         await page.click("#tab-plots")
         await page.evaluate(WRITTEN)
-        wire.page.send('{"costs": [[1.0, 2, 12.0, 8.0]]}')
-        wire.page.send('{"costs": [[2.0, 3, 10.0, 8.0]]}')
-        await page.wait_for_function("written.has('round 3, gap 20.0 %')")
-        assert await page.is_visible("text=mean cost of the plans, and bound (dashed), by round")
+        wire.news = {"costs": [[2, 33.4, 32.6], [30, 33.0, 32.6], [57, 32.9, 32.7]]}
+        await page.wait_for_function("written.has('round 57, 0.6 % above the relaxation')")
+        assert {"rounds 2 to 57", "32.60", "33.00", "33.40"} <= set(await page.evaluate("[...written]"))
+        assert await page.is_visible("text=mean cost of the plans, and of their relaxations (dashed), by round")
+        places = await page.evaluate("[...lines.at(-1)]")
+        assert abs((places[1] - places[0]) / (places[2] - places[0]) - 28 / 55) < 1e-6, "a round is where its number is"
+
+
+async def test_curves_have_the_time_of_their_samples_and_are_open_where_nothing_was_heard(tmp_path):
+    async with looked_at(tmp_path) as (page, wire, _):
+        await page.click("#tab-plots")
+        await page.evaluate(WRITTEN)
+        wire.frame = timed(0.0)
+        await page.wait_for_timeout(2000)
+        wire.frame = timed(10.0)
+        await page.wait_for_function("[...written].some(text => /^1[123456]\\.\\d s$/.test(text))")
+        places = await page.evaluate("lines.filter(line => line.length > 12).at(-1)")
+        assert max(np.diff(places)) < 20, "one piece ends where the other begins"
+
+
+def timed(later):
+    """Frames of drones that hover, by a clock that is so much ahead, s."""
+
+    def frame(data):
+        (t,) = np.frombuffer(data, "<f8", 1)
+        rows = np.zeros((6, COLUMNS), dtype="<f4")
+        rows[:, 0:3] = (0.0, 0.0, 1.0)
+        return np.float64(t + later).tobytes() + rows.tobytes()
+
+    return frame
+
+
+async def test_routes_are_drawn_from_where_their_drones_are(tmp_path):
+    async with looked_at(tmp_path) as (page, wire, _):
+        wire.frame = hovering({1: (0.0, 0.0, 1.0)})
+        await page.wait_for_timeout(1500)
+        bare, tour = await page.locator("#scene canvas").screenshot(), {"1": [[1.5, -1.5, 1.0], [-1.5, -1.5, 1.0]]}
+        wire.news = {"routes": tour}
+        await page.wait_for_function("choir.seen.routes?.[1]")
+        await page.wait_for_timeout(500)
+        drawn = await page.locator("#scene canvas").screenshot(path=tmp_path / "routes.png")
+        assert drawn != bare
+        wire.news = {"routes": {}}
+        await page.wait_for_function("!choir.seen.routes[1]")
+        await page.wait_for_timeout(500)
+        assert await page.locator("#scene canvas").screenshot() == bare
 
 
 async def test_the_table_says_what_radios_answer_and_that_other_losses_are_simulated(tmp_path):
@@ -379,7 +421,17 @@ async def test_the_table_says_what_radios_answer_and_that_other_losses_are_simul
 WRITTEN = """
 (() => {
   const fill = CanvasRenderingContext2D.prototype.fillText;
+  const [move, to] = ["moveTo", "lineTo"].map((name) => CanvasRenderingContext2D.prototype[name]);
   window.written = new Set();
+  window.lines = [];
+  CanvasRenderingContext2D.prototype.moveTo = function (x, y) {
+    lines.push([x]);
+    return move.call(this, x, y);
+  };
+  CanvasRenderingContext2D.prototype.lineTo = function (x, y) {
+    lines.at(-1).push(x);
+    return to.call(this, x, y);
+  };
   CanvasRenderingContext2D.prototype.fillText = function (text, ...at) {
     written.add(String(text));
     return fill.call(this, text, ...at);

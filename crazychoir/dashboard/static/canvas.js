@@ -28,15 +28,19 @@ export function prepared(canvas) {
   return pen;
 }
 
-// Curves of equal steps, {name, values, tint, dashed}; foot: how long they are.
-export function curves(canvas, list, foot) {
+const digits = (span) => Math.min(9, Math.max(0, 1 - Math.floor(Math.log10(span))));
+
+// Curves, {name, values, tint, dashed}; foot: from where to where; x: increasing, where their values are, else in equal
+// steps; gap: a longer step is left open.
+export function curves(canvas, list, foot, x = list[0]?.values.map((_, k) => k), gap = Infinity) {
   const pen = prepared(canvas);
   if (!pen) return;
   const { clientWidth: w, clientHeight: h } = canvas, left = 50, top = 16, bottom = 16;
   const known = list.flatMap(({ values }) => values.filter(Number.isFinite));
   if (!known.length) return;
-  let low = Math.min(0, ...known), high = Math.max(...known, low + 1e-3);
-  if (Math.min(...known) > 0.5 * high) low = Math.min(...known);
+  const least = Math.min(...known), most = Math.max(...known);
+  const low = least > 0.5 * most ? least : Math.min(0, least), high = Math.max(most, low + 1e-3);
+  const first = x[0], last = Math.max(x.at(-1), first + 1e-3);
   const y = (value) => top + (h - top - bottom) * (1 - (value - low) / (high - low));
   pen.strokeStyle = colour("--rule");
   pen.fillStyle = colour("--faint");
@@ -46,12 +50,12 @@ export function curves(canvas, list, foot) {
     pen.moveTo(left, y(value));
     pen.lineTo(w, y(value));
     pen.stroke();
-    pen.fillText(Number(value.toPrecision(2)), 2, y(value) + 4);
+    pen.fillText(value.toFixed(digits(high - low)), 2, y(value) + 4);
   }
   pen.textAlign = "right";
   pen.fillText(foot, w - 4, h - 3);
   pen.textAlign = "left";
-  let x = left;
+  let named = left;
   for (const { name, values, tint, dashed } of list) {
     pen.strokeStyle = pen.fillStyle = colour(tint);
     pen.setLineDash(dashed ? [4, 3] : []);
@@ -60,13 +64,14 @@ export function curves(canvas, list, foot) {
     let drawn = false;
     values.forEach((value, k) => {
       if (!Number.isFinite(value)) return (drawn = false);
-      const at = left + ((w - left) * k) / Math.max(values.length - 1, 1);
+      if (k && x[k] - x[k - 1] > gap) drawn = false;
+      const at = left + ((w - left) * (x[k] - first)) / (last - first);
       drawn ? pen.lineTo(at, y(value)) : pen.moveTo(at, y(value));
       drawn = true;
     });
     pen.stroke();
     pen.setLineDash([]);
-    pen.fillText(name, x, 11);
-    x += pen.measureText(name).width + 12;
+    pen.fillText(name, named, 11);
+    named += pen.measureText(name).width + 12;
   }
 }

@@ -3,9 +3,9 @@ import { curves } from "./canvas.js";
 import { on, row, seen } from "./line.js";
 import { make } from "./table.js";
 
-const SECONDS = 30, RATE = 10, LENGTH = SECONDS * RATE;
+const SECONDS = 30, STEP = 0.09, GAP = 0.5; // s: shown, between two samples at least, and that are joined at most
 const AXES = ["--accent", "--good", "--warn"];
-const PLAN = "mean cost of the plans, and bound (dashed), by round";
+const PLAN = "mean cost of the plans, and of their relaxations (dashed), by round";
 const PLOTS = {
   "place against reference (dashed), m": () => [0, 1, 2].flatMap((c) => [
     { name: "xyz"[c], values: kept("p", c), tint: AXES[c] }, { name: "", values: kept("r", c), tint: AXES[c], dashed: true }]),
@@ -13,27 +13,36 @@ const PLOTS = {
   "body rates, rad/s": () => [0, 1, 2].map((c) => ({ name: "pqr"[c], values: kept("w", c), tint: AXES[c] })),
   "messages lost by the simulated network, %": () => [{ name: "lost", values: samples.map((s) => 100 * s.lost), tint: "--bad" }],
   [PLAN]: () => [
-    { name: costs.length ? `round ${costs.at(-1)[1]}${gap(...costs.at(-1))}` : "", values: costs.map((c) => c[2]), tint: "--accent" },
-    { name: "", values: costs.map((c) => c[3]), tint: "--accent", dashed: true }],
+    { name: costs.length ? `round ${costs.at(-1)[0]}${above(...costs.at(-1))}` : "", values: costs.map((c) => c[1]), tint: "--accent" },
+    { name: "", values: costs.map((c) => c[2]), tint: "--accent", dashed: true }],
 };
-let samples = [], costs = [], at = 0, plotted;
+let samples = [], costs = [], plotted;
 const canvases = {};
-const gap = (t, round, cost, relaxed) => (relaxed && relaxed <= cost ? `, gap ${(100 * (1 - relaxed / cost)).toFixed(1)} %` : "");
+const above = (round, cost, relaxed) => (relaxed && relaxed <= cost ? `, ${(100 * (cost / relaxed - 1)).toFixed(1)} % above the relaxation` : "");
 const kept = (name, c) => samples.map((sample) => sample[name][c]);
 
 function sample() {
-  if (seen.at - at < 1 / RATE && seen.at >= at) return;
-  at = seen.at;
+  const t = seen.at, before = samples.at(-1)?.t;
+  if (t < before) samples = []; // another server's clock
+  else if (t - before < STEP) return;
   const of = row(Number(plotted.value));
   if (!of) return;
+  if (!(of[13] < GAP)) return; // nothing newer was heard
   const lost = seen.drones.find(({ id }) => id === Number(plotted.value))?.lost ?? NaN;
-  samples.push({ p: of.slice(0, 3), v: of.slice(3, 6), w: of.slice(10, 13), r: of.slice(14, 17), lost });
-  if (samples.length > LENGTH) samples.shift();
+  samples.push({ t, p: of.slice(0, 3), v: of.slice(3, 6), w: of.slice(10, 13), r: of.slice(14, 17), lost });
+  samples = samples.filter((sample) => sample.t >= t - SECONDS);
+}
+
+function drawn(canvas, name) {
+  const rounds = name === PLAN, x = rounds ? costs.map(([round]) => round) : samples.map(({ t }) => t);
+  if (!x.length) return curves(canvas, [], "");
+  const foot = rounds ? `rounds ${x[0]} to ${x.at(-1)}` : `${(x.at(-1) - x[0]).toFixed(1)} s`;
+  curves(canvas, PLOTS[name](), foot, x, rounds ? Infinity : GAP);
 }
 
 function paint() {
   for (const [name, canvas] of Object.entries(canvases)) {
-    if (canvas.clientWidth) curves(canvas, PLOTS[name](), name === PLAN ? "rounds" : `${(samples.length / RATE).toFixed(1)} s`);
+    if (canvas.clientWidth) drawn(canvas, name);
   }
 }
 
@@ -46,7 +55,6 @@ export function start() {
   }
   plotted.addEventListener("change", () => { samples = []; paint(); });
   on("frame", sample);
-  on("about", (about) => (costs = about.costs));
-  on("costs", ([newest]) => { if (newest && newest[0] !== costs.at(-1)?.[0]) costs.push(newest); });
+  on("costs", (told) => (costs = told));
   on("drones", paint);
 }

@@ -1,10 +1,10 @@
-// The room in three dimensions: drones, trails, references, graph, tasks, fence, and the path that is drawn.
+// The room in three dimensions: drones, trails, references, routes, graph, tasks, fence, and the path that is drawn.
 import { THREE, OrbitControls } from "/three/index.js";
 import { colour, on, seen, selected, tell } from "./line.js";
 
 const TRAIL = 120, TRAIL_S = 0.1, ARM = 0.13, LABELS = 40;
 let renderer, camera, controls, scene, host, drones, references, trails, edges, path, tasks, room;
-let labels = [], links = [], waiting = 0, trailed = 0, drawn = -1, looked = false, tasked = "null", apart;
+let labels = [], links = [], waiting = 0, trailed = 0, drawn = -1, looked = false, tasked = "null", apart, routes, routed = "{}", legs = [];
 
 const at = (rows, k, c) => rows[k * seen.about.columns + c];
 const lines = (material) => unbounded(new THREE.LineSegments(new THREE.BufferGeometry(), material));
@@ -52,6 +52,7 @@ function build(about) {
   scene.clear();
   labels = [];
   tasked = "null";
+  routed = "{}";
   trailed = 0;
   const n = about.ids.length;
   const [low, high] = about.fence;
@@ -77,7 +78,9 @@ function build(about) {
   const place = new Map(about.ids.map((i, k) => [i, k]));
   links = about.edges.map(([i, j]) => ({ ends: [place.get(i), place.get(j)], name: `${i}-${j}` }));
   tasks = new THREE.Group();
-  scene.add(references, trails, edges, path, tasks);
+  routes = lines(new THREE.LineDashedMaterial({ vertexColors: true, dashSize: 0.12, gapSize: 0.08 }));
+  legs = [];
+  scene.add(references, trails, edges, path, tasks, routes);
   if (n <= LABELS) {
     labels = about.ids.map((i) => label(String(i)));
     scene.add(...labels);
@@ -133,6 +136,7 @@ function show({ about, rows }) {
   references.geometry.attributes.position.needsUpdate = true;
   if (seen.at - drawn >= TRAIL_S || seen.at < drawn) trail(about, rows);
   connectEdges(rows);
+  if (legs.length) leave(about, rows, repaint);
   renderer.render(scene, camera);
 }
 
@@ -166,6 +170,38 @@ function connectEdges(rows) {
       color.setXYZ(2 * e + end, paint.r, paint.g, paint.b);
     });
   });
+  position.needsUpdate = color.needsUpdate = true;
+}
+
+// Each drone's route: segments from stop to stop; legs: whose they are, where they begin, and how many.
+function showRoutes(told) {
+  const text = JSON.stringify(told);
+  if (text === routed) return;
+  routed = text;
+  seen.routes = told;
+  const ends = [];
+  legs = [];
+  seen.about.ids.forEach((i, k) => {
+    const stops = told[i] ?? [];
+    if (stops.length) legs.push({ k, first: ends.length / 3, count: stops.length });
+    stops.forEach((stop, s) => ends.push(...(stops[s - 1] ?? stop), ...stop));
+  });
+  routes.geometry.dispose();
+  routes.geometry = new THREE.BufferGeometry();
+  for (const name of ["position", "color"]) routes.geometry.setAttribute(name, new THREE.Float32BufferAttribute(ends, 3));
+  unbounded(routes);
+  soon();
+}
+
+// Routes begin where their drones are, and have their colours.
+function leave(about, rows, repaint) {
+  const { position, color } = routes.geometry.attributes;
+  for (const { k, first, count } of legs) {
+    position.setXYZ(first, at(rows, k, 0), at(rows, k, 1), at(rows, k, 2));
+    paint.set(tint(about.ids[k], k, rows));
+    for (let end = first; repaint && end < first + 2 * count; end++) color.setXYZ(end, paint.r, paint.g, paint.b);
+  }
+  routes.computeLineDistances();
   position.needsUpdate = color.needsUpdate = true;
 }
 
@@ -217,7 +253,7 @@ export function start(element) {
   host = element;
   renderer = new THREE.WebGLRenderer({ antialias: true, alpha: true });
   renderer.domElement.setAttribute("role", "img");
-  renderer.domElement.setAttribute("aria-label", "The room from above and aside: drones, trails, fence, tasks. The table says the same in words.");
+  renderer.domElement.setAttribute("aria-label", "The room from above and aside: drones, trails, routes, fence, tasks. The table says the same in words.");
   host.append(renderer.domElement);
   scene = new THREE.Scene();
   camera = new THREE.PerspectiveCamera(50, 1, 0.05, 500);
@@ -242,5 +278,6 @@ export function start(element) {
   on("about", build);
   on("frame", soon);
   on("tasks", showTasks);
+  on("routes", showRoutes);
   on("theme", () => seen.about && build(seen.about));
 }

@@ -5,8 +5,9 @@ from virtual_time import virtual
 
 from crazychoir.bus.local import OBSERVER, Bus
 from crazychoir.bus.topics import LINK, LOG, REFERENCE, RESULT, STATE, STATUS
-from crazychoir.dashboard.model import AGE, COLUMNS, SILENT, STALE, WANTED, WINDOW, SwarmModel
-from crazychoir.dashboard.watch import KEPT, Watch
+from crazychoir.dashboard.model import AGE, COLUMNS, KEPT, SILENT, STALE, WANTED, WINDOW, SwarmModel
+from crazychoir.dashboard.watch import KEPT as LINES
+from crazychoir.dashboard.watch import Watch
 from crazychoir.swarm.config import SwarmConfig
 from crazychoir.types import FullState, LinkStatus, State, Status
 
@@ -137,10 +138,18 @@ async def test_costs_are_noted_by_rounds(clock):
         for i in (3, 7):
             seen.ports[i].publish(STATUS, Status("mission", round=k, cost=cost + i, relaxed=relaxed))
         await clock.sleep(0.25)
-    rows = [row[1:] for row in seen.model.costs]
-    assert rows[2:] == [(2, 13.0, 6.5), (2, 12.0, 5.0)]
-    assert [row[:2] for row in rows[:2]] == [(1, 12.0), (1, 14.0)]
-    assert all(math.isnan(row[2]) for row in rows[:2])
+    assert seen.model.costs() == [(1, 14.0, 8.0), (2, 12.0, 5.0)]
+    seen.ports[3].publish(STATUS, Status("mission", round=3, cost=6.0))
+    await clock.sleep(0.25)
+    assert seen.model.costs()[2][:2] == (3, 6.0), "drone 7 is in round 2"
+    assert math.isnan(seen.model.costs()[2][2])
+    for k in range(4, KEPT + 4):
+        seen.ports[7].publish(STATUS, Status("mission", round=k, cost=6.0, sent=k))
+        await clock.sleep(0.25)
+    assert [row[0] for row in seen.model.costs()] == list(range(4, KEPT + 4))
+    seen.ports[7].publish(STATUS, Status("on ground"))
+    await clock.sleep(0.25)
+    assert seen.model.costs() == [], "its agent was started again"
 
 
 @virtual
@@ -155,10 +164,10 @@ async def test_what_does_not_change_is_told_in_plain_values(clock):
 @virtual
 async def test_a_log_keeps_its_newest_lines(clock):
     watch = Watch(clock)
-    for k in range(KEPT + 5):
+    for k in range(LINES + 5):
         watch.add(str(k))
-    assert [line.text for line in watch.after(KEPT + 3)] == [str(KEPT + 3), str(KEPT + 4)]
-    assert len(watch.after(0)) == KEPT
+    assert [line.text for line in watch.after(LINES + 3)] == [str(LINES + 3), str(LINES + 4)]
+    assert len(watch.after(0)) == LINES
 
 
 @virtual

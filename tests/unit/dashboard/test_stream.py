@@ -14,7 +14,7 @@ from crazychoir.dashboard import operator
 from crazychoir.dashboard.desk import SILENT, UNFINISHED, Desk
 from crazychoir.dashboard.model import RATE, SwarmModel
 from crazychoir.dashboard.operator import Operator
-from crazychoir.dashboard.polls import LATER, Links, TaskBoard
+from crazychoir.dashboard.polls import LATER, Overview, TaskBoard
 from crazychoir.dashboard.stream import FLOOD, MOST_ASKED, MOST_PAGES, PER_SECONDS, POLICY, TOO_MANY, Stream
 from crazychoir.dashboard.watch import Watch
 from crazychoir.errors import Refused
@@ -59,20 +59,22 @@ class Server:
         self.config = SwarmConfig.of({"name": "a", "drones": drones, "edges": [[0, 1], [1, 2]]})
         self.bus = Bus(clock)
         self.sent = 0
+        self.networks, self.routes = [Impairment(1) for _ in range(3)], [[], [[1.0, 2.0, 0.5], [0.123, 0, 0.5]], []]
         for i in range(3):
             CommandServer(self.bus.port(i), lambda verb, arguments, i=i: self.execute(i, verb, arguments), print)
         self.commander, self.watch = Commander(self.bus.port(OBSERVER)), Watch(clock)
         self.desk = Desk(self, self.watch)
-        self.links, self.board = Links(self.desk), TaskBoard(self.desk)
+        self.overview, self.board = Overview(self.desk), TaskBoard(self.desk)
         model = SwarmModel(self.bus, OBSERVER, self.config, self.watch)
-        self.stream = Stream(model, self.desk, self.watch, self.links, self.board)
-        self.actors = [asyncio.create_task(one.run()) for one in (self.stream, self.links, self.board)]
+        self.stream = Stream(model, self.desk, self.watch, self.overview, self.board)
+        self.actors = [asyncio.create_task(one.run()) for one in (self.stream, self.overview, self.board)]
 
     async def execute(self, i, verb, arguments):
         self.obeyed.append((i, verb, arguments))
-        if verb == "links":
+        if verb == "overview":
             self.sent += 10
-            return {1: [self.sent, 3 * self.sent // 10]} if i == 0 else {}
+            links = {1: [self.sent, 3 * self.sent // 10]} if i == 0 else {}
+            return {"links": links, "network": self.networks[i].describe(), "route": self.routes[i]}
         if verb == "impair":
             return Impairment(1).describe()
         if i == 0 and verb.startswith("task"):
@@ -129,7 +131,7 @@ async def test_nobody_is_asked_anything_while_nobody_looks_on(clock):
     assert server.obeyed == []
     page = server.page()
     await clock.sleep(3.0)
-    assert server.those("links")
+    assert server.those("overview")
     page.asks.put_nowait(None)
     await page.serving
     await clock.sleep(0.2)
@@ -305,6 +307,34 @@ async def test_a_page_that_floods_its_line_is_closed(clock, server, page):
 async def test_links_are_asked_in_turn_and_show_what_was_lost_lately(clock, server, page):
     await clock.sleep(4.0)
     assert page.told("links")[-1] == {"0-1": 0.3}
+
+
+@served
+async def test_routes_are_told_with_the_news_and_forgotten_of_who_answers_no_more(clock, server, page):
+    await clock.sleep(2.0)
+    assert page.told("routes")[-1] == {"1": [[1.0, 2.0, 0.5], [0.12, 0.0, 0.5]]}
+    execute = server.execute
+
+    async def refuse(i, verb, arguments):
+        if (i, verb) == (1, "overview"):
+            raise Refused("drone 1", "its process ends")
+        return await execute(i, verb, arguments)
+
+    server.execute = refuse
+    await clock.sleep(2.0)
+    assert page.told("routes")[-1] == {}
+    assert server.overview.networks.keys() == {0, 2}
+
+
+@served
+async def test_the_network_that_is_simulated_is_told_and_by_drone_where_these_differ(clock, server, page):
+    for network in server.networks:
+        network.update({"loss": 0.3})
+    await clock.sleep(2.0)
+    assert page.told("network")[-1] == {"rules": [{"loss": 0.3}], "words": "loss 0.3"}
+    server.networks[1].update({"clear": True})
+    await clock.sleep(2.0)
+    assert page.told("network")[-1]["words"] == "drones 0, 2: loss 0.3 | drones 1: nothing: perfect"
 
 
 @served

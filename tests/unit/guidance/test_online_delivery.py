@@ -65,6 +65,19 @@ async def test_a_robot_is_bound_to_where_it_flies_and_to_what_follows_soon(clock
 
 
 @virtual
+async def test_its_route_is_over_the_stops_that_are_left_home(clock):
+    guidance = robot(clock)
+    assert guidance.route() == []
+    guidance.commitments.route = stops((1, PICK), (1, DROP))
+    z, home = CONFIG.flight.ground + CONFIG.flight.takeoff_height, guidance.own.home[:2].tolist()
+    assert np.allclose(guidance.route(), [[1.0, 1.0, z], [1.0, 4.0, z], [*home, z]])
+    guidance.commitments.route, guidance.up = [], True
+    assert np.allclose(guidance.route(), [[*home, z]])
+    guidance.up = False
+    assert guidance.route() == [], "it stands at home"
+
+
+@virtual
 async def test_while_others_may_have_a_new_plan_it_is_bound_to_no_new_pickup(clock):
     guidance = robot(clock)
     commitments = guidance.commitments

@@ -46,12 +46,16 @@ def flown():
 
     async def main(clock):
         agent = Agent(clock, config, Missions, config.ids)
-        told, track = {i: [] for i in config.ids}, {i: [] for i in config.ids}
+        told, track, ahead = ({i: [] for i in config.ids} for _ in range(3))
         agent.bus.port(OBSERVER)
         for i in config.ids:
             agent.bus.subscribe(STATUS, i, OBSERVER, Call(clock, lambda s, age, i=i: told[i].append((s.phase, s.task))))
             agent.bus.subscribe(STATE, i, OBSERVER, Call(clock, lambda s, age, i=i: track[i].append(s.p.copy())))
-        return await agent.run(), told, {i: np.array(p) for i, p in track.items()}
+            def look(status, age, i=i):
+                ahead[i].append([p.tolist() for p in agent.drones[i].guidance.route()])
+
+            agent.bus.subscribe(STATUS, i, OBSERVER, Call(clock, look))
+        return await agent.run(), told, {i: np.array(p) for i, p in track.items()}, ahead
 
     return instance, config, *run_virtual(main)
 
@@ -62,7 +66,7 @@ def states(told):
 
 
 def test_a_robot_plans_flies_lands_and_is_done(flown):
-    *_, told, _ = flown
+    *_, told, _, _ = flown
     for i in (0, 1):
         assert states(told[i]) == ["waiting for the others", "planning", "flying", "landing", "done"]
         flights = list(dict.fromkeys(task for _, task in told[i] if task.startswith("flying")))
@@ -71,12 +75,21 @@ def test_a_robot_plans_flies_lands_and_is_done(flown):
 
 
 def test_a_robot_without_stops_stays_at_home_and_succeeds(flown):
-    _, _, results, told, track = flown
+    _, _, results, told, track, _ = flown
     assert results[2]["success"]
     assert results[2]["served"] == results[2]["route"]["stops"] == []
     assert {phase for phase, _ in told[2]} == {"on ground"}
     assert told[2][-1] == ("on ground", "done: 0 stops")
     assert np.ptp(track[2], axis=0).max() < 0.01
+
+
+def test_its_route_is_over_the_stops_that_are_left_to_where_it_ends(flown):
+    *_, ahead = flown
+    for i, x in ((0, 0.5), (1, 1.5)):
+        home = [*THREE["home"][i], 0.5]
+        whole = [[x, 0.0, 0.5], [1.0, 0.0, 0.5], home]
+        assert [route for route, _ in groupby(ahead[i])] == [[], whole, whole[1:], whole[2:], []]
+    assert ahead[2] == [[]] * len(ahead[2])
 
 
 def test_what_is_served_is_the_route_and_everybody_has_the_same_plan(flown):
@@ -102,7 +115,7 @@ def test_a_place_of_the_plane_is_visited_at_take_off_height_one_of_space_at_its_
 
 def test_two_take_off_at_once_and_serve_the_same_stop_one_after_the_other(flown):
     """At each stop a drone stands for the service time, at the last one while the other waits near it."""
-    *_, track = flown
+    *_, track, _ = flown
     there = {i: np.linalg.norm(track[i] - [1.0, 0.0, 0.5], axis=1) < 0.1 for i in (0, 1)}
     for i, x in ((0, 0.5), (1, 1.5)):
         pickup = np.linalg.norm(track[i] - [x, 0.0, 0.5], axis=1) < 0.05

@@ -128,17 +128,21 @@ def test_while_the_team_plans_nothing_is_completed():
     guidance.member = SimpleNamespace(pilot=pilot, config=CONFIG, id=0, ended="")
     book, record = TaskBook([Task(3, 0, False, (1.0, 1.0), (1.0, 1.0))]), Record(0, 1, 1, (0.0, 0.0))
     guidance.news = SimpleNamespace(
-        book=book, members=CONFIG.ids, record=record, say=lambda **changes: said.append(changes)
+        book=book, members=CONFIG.ids, record=record, ended=False, say=lambda **changes: said.append(changes)
     )
     guidance.generation, guidance._turns = SimpleNamespace(mine=3, number=7), SimpleNamespace(to=lambda p: p)
     guidance._shares = True
     guidance._pursue()
     assert (guidance.done, said) == ([], [])
+    assert np.allclose(guidance.route(), [guidance._above((1.0, 1.0))])
     guidance._shares = False
     guidance._pursue()
     assert guidance.done == [(3, 7)]
     assert said == [{"deeds": (Deed(3, "delivery", 1),)}]
+    guidance.news.ended = True
+    assert np.allclose(guidance.route(), [guidance._above(CONFIG.drone(0).home)])
     pilot.mode = Mode.LAND
+    assert guidance.route() == []
     pilot.note = "landing on command"
     with pytest.raises(Interrupted, match="landing on command"):
         guidance._pursue()
