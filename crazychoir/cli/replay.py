@@ -128,14 +128,14 @@ async def _line() -> bytes:
     loop = asyncio.get_running_loop()
     line: asyncio.Future[bytes] = loop.create_future()
 
-    def hand_over(found: bytes) -> None:
+    def tell(found: bytes) -> None:
         if not line.done():
             line.set_result(found)
 
     def read() -> None:
         found = sys.stdin.buffer.readline()
         with contextlib.suppress(RuntimeError):  # the loop is closed: nobody waits any more
-            loop.call_soon_threadsafe(hand_over, found)
+            loop.call_soon_threadsafe(tell, found)
 
     threading.Thread(target=read, name="standard input", daemon=True).start()
     return await line

@@ -21,13 +21,15 @@ VERBS = {
 HEAD = """<link rel="stylesheet" href="/own/page.css"><script type="module">
 import { start } from "/own/page.js"; start();</script>"""
 
-SAID = """<p id="stopped" role="alert"></p><p id="trouble" role="alert"></p><p id="newest" role="status"></p>"""
+SAID = """<p id="kept" role="alert" hidden><span id="kept-said"></span> <button id="kept-send" hidden>Send it
+now</button> <button id="kept-withdraw">Withdraw</button></p><p id="stopped" role="alert"></p>
+<p id="trouble" role="alert"></p><p id="newest" role="status"></p>"""
 CLEAR = """<dialog id="clear" aria-labelledby="clear-what"><form method="dialog"><p id="clear-what">Is the
 emergency stop to end? Space still stops all.</p><button value="no" autofocus>Cancel</button>
 <button value="yes">End it</button></form></dialog>"""
 
-LINKS = """<p class="help legend">Links: what the <em>simulated</em> network loses, from green, 0 %, to red, 67 %; grey where
-one end does not hear the other.</p>"""
+LINKS = """<p class="help legend">Links: what the <em>simulated</em> network loses, from green, 0 %, to red, 67 %; grey
+where one end does not hear the other.</p>"""
 
 
 class Page:

@@ -125,7 +125,7 @@ class Bag:
 
 
 def convert(path: Path, folder: Path) -> Bag:
-    """The bag of a recording; raises ConfigError for what is none, and where there is no room: no folder is left."""
+    """The bag of a recording; raises ConfigError for what is none, and for a full disk: no folder is left."""
     truths = frozenset(message.source.drone for message in told(path, (TRUTH.name,)))
     bag = Bag(folder)
     try:

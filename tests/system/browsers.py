@@ -11,6 +11,7 @@ from typing import Any
 from playwright.async_api import Page, TimeoutError, WebSocketRoute, async_playwright
 
 CHROMIUM = shutil.which("chromium")
+Row = dict[str, Any]
 FLAGS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 
 
@@ -18,7 +19,7 @@ class Wire:
     """Between a page and its server.
 
     asked: what the page has sent;  lines: how many there were;  dead: nothing passes, of lines that begin meanwhile
-    later neither;  deaf: nothing passes to the server;  frame: what the page gets for a frame.
+    later neither;  deaf: nothing passes to the server;  frame: what the page gets for a frame;  drones: for a table.
     """
 
     def __init__(self) -> None:
@@ -26,6 +27,7 @@ class Wire:
         self.lines = 0
         self.dead = self.deaf = False
         self.frame: Callable[[bytes], bytes] = lambda data: data
+        self.drones: Callable[[list[Row]], list[Row]] = lambda rows: rows
         self.page: WebSocketRoute
 
     def lay(self, page: WebSocketRoute) -> None:
@@ -40,10 +42,14 @@ class Wire:
 
         def down(told: str | bytes) -> None:
             if not (born_dead or self.dead):
-                page.send(self.frame(told) if isinstance(told, bytes) else told)
+                page.send(self.frame(told) if isinstance(told, bytes) else self._news(told))
 
         page.on_message(up)
         server.on_message(down)
+
+    def _news(self, text: str) -> str:
+        told = json.loads(text)
+        return json.dumps(told | {"drones": self.drones(told["drones"])}) if "drones" in told else text
 
     async def cut(self) -> None:
         await self.page.close()
