@@ -21,6 +21,7 @@
 import sysconfig
 import traceback
 from collections.abc import Iterable, Mapping
+from os import PathLike
 
 
 class CrazyChoirError(Exception):
@@ -164,8 +165,13 @@ class Livelock(CrazyChoirError, RuntimeError):
 _LIBRARIES = tuple({sysconfig.get_path(name) for name in ("stdlib", "purelib", "platlib")})
 
 
+def is_library(file: str | PathLike[str]) -> bool:
+    """Whether code is of Python itself or was installed, or is of no file."""
+    return str(file).startswith((*_LIBRARIES, "<"))
+
+
 def raised_at(error: BaseException) -> traceback.FrameSummary:
     """Where it was raised, as far as libraries are not to blame: the last line of code that is not installed."""
     places = traceback.extract_tb(error.__traceback__)
-    own = [place for place in places if not place.filename.startswith((*_LIBRARIES, "<"))]
+    own = [place for place in places if not is_library(place.filename)]
     return (own or places)[-1]

@@ -1,6 +1,7 @@
 """crazychoir rerun: a recorded flight in virtual time once more, and whether it was the same."""
 
 import contextlib
+import json
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -28,7 +29,7 @@ def rerun(
     set_up_logging()
     from crazychoir.guidance.mission import load  # kernels: 1 s that --help does not need
     from crazychoir.launch.flight import fly_fast
-    from crazychoir.launch.recording import recording_file, text_of
+    from crazychoir.launch.recording import FILES, other_files, recording_file, text_of
     from crazychoir.recording.comparison import first_difference
     from crazychoir.recording.reading import header
     from crazychoir.swarm.config import SwarmConfig
@@ -42,6 +43,7 @@ def rerun(
             others = _other_versions(recording)
             if text_of(mission) != recording.mission:
                 others["mission"] = f"the text of {config.mission} is another now"
+            others |= other_files(json.loads(recording.about.get(FILES, "{}")), config, mission)
             with Progress(status_table, enabled=not as_json) as progress:
                 for what, text in others.items():
                     progress.say(f"{what}: {text}")

@@ -1,8 +1,11 @@
 """The file that a run is recorded into: made before anybody flies, so that what is wrong with it is said then."""
 
 import contextlib
+import hashlib
+import json
 import platform
-from collections.abc import Iterator
+import sys
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import llvmlite.binding
@@ -11,10 +14,14 @@ import numpy as np
 import scipy
 
 from crazychoir.bus.hello import VERSION
-from crazychoir.guidance.mission import Mission
+from crazychoir.errors import is_library
+from crazychoir.guidance.mission import PACKAGE, Mission
 from crazychoir.recording.figures import UNSEEN
 from crazychoir.recording.file import RecordingFile
 from crazychoir.swarm.config import SwarmConfig
+
+FILES = "files"
+"""What a recording's `about` calls the digests of files, as JSON."""
 
 
 @contextlib.contextmanager
@@ -31,13 +38,60 @@ def recording_file(
 
 def new_recording(path: Path, config: SwarmConfig, mission: Mission | None, virtual: bool) -> RecordingFile:
     """A new file for a flight of this swarm; raises ConfigError."""
-    return RecordingFile(path, about(config, virtual), config.dumps(), not virtual, text_of(mission))
+    told = about(config, virtual) | {FILES: json.dumps(digests(config, mission))}
+    return RecordingFile(path, told, config.dumps(), not virtual, text_of(mission))
 
 
 def text_of(mission: Mission | None) -> str:
     """The text of a mission's file; empty without one."""
     path = Path(getattr(mission, "__file__", None) or "")
     return path.read_text(errors="replace") if path.is_file() else ""
+
+
+def digests(config: SwarmConfig, mission: Mission | None) -> dict[str, str]:
+    """SHA-256 of what a flight depends on beside the mission's text, as far as it is there; no name has a path of here.
+
+    The files that the swarm file names, by its keys; and by their paths within the mission's folder the modules that
+    were imported from there.
+    """
+    found = {name: _digest(path) for name, path in (config.files | _modules(mission)).items()}
+    return {name: digest for name, digest in found.items() if digest}
+
+
+def other_files(told: Mapping[str, str], config: SwarmConfig, mission: Mission) -> dict[str, str]:
+    """Which of the files with these digests are others now, and how."""
+    named, folder = config.files, _folder(mission)
+    now = {name: _digest(named.get(name, folder / name)) for name in told}
+    return {
+        name: "its content is another now" if now[name] else "it is not there any more"
+        for name, digest in told.items() if now[name] != digest
+    }  # fmt: skip
+
+
+def _modules(mission: Mission | None) -> dict[str, Path]:
+    """The files beside a mission's, or below, from which modules were imported; none of the package or of libraries."""
+    if not (name := getattr(mission, "__file__", None)):
+        return {}
+    folder, found = _folder(mission), dict[str, Path]()
+    for module, loaded in sorted(sys.modules.items()):
+        file = str(getattr(loaded, "__file__", None) or "")
+        path, within = Path(file).resolve(), f"{module}."
+        ours = within.startswith(("crazychoir.", "__main__.")) and not within.startswith(f"{PACKAGE}.")
+        if path != Path(name).resolve() and path.is_relative_to(folder) and not (ours or is_library(file)):
+            found[path.relative_to(folder).as_posix()] = path
+    return found
+
+
+def _folder(mission: Mission | None) -> Path:
+    return Path(str(getattr(mission, "__file__", None) or "")).resolve().parent
+
+
+def _digest(path: Path) -> str:
+    """Empty for a file that cannot be read."""
+    try:
+        return hashlib.sha256(path.read_bytes()).hexdigest()
+    except OSError:
+        return ""
 
 
 def about(config: SwarmConfig, virtual: bool) -> dict[str, str]:

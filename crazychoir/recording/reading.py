@@ -1,6 +1,8 @@
 """A recording read back, one that was cut off too: every whole chunk counts."""
 
 import mmap
+from array import array
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -156,6 +158,26 @@ def _take(recording: Recording, found: "_Series", opcode: int, body: bytes) -> N
                 found.add(body)
 
 
+class _Columns:
+    """Values of one topic of one drone as they are read: 8 bytes a number."""
+
+    def __init__(self) -> None:
+        self._times, self._numbers = array("d"), array("d")
+
+    def __len__(self) -> int:
+        return len(self._times) // 2
+
+    def add(self, came_ns: int, born_ns: int, numbers: Sequence[float]) -> None:
+        """A message; the same count of numbers in each."""
+        self._times.extend((came_ns / SECOND, born_ns / SECOND))
+        self._numbers.extend(numbers)
+
+    def values(self) -> Values:
+        """All of them; of at least one message."""
+        times, n = np.frombuffer(self._times).reshape(-1, 2), len(self)
+        return Values(times[:, 0], times[:, 1], np.frombuffer(self._numbers).reshape(n, len(self._numbers) // n))
+
+
 class _Series:
     """What chunks hold of some topics."""
 
@@ -164,7 +186,7 @@ class _Series:
         self._schemas: dict[int, Schema] = {}
         self._keys: dict[int, tuple[int, str]] = {}
         self._layouts: dict[int, Layout] = {}
-        self._found: dict[int, list[tuple[float, float, tuple[Any, ...]]]] = {}
+        self._found: dict[int, _Columns] = {}
 
     def add(self, chunk: bytes) -> None:
         """Take the records of a chunk."""
@@ -180,14 +202,13 @@ class _Series:
 
     def values(self) -> dict[tuple[int, str], Values]:
         """By (drone, topic)."""
-        return {self._keys[channel]: _columns(rows) for channel, rows in sorted(self._found.items()) if rows}
+        return {self._keys[channel]: rows.values() for channel, rows in sorted(self._found.items()) if len(rows)}
 
     def _hear(self, body: bytes) -> None:
         channel, _, came_ns, born_ns = MESSAGE.unpack_from(body)
         layout = self._layouts.get(channel)
         if layout is not None:
-            numbers = layout.numbers(body[MESSAGE.size :])[STAMP:]
-            self._found[channel].append((came_ns / SECOND, born_ns / SECOND, numbers))
+            self._found[channel].add(came_ns, born_ns, layout.numbers(body[MESSAGE.size :])[STAMP:])
 
     def _open(self, channel: Channel) -> None:
         topic = channel.metadata.get("topic", "")
@@ -198,10 +219,5 @@ class _Series:
             do = "Plot it with the version that recorded it."
             raise ConfigError(str(self._path), f"another {schema.name} for {topic}", message.type, do)
         drone = int(channel.metadata["drone"])
-        self._keys[channel.id], self._found[channel.id] = (drone, topic), []
+        self._keys[channel.id], self._found[channel.id] = (drone, topic), _Columns()
         self._layouts[channel.id] = message.layout(drone)
-
-
-def _columns(rows: list[tuple[float, float, tuple[Any, ...]]]) -> Values:
-    came, born, numbers = zip(*rows, strict=True)
-    return Values(np.array(came), np.array(born), np.array(numbers, dtype=float))

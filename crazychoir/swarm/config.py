@@ -96,6 +96,17 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
         mujoco = msgspec.structs.replace(self.mujoco, **found)
         return msgspec.structs.replace(self, mujoco=mujoco) if found else self
 
+    @property
+    def files(self) -> dict[str, Path]:
+        """The files that a flight needs beside its mission, by the keys that name them."""
+        options, mujoco = self.mission_options, self.mujoco
+        named = {f"mission_options.{key}": options[key] for key in FILES if isinstance(options.get(key), str)}
+        named |= {f"mujoco.{key}": name for key in SHAPES if (name := getattr(mujoco, key))}
+        for drone in self.drones:
+            if drone.uri.startswith(REPLAY):
+                named[f"drone {drone.id}: uri"] = drone.uri.removeprefix(REPLAY).partition("?")[0]
+        return {key: Path(name) for key, name in named.items()}
+
     def digest(self) -> str:
         """16 hex digits that all hosts of one mission share, the same on every host, Python and hash seed.
 

@@ -114,6 +114,17 @@ def test_a_rerun_is_the_same_flight(here, recorded, tmp_path):
     assert again.read_bytes() == path.read_bytes()
 
 
+def test_a_rerun_names_the_module_beside_the_mission_that_is_another(here, tmp_path):
+    (tmp_path / "gain_of_rising.py").write_text("GAIN = 0.5\n")
+    law, path = tmp_path / "law.py", tmp_path / "a.mcap"
+    law.write_text(f"from gain_of_rising import GAIN\n{RISING.format(gain='GAIN')}")
+    assert here("crazychoir", "run", law, "--drones", 2, "--fast", "--record", path).code == 0
+    assert here("crazychoir", "rerun", path, "--json").json["others"] == {}
+    (tmp_path / "gain_of_rising.py").write_text("GAIN = 0.625\n")
+    said = here("crazychoir", "rerun", path, "--json")
+    assert said.json["others"] == {"gain_of_rising.py": "its content is another now"}
+
+
 def test_a_rerun_of_a_changed_mission_says_where_it_first_differs(here, tmp_path):
     law = tmp_path / "law.py"
     law.write_text(RISING.format(gain=0.5))

@@ -1,5 +1,7 @@
 """Files that are no recording, are cut off or spoilt."""
 
+import tracemalloc
+
 import pytest
 from mcap.writer import Writer
 
@@ -137,6 +139,25 @@ def test_the_recording_of_another_program(tmp_path):
         writer.finish()
     with pytest.raises(ConfigError, match="of another program; allowed: one of crazychoir"):
         read(path, ("state",))
+
+
+def test_a_long_recording_takes_little_more_than_its_numbers(tmp_path):
+    """A state has 13 numbers and two times, 120 bytes; twice as much while it is read."""
+    path, series = tmp_path / "a.mcap", Series(4, "state", MESSAGES[State])
+    file, pack = RecordingFile(path, {"version": "1"}, "{}", False), packer(series.message, 4)
+    count, at_once = 20_000, 500
+    for first in range(0, count, at_once):
+        states = [(k, State.at((0.1 * k, 0, 0))) for k in range(first, first + at_once)]
+        file.write([Entry(series, k, k, pack(state, k)) for k, state in states])
+    file.close()
+    tracemalloc.start()
+    try:
+        values = read(path, ("state",)).of(4, "state")
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert (values.numbers.shape, values.numbers[-1, 0]) == ((count, 13), pytest.approx(0.1 * (count - 1)))
+    assert peak / count < 240.0
 
 
 def test_nothing_of_these_topics(tmp_path, content):
