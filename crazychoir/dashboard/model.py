@@ -143,8 +143,8 @@ class SwarmModel:
 
         While they plan, a relaxation is that of the routes that a drone knows by then: no bound.
         """
-        curve = [(k, *map(_mean, zip(*self._plans[k].values(), strict=True))) for k in sorted(self._plans)]
-        return [(k, cost, relaxed) for k, cost, relaxed in curve]
+        of = {k: list(self._plans[k].values()) for k in sorted(self._plans)}
+        return [(k, _mean(cost for cost, _ in told), _mean(relaxed for _, relaxed in told)) for k, told in of.items()]
 
     def table(self) -> list[dict[str, Any]]:
         """A row a drone: how it is, and how it is reached. What is not known is None."""

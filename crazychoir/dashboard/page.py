@@ -107,12 +107,13 @@ def _tasks() -> None:
 
 def _network() -> None:
     text('<h2>Simulated network</h2><p class="help">None chosen: all links. One drone: its links. Two: the link '
-         "between them.</p>")  # fmt: skip
+         "between them.</p><p>In force: <span id=\"network-said\">not known yet</span></p>")  # fmt: skip
     with row():
         text(
             field("loss", "Loss", 0, "%", "range", min=0, max=100, step=1)
             + field("delay", "Delay", 0, "ms", "range", min=0, max=500, step=5)
         )
+        button("Apply", "network.apply()")
     with row():
         button("Cut the chosen off", "network.cut()", "outline")
         button("Take everything back", "network.clear()", "outline")
