@@ -202,7 +202,7 @@ class Status(Wire, frozen=True, array_like=True, gc=False):
     phase: of flight;  task: of the mission, and its progress;  round: of the running exchange;  cost: of the plan, NaN
     before;  relaxed: value of the program's relaxation, as far as it is known, else NaN;  sent, lost, resent, dropped:
     messages between drones since the start;  suspect, gone: ids of silent members;  process, host: where it runs;
-    note: the last trouble.
+    note: the last trouble;  stopped: an emergency stop of the swarm is in force for it.
     """
 
     phase: str
@@ -219,6 +219,7 @@ class Status(Wire, frozen=True, array_like=True, gc=False):
     process: str = ""
     host: str = ""
     note: str = ""
+    stopped: bool = False
 
 
 class Body(Wire, frozen=True, array_like=True, gc=False):

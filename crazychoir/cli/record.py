@@ -60,6 +60,8 @@ def record(
         if not recorders:
             raise
     told, ended = recorders[0].result(), recorders[0].ended
+    if not (told["messages"] or told["error"]):
+        told["error"] = _nothing(topics)
     success = not (told["error"] or told["lost"])
     if as_json:
         write_json({"success": success, **told, "ended": ended})
@@ -67,7 +69,16 @@ def record(
         figures = ", ".join(f"{told[name]} {name}" for name in ("messages", "lost", "missed"))
         text = f"{told['file']}: {figures}; it ended: {ended}"
         STDOUT.print(text, markup=False, highlight=False, soft_wrap=True)
+        if not told["messages"]:
+            STDERR.print(f"There is no file: {told['error']}", markup=False, highlight=False, soft_wrap=True)
     raise typer.Exit(0 if success else 1)
+
+
+def _nothing(named: str | None) -> str:
+    """Why there is no message, and what to do."""
+    of = f" of {named}" if named else ""
+    do = "Record for longer, or more topics; a result is said only at the end of a mission."
+    return f"no message{of} came while it was recorded. {do}"
 
 
 async def _until_gone(window: "Window", recorder: "Recorder", seconds: float) -> str:

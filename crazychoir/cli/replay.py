@@ -106,16 +106,36 @@ def _asked(step: float) -> "Step":
     """Steps at the lines of standard input; its end lets the flight go on to its end."""
 
     async def next_step() -> float:
-        import asyncio
-
-        line = await asyncio.to_thread(sys.stdin.readline)
-        if not line:
-            return math.inf
-        if not line.strip():
-            return step
-        with contextlib.suppress(ValueError):
-            if (seconds := float(line)) > 0.0:
-                return seconds
-        raise ConfigError("--step", line.strip(), "Enter, or a number of seconds and Enter")
+        while line := await _line():
+            if not line.strip():
+                return step
+            with contextlib.suppress(ValueError):
+                if (seconds := float(line)) > 0.0:
+                    return seconds
+            found = line.decode(errors="replace").strip()
+            error = ConfigError("--step", found, "Enter, or a number of seconds above 0 and Enter")
+            STDERR.print(error, markup=False, highlight=False, soft_wrap=True)
+        return math.inf
 
     return next_step
+
+
+async def _line() -> bytes:
+    """The next line of standard input, empty at its end. Who waits may be cancelled, and the program may end."""
+    import asyncio
+    import threading
+
+    loop = asyncio.get_running_loop()
+    line: asyncio.Future[bytes] = loop.create_future()
+
+    def tell(found: bytes) -> None:
+        if not line.done():
+            line.set_result(found)
+
+    def read() -> None:
+        found = sys.stdin.buffer.readline()
+        with contextlib.suppress(RuntimeError):  # the loop is closed: nobody waits any more
+            loop.call_soon_threadsafe(tell, found)
+
+    threading.Thread(target=read, name="standard input", daemon=True).start()
+    return await line

@@ -155,6 +155,7 @@ class SwarmModel:
         status = seen.status or Status("")
         row: dict[str, Any] = {
             "id": i, "heard": now - seen.heard < STALE, "phase": status.phase, "task": status.task,
+            "stopped": status.stopped,
             "round": status.round, "cost": _known(status.cost), "lost": round(share(seen.lately), 3),
             "process": status.process, "host": status.host, "note": status.note, "suspect": status.suspect,
             "gone": status.gone, "age": _known(float(now - self._seen[k]), 2),

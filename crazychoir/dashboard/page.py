@@ -21,7 +21,9 @@ VERBS = {
 HEAD = """<link rel="stylesheet" href="/own/page.css"><script type="module">
 import { start } from "/own/page.js"; start();</script>"""
 
-SAID = """<p id="stopped" role="alert"></p><p id="trouble" role="alert"></p><p id="newest" role="status"></p>"""
+SAID = """<p id="kept" role="alert" hidden><span id="kept-said"></span> <button id="kept-send" hidden>Send it
+now</button> <button id="kept-withdraw">Withdraw</button></p><p id="stopped" role="alert"></p>
+<p id="trouble" role="alert"></p><p id="newest" role="status"></p>"""
 CLEAR = """<dialog id="clear" aria-labelledby="clear-what"><form method="dialog"><p id="clear-what">Is the
 emergency stop to end? Space still stops all.</p><button value="no" autofocus>Cancel</button>
 <button value="yes">End it</button></form></dialog>"""

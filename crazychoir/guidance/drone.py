@@ -68,4 +68,5 @@ class Drone:
             process=self.port.bus.process,
             host=self.port.bus.host,
             note=self.waits or "; ".join(text for text in (HELD if self.pilot.held else "", self.pilot.note) if text),
+            stopped=self.port.bus.stopped,
         )

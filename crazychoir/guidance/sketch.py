@@ -34,6 +34,8 @@ PACE = 0.02
 """s between two places of a stroke that says no times."""
 MOST_ROWS = 20_000
 """Of all strokes of a drawing."""
+SLOWEST = 20.0
+"""Times as long as the limits ask for, at most."""
 LONGEST = 1800.0
 """s, of the flight along a drawing: a battery lasts for a fifth of that."""
 
@@ -65,11 +67,13 @@ class Planned:
 def planned(
     strokes: Iterable[Any], pen: Pen, config: SwarmConfig, v_max: float = 0.5, a_max: float = 1.0, slower: float = 1.0
 ) -> Planned:
-    """The flight along the strokes, in `slower` times the time that its limits ask for; raises ConfigError.
+    """The flight along the strokes, in `slower` (1 to SLOWEST) times the time of its limits; raises ConfigError.
 
     What is far too large is refused before it costs more than a look at its rows.
     strokes: each (n, 3), rows t s, x, y m;  v_max m/s, a_max m/s2: at most those of [flight].
     """
+    if not 1.0 <= slower <= SLOWEST:
+        raise ConfigError("drawing: slower", slower, f"1 to {SLOWEST:g} times as long as the limits ask for")
     flight, fence = config.flight, config.fence
     v_max, a_max = min(v_max, flight.speed_limit), min(a_max, flight.acceleration_limit)
     limits = Limits(v_max=v_max, a_max=a_max, yaw_rate_max=YAW_RATE, low=fence.min, high=fence.max)

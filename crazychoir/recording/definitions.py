@@ -99,7 +99,8 @@ int64[] suspect
 int64[] gone
 string process
 string host
-string note""",
+string note
+bool stopped  # an emergency stop of the swarm is in force""",
     "crazychoir_msgs/Value": """\
 std_msgs/Header header
 string json  # null for what is not finite""",

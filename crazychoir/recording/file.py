@@ -70,7 +70,7 @@ class RecordingFile:
         self.written = 0
         """Messages in the file."""
         self.lost = 0
-        """Messages that are not, as who records them counts."""
+        """Messages that are not: what could not be written, and what who records them counts beside."""
         self.missed = 0
         """Messages that did not come to who records, as he counts."""
         self.error = ""
@@ -89,16 +89,16 @@ class RecordingFile:
             raise ConfigError("--record", str(path), "a disk with room", problem=self.error)
 
     def write(self, entries: Sequence[Entry]) -> None:
-        """Add these as chunks of their own."""
+        """Add these as chunks of their own; where that fails, and once it has failed, they are lost."""
         with self._turn:
-            if self._fd < 0:
-                self.lost += len(entries)
-            if self._fd < 0 or self.error or not entries:
-                return
-            try:
-                self._add(entries)
-            except Exception as error:  # noqa: BLE001 - whatever it is, it is said, and the flight goes on
-                self.error = f"{type(error).__name__}: {error}"
+            before, count = self.written, len(entries)
+            if count and self._fd >= 0 and not self.error:
+                try:
+                    self._add(entries)
+                except Exception as error:  # noqa: BLE001 - whatever it is, it is said, and the flight goes on
+                    self.error = f"{type(error).__name__}: {error}"
+            if count and self.written == before:
+                self.lost += count
 
     def close(self, outcome: Mapping[str, str] | None = None) -> None:
         """End the file with what came of it, and with its index; one without a message goes.

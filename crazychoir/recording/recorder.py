@@ -28,9 +28,9 @@ MOST_WAITING = 64 << 20
 
 @dataclass
 class Recorded:
-    """What came of a recording: messages in the file, and those that are not, as the disk was slow or no field of a
-    message holds them; missed: that were said to who looks on, and that the network did not bring, or too many at once;
-    error: why it ended before the flight, empty if it did not.
+    """What came of a recording: messages in the file, and those that are not, as the disk was slow or full or no field
+    of a message holds them; missed: that were said to who looks on, and that the network did not bring, or too many at
+    once; error: why it ended before the flight, empty if it did not.
     """
 
     file: str
@@ -101,6 +101,7 @@ class Recorder(Actor):
     def _take(self, drone: int, topic: Topic, value: Any, age: float) -> None:
         """A value has come. Who publishes it must not suffer from what is wrong here."""
         if self.file.error:
+            self.file.lost += 1
             return
         came_ns, kind = self.clock.now_ns() + self.clock.epoch_ns, type(value)
         try:

@@ -1,6 +1,8 @@
 """A recording as a bag of ROS 2: a folder with an MCAP file of standard messages, and metadata.yaml."""
 
+import contextlib
 import json
+import shutil
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -30,12 +32,16 @@ class Channel:
 
 @dataclass
 class Bag:
-    """A new bag in the folder; raises ConfigError where there is one already, or none can be made."""
+    """A new bag in the folder; raises ConfigError where there is one already, or none can be made.
+
+    whole: it is closed, and all is on the disk.
+    """
 
     folder: Path
     channels: dict[str, Channel] = field(default_factory=dict)
     first_ns: int = 0
     last_ns: int = 0
+    whole: bool = False
 
     def __post_init__(self) -> None:
         try:
@@ -77,6 +83,13 @@ class Bag:
         self._file.write(self._writer.take())
         self._file.close()
         (self.folder / METADATA).write_text(self._metadata())
+        self.whole = True
+
+    def discard(self) -> None:
+        """Remove it again."""
+        with contextlib.suppress(OSError):  # what it still holds may not fit
+            self._file.close()
+        shutil.rmtree(self.folder, ignore_errors=True)
 
     def _open(self, said: Said) -> Channel:
         if said.type not in self._schemas:
@@ -112,13 +125,18 @@ class Bag:
 
 
 def convert(path: Path, folder: Path) -> Bag:
-    """The bag of a recording; raises ConfigError for what is none."""
+    """The bag of a recording; raises ConfigError for what is none, and for a full disk: no folder is left."""
     truths = frozenset(message.source.drone for message in told(path, (TRUTH.name,)))
     bag = Bag(folder)
     try:
         for message in told(path):
             for said in for_ros(message, truths):
                 bag.write(said, message.came_ns, message.born_ns)
-    finally:
         bag.close()
+    except OSError as error:
+        do = "Make room, or name a folder on another disk."
+        raise ConfigError("--rosbag2", str(folder), "a folder that can be written", do, str(error.strerror)) from error
+    finally:
+        if not bag.whole:
+            bag.discard()
     return bag

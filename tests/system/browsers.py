@@ -11,6 +11,7 @@ from typing import Any
 from playwright.async_api import Page, TimeoutError, WebSocketRoute, async_playwright
 
 CHROMIUM = shutil.which("chromium")
+Row = dict[str, Any]
 FLAGS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 
 
@@ -18,8 +19,8 @@ class Wire:
     """Between a page and its server.
 
     asked: what the page has sent;  lines: how many there were;  dead: nothing passes, of lines that begin meanwhile
-    later neither;  deaf: nothing passes to the server;  frame: what the page gets for a frame;
-    news: what it gets in place of what the server tells of these.
+    later neither;  deaf: nothing passes to the server;  frame: what the page gets for a frame;  drones: for a table;
+    news: in place of what the server tells of these.
     """
 
     def __init__(self) -> None:
@@ -27,6 +28,7 @@ class Wire:
         self.lines = 0
         self.dead = self.deaf = False
         self.frame: Callable[[bytes], bytes] = lambda data: data
+        self.drones: Callable[[list[Row]], list[Row]] = lambda rows: rows
         self.news: dict[str, Any] = {}
         self.page: WebSocketRoute
 
@@ -42,14 +44,15 @@ class Wire:
 
         def down(told: str | bytes) -> None:
             if not (born_dead or self.dead):
-                page.send(self.frame(told) if isinstance(told, bytes) else self.told(told))
+                page.send(self.frame(told) if isinstance(told, bytes) else self._news(told))
 
         page.on_message(up)
         server.on_message(down)
 
-    def told(self, text: str) -> str:
-        news: dict[str, Any] = json.loads(text)
-        return json.dumps({kind: self.news.get(kind, value) for kind, value in news.items()})
+    def _news(self, text: str) -> str:
+        told = json.loads(text)
+        told |= {kind: value for kind, value in self.news.items() if kind in told}
+        return json.dumps(told | {"drones": self.drones(told["drones"])} if "drones" in told else told)
 
     async def cut(self) -> None:
         await self.page.close()

@@ -74,11 +74,90 @@ async def test_a_line_on_which_no_frames_come_is_said_to_be_dead_and_opened_anew
         assert "NOT CONNECTED" in await page.inner_text("#connection")
         assert "emergency stop: no answer" in await says(page, "#trouble", "✗")
         assert await page.locator(".view").evaluate("one => getComputedStyle(one).filter") == "grayscale(1)"
+        await says(page, "#kept", "STOP ALL: will be sent when connected")
+        await page.shot("kept")
         wire.dead = False
         await page.wait_for_selector(CONNECTED, timeout=20_000)
         assert await page.locator(LOST).count() == 0
-        await page.keyboard.press("Space")
         await says(page, "#stopped", "emergency stop →")
+        await page.locator("#kept").wait_for(state="hidden")
+        assert await page.inner_text("#trouble") == ""
+        lines = wire.lines
+        await wire.cut()
+        await until(lambda: wire.lines > lines, 10.0)
+        await page.wait_for_selector(CONNECTED)
+        assert await page.locator("#receipts li:has-text('emergency stop')").count() == 1, "it was pressed once"
+
+
+async def test_a_stop_that_was_pressed_without_a_line_may_be_withdrawn_and_is_asked_about_when_it_is_old(tmp_path):
+    async with looked_at(tmp_path, strict=False) as (page, wire, _):
+
+        async def pressed():
+            wire.dead = True
+            await page.wait_for_selector(LOST, timeout=10_000)
+            await page.keyboard.press("Space")
+            await says(page, "#kept", "STOP ALL: will be sent when connected")
+
+        async def again():
+            wire.asked.clear()
+            wire.dead = False
+            await page.wait_for_selector(CONNECTED, timeout=20_000)
+            return wire.of("stop")
+
+        await pressed()
+        await page.click("text=Withdraw")
+        await page.locator("#kept").wait_for(state="hidden")
+        assert await again() == []
+        await pressed()
+        await page.evaluate("(() => { const now = Date.now; Date.now = () => now() + 31_000; })()")
+        await says(page, "#kept", "more than 30 s ago: nobody has answered. Is it to be sent now?")
+        await page.shot("asked_about")
+        assert await again() == []
+        await page.click("text=Send it now")
+        await says(page, "#stopped", "emergency stop →")
+        assert len(wire.of("stop")) == 1
+        await page.locator("#kept").wait_for(state="hidden")
+
+
+async def test_a_stop_that_the_server_does_not_hear_is_sent_until_it_does_unless_it_is_cleared(tmp_path):
+    async with looked_at(tmp_path) as (page, wire, _):
+        wire.deaf = True
+        await page.check('input[aria-label="drone 3"]')
+        await page.click("text=Motors off")
+        await says(page, "#kept", "STOP 3: sent again until it is answered")
+        await until(lambda: len(wire.of("stop")) > 2, 5.0)
+        assert len({message["key"] for message in wire.asked}) == 1
+        wire.deaf = False
+        await says(page, "#stopped", "emergency stop → 3 s")
+        await page.locator("#kept").wait_for(state="hidden")
+        wire.deaf = True
+        await page.keyboard.press("Space")
+        await says(page, "#kept", "STOP ALL")
+        await page.click("text=Clear stop")
+        await page.click("text=End it")
+        await page.locator("#kept").wait_for(state="hidden")
+
+
+async def test_what_is_stopped_is_told_as_drones_say_it_beside_the_stops_that_some_have_not_obeyed(tmp_path):
+    async with looked_at(tmp_path) as (page, wire, _):
+        await page.keyboard.press("Space")
+        await says(page, "#stopped", "emergency stop → 0, 1, 2, 3, 4, 5 sent")
+        await page.check('input[aria-label="drone 0"]')
+        await page.click("text=Motors off")
+        line = await says(page, "#stopped", "emergency stop → 0 sent")
+        assert "emergency stop → 0, 1, 2, 3, 4, 5 s" in line, "that of the swarm is still sent"
+        await page.click("text=Clear stop")
+        await page.click("text=End it")
+        await page.wait_for_function("document.querySelector('#stopped').textContent === ''", timeout=5_000)
+        wire.drones = lambda rows: [row | said.get(row["id"], {}) for row in rows]
+        stopped = {"heard": True, "stopped": True, "phase": "stopped"}
+        said = {0: stopped, 1: stopped, 2: stopped | {"phase": "on ground"}}
+        await says(page, "#stopped", "stop of the swarm in force: 0, 1, 2 may not take off · motors off: 0, 1")
+        await page.shot("in_force")
+        said = {1: {"heard": True, "stopped": False, "phase": "stopped"}}
+        await page.wait_for_function("document.querySelector('#stopped').textContent === 'motors off: 1'")
+        said = {}
+        await page.wait_for_function("document.querySelector('#stopped').textContent === ''")
 
 
 async def test_what_the_server_does_not_answer_is_told_within_a_second_or_so(tmp_path):
@@ -124,7 +203,7 @@ async def test_space_stops_all_while_it_is_asked_whether_a_stop_is_to_end(tmp_pa
             await page.click("text=Clear stop")
             await page.keyboard.press(key)
             await page.locator("#clear").wait_for(state="hidden")
-        assert wire.asked == [{"ask": "stop"}, {"ask": "stop"}]
+        assert len({message["key"] for message in wire.of("stop")}) == len(wire.asked) == 2
         await page.click("text=Clear stop")
         await page.shot("clear")
         await page.click("text=End it")

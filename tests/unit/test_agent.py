@@ -171,7 +171,8 @@ def test_after_an_emergency_stop_the_agent_says_what_it_waits_for_and_an_operato
         agent.bus.stopped = True
         agent._stop(agent.drones[0], True)
         await clock.sleep(60.0)
-        assert agent.drones[0].status().note == STAYS
+        status = agent.drones[0].status()
+        assert (status.phase, status.note, status.stopped) == ("stopped", STAYS, True)
         assert [r.message for r in caplog.records].count(f"drone 0: {STAYS}") == 1
         agent.land_all("SIGINT: landing")
         await clock.sleep(1.0)
@@ -203,6 +204,7 @@ def test_an_emergency_stop_cuts_for_good_and_its_clearing_only_ends_the_agent(pa
         await clock.sleep(10.0)
         assert not running.done(), "it stays to tell those who start"
         agent.bus.stopped = False
+        assert not agent.drones[0].status().stopped
         result = (await running)[0]
         assert not result["success"]
         assert result["reason"].startswith(f"drone 0: stopped: {why}; crashed: hit the floor at 2.4")

@@ -23,11 +23,15 @@ function refuse(why) {
   return false;
 }
 
+export const isOpen = () => socket?.readyState === WebSocket.OPEN;
+
+export const send = (text) => socket.send(text);
+
 export function ask(message) {
-  if (socket?.readyState !== WebSocket.OPEN) return refuse("not connected");
+  if (!isOpen()) return refuse("not connected");
   const text = JSON.stringify(message), bytes = new Blob([text]).size;
   if (bytes > MOST) return refuse(`${message.ask}: too large, ${Math.ceil(bytes / 1024)} KiB of at most ${MOST / 1024}`);
-  socket.send(text);
+  send(text);
   tell("asked", message);
   return true;
 }
@@ -82,6 +86,7 @@ function open() {
   quiet = -FIRST;
   line.binaryType = "arraybuffer";
   line.onmessage = ({ data }) => line === socket && (typeof data === "string" ? news(JSON.parse(data)) : frame(data));
+  line.onopen = () => line === socket && tell("opened");
   line.onclose = () => line === socket && lose();
 }
 

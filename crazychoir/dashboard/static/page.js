@@ -5,6 +5,7 @@ import * as draw from "./draw.js";
 import * as plots from "./plots.js";
 import * as receipts from "./receipts.js";
 import * as scene from "./scene.js";
+import * as stops from "./stops.js";
 import * as table from "./table.js";
 import * as tasks from "./tasks.js";
 
@@ -70,10 +71,10 @@ function inForce(told) {
 const choir = {
   order: (verb) => ask({ ask: "order", verb, drones: chosen() }),
   stopAll: () => {
-    ask({ ask: "stop" });
+    stops.press(null);
     find("clear").close("no");
   },
-  stopChosen: () => (chosen() ? ask({ ask: "stop", drones: chosen() }) : tell("refused", "motors off: choose drones, or stop all")),
+  stopChosen: () => (chosen() ? stops.press(chosen()) : tell("refused", "motors off: choose drones, or stop all")),
   clearStop: () => {
     find("clear").returnValue = "no";
     find("clear").show();
@@ -143,12 +144,12 @@ function begin() {
   theme();
   table.start({ table: find("drones"), lines: find("log"), level: find("level"), caption: find("chosen") });
   on("connected", (there) => {
-    find("connection").textContent = there ? "connected" : "NOT CONNECTED: this page shows nothing new, and cannot stop anything";
+    find("connection").textContent = there ? "connected" : "NOT CONNECTED: this page shows nothing new; a stop waits";
     find("connection").dataset.there = there;
     document.body.toggleAttribute("data-lost", !there);
   });
   on("links", (lost) => (seen.links = lost));
-  for (const part of [receipts, draw, plots, tasks]) part.start();
+  for (const part of [stops, receipts, draw, plots, tasks]) part.start();
   scene.start(find("scene"));
   connect();
 }

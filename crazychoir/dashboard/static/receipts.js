@@ -1,17 +1,20 @@
-// Receipts of commands: all in a list, the newest in the header, where every tab shows it, with what has gone wrong and a
-// stop that is in force; and what this page has asked for, until its server says so.
+// Receipts of commands: all in a list, the newest in the header, where every tab shows it, with what has gone wrong; and
+// what this page has asked for, until its server says so. Of stops in the header: see stops.js.
 import { on } from "./line.js";
 import { make, set } from "./table.js";
 
 const ANSWER = 1000; // ms within which the server shows a receipt of what it was asked for
-const STOP = "emergency stop", CLEAR = "clear stop";
+export const STOP = "emergency stop";
+const CLEAR = "clear stop";
 const VERBS = { "go-to": "go-to", fly: "fly", impair: "impair", "add-task": "task_add", "cancel-task": "task_cancel" };
 const MARKS = { done: "✓", bad: "✗", open: "…" };
 const find = (id) => document.getElementById(id);
-let newest = 0, stopping = 0, troubled = 0; // numbers of receipts
+let newest = 0, troubled = 0; // numbers of receipts
 let raised = ""; // the last trouble of a receipt: told once
 let frames = 0; // on this line; what comes before the second may be long ago
 let waiting = []; // what was asked for and has no receipt yet, oldest first
+
+export const among = (ids) => (ids.length > 8 ? `${ids.length} drones` : ids.join(", "));
 
 function words(answers) {
   const groups = {};
@@ -20,7 +23,7 @@ function words(answers) {
     const long = text.length > 90 ? `${text.slice(0, 87)}...` : text;
     (groups[kind + (long ? `: ${long}` : "")] ??= []).push(i);
   }
-  return Object.entries(groups).map(([said, ids]) => `${ids.length > 8 ? `${ids.length} drones` : ids.join(", ")} ${said}`).join("; ");
+  return Object.entries(groups).map(([said, ids]) => `${among(ids)} ${said}`).join("; ");
 }
 
 const isBad = ([kind]) => ["refused", "silent", "unfinished"].includes(kind);
@@ -31,7 +34,7 @@ function outcome({ answers }) {
   return all.every(([kind]) => kind === "done") ? "done" : all.some(isBad) ? "bad" : "open";
 }
 
-function told(receipt, answers) {
+export function told(receipt, answers) {
   return `${MARKS[outcome(receipt)]} ${receipt.verb} ${receipt.words} → ${words(answers)}`.replace("  ", " ");
 }
 
@@ -80,16 +83,8 @@ function list(items, receipt) {
   set(item, told(receipt, receipt.answers));
 }
 
-function stopped(receipt) {
-  if (receipt.number < stopping) return;
-  stopping = receipt.number;
-  if (receipt.verb === STOP) set(find("stopped"), told(receipt, receipt.answers));
-  else if (outcome(receipt) === "done") set(find("stopped"), "");
-}
-
 function head(receipt) {
   const { number, verb } = receipt, wrong = told(receipt, bad(receipt));
-  if (verb === STOP || verb === CLEAR) stopped(receipt);
   if (outcome(receipt) !== "bad") {
     if (troubled === number) trouble("");
   } else if (verb !== STOP && frames > 1 && raised !== number + wrong) {
@@ -114,8 +109,8 @@ function receipts(items, changed) {
 // All receipts that there are come on a new line.
 function anew(items) {
   items.replaceChildren();
-  newest = stopping = frames = 0;
-  for (const id of ["newest", "stopped"]) set(find(id), "");
+  newest = frames = 0;
+  set(find("newest"), "");
 }
 
 function lost() {

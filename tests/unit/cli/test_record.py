@@ -52,7 +52,7 @@ def record(monkeypatch, tmp_path):
         monkeypatch.setattr("crazychoir.cli.record.looking", looking)
         path = tmp_path / "a.mcap"
         done = CliRunner().invoke(app, ["record", str(path), *words])
-        return done, header(path), took[0]
+        return done, header(path) if path.exists() else None, took[0]
 
     return run
 
@@ -136,3 +136,36 @@ def test_a_disk_that_fails_is_told(record, monkeypatch):
     assert (done.exit_code, said["success"], said["error"], said["ended"]) == (1, False, *2 * ["No space left"])
     assert not recording.complete
     assert seconds < 4.0
+    assert (said["messages"], said["lost"] > 0) == (2, True)
+
+
+@pytest.mark.parametrize(
+    ("topics", "what"), [((), "no message came"), (("--topics", "result,truth"), "no message of result,truth came")]
+)
+def test_a_recording_of_nothing_is_no_success(record, topics, what):
+    async def silent(clock, bus, there, leave):
+        await clock.sleep(9.0)
+
+    done, recording, _ = record(silent, "--seconds", "2.5", "--json", *topics)
+    said = json.loads(done.stdout)
+    assert (done.exit_code, said["success"], said["messages"], said["ended"]) == (1, False, 0, "after 2.5 s")
+    assert what in said["error"]
+    assert "Record for longer, or more topics" in said["error"]
+    assert recording is None
+    done, _, _ = record(silent, "--seconds", "2.5", *topics)
+    assert done.exit_code == 1
+    assert "0 messages, 0 lost, 0 missed; it ended: after 2.5 s" in " ".join(done.stdout.split())
+    assert f"There is no file: {what}" in " ".join(done.stderr.split())
+
+
+def test_a_disk_without_room_for_a_message_is_told(record, monkeypatch):
+    put = RecordingFile._put
+    room = iter([True])
+
+    def once(self, sync):
+        return put(self, sync) if next(room, False) else setattr(self, "error", "No space left")
+
+    monkeypatch.setattr(RecordingFile, "_put", once)
+    done, recording, _ = record(stays)
+    assert (done.exit_code, recording) == (1, None)
+    assert "There is no file: No space left" in " ".join(done.stderr.split())

@@ -168,3 +168,12 @@ async def test_a_log_keeps_its_newest_lines(clock):
         watch.add(str(k))
     assert [line.text for line in watch.after(LINES + 3)] == [str(LINES + 3), str(LINES + 4)]
     assert len(watch.after(0)) == LINES
+
+
+@virtual
+async def test_a_row_says_whether_a_stop_of_the_swarm_is_in_force(clock):
+    seen = Seen(clock)
+    for i, phase in ((3, "stopped"), (7, "on ground")):
+        seen.ports[i].publish(STATUS, Status(phase, stopped=i == 7))
+    await clock.sleep(0.1)
+    assert [(row["phase"], row["stopped"]) for row in seen.model.table()] == [("stopped", False), ("on ground", True)]

@@ -50,6 +50,12 @@ def test_a_drawing_that_leaves_the_fence_or_is_no_line_is_refused():
         planned((((0.0, 1.0, 1.0),),), Pen(), config_of())
 
 
+@pytest.mark.parametrize("slower", [0.0, -1.0, 0.99, 20.1, float("nan"), float("inf")])
+def test_no_time_that_is_none_or_less_than_the_limits_ask_for(slower):
+    with pytest.raises(ConfigError, match=r"drawing: slower: found .*; allowed: 1 to 20 times"):
+        planned((WAVE,), Pen(), config_of(), slower=slower)
+
+
 @pytest.fixture
 def unplanned(monkeypatch):
     """Nothing may be planned."""

@@ -124,11 +124,12 @@ def test_a_disk_that_fills_ends_the_recording_and_keeps_what_is_there(tmp_path, 
 
     monkeypatch.setattr(os, "write", full)
     file.write(entries(series, 10, 20))
-    assert (file.error, file.written) == ("No space left on device", 10)
+    assert (file.error, file.written, file.lost) == ("No space left on device", 10, 10)
     assert path.stat().st_size == whole, "no part of a chunk"
     monkeypatch.undo()
     file.write(entries(series, 20, 30))
     file.close()
+    assert file.lost == 20
     recording = read(path, ("truth",))
     assert (len(recording.of(0, "truth")), recording.complete) == (10, False)
 
@@ -151,4 +152,5 @@ def test_nothing_raises_in_flight(tmp_path):
     file, series = opened(tmp_path / "a.mcap"), truth()
     file.write([*entries(series, 0, 3), Entry(series, 1, -1, b"")])
     assert file.error.startswith("error: ")
+    assert (file.written, file.lost) == (0, 4)
     file.close()

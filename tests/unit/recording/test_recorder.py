@@ -203,7 +203,7 @@ def test_a_full_disk_ends_the_recording_not_the_flight(tmp_path, monkeypatch, ca
             await clock.sleep(1.0)
 
     result = recorded(tmp_path / "a.mcap", work)
-    assert (result["messages"], result["error"]) == (1, "No space left")
+    assert (result["messages"], result["lost"], result["error"]) == (1, 3, "No space left")
     assert [record.levelno for record in caplog.records] == [logging.WARNING]
     assert "the flight goes on" in caplog.text
 

@@ -1,6 +1,7 @@
 """A recording as a bag of ROS 2: read by rosbags with the definitions of ROS 2 itself, not with those in the file."""
 
 import json
+import resource
 from collections import Counter
 
 import numpy as np
@@ -109,3 +110,18 @@ def test_a_bag_is_never_written_over(recording, tmp_path):
     (tmp_path / "bag").mkdir()
     with pytest.raises(ConfigError, match=r"--rosbag2.*File exists.*remove that one"):
         convert(recording, tmp_path / "bag")
+
+
+@pytest.mark.parametrize("room", [0, 3000, 6000])
+def test_a_full_disk_is_said_and_leaves_no_folder(recording, tmp_path, monkeypatch, room):
+    """No file may have more bytes than that: not the first chunk, not the second one, or not the index."""
+    monkeypatch.setattr(rosbag2, "LARGEST", 1500)
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (room, before[1]))
+    try:
+        with pytest.raises(ConfigError, match=r"--rosbag2 = .*bag: File too large; .*another disk"):
+            convert(recording, tmp_path / "bag")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert not (tmp_path / "bag").exists()
+    assert convert(recording, tmp_path / "bag").path.stat().st_size > room
