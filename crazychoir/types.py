@@ -202,7 +202,8 @@ class Status(Wire, frozen=True, array_like=True, gc=False):
     phase: of flight;  task: of the mission, and its progress;  round: of the running exchange;  cost: of the plan, NaN
     before;  relaxed: value of the program's relaxation, as far as it is known, else NaN;  sent, lost, resent, dropped:
     messages between drones since the start;  suspect, gone: ids of silent members;  process, host: where it runs;
-    note: the last trouble;  stopped: an emergency stop of the swarm is in force for it.
+    note: the last trouble;  stopped: an emergency stop of the swarm is in force for it;  grave: somebody should
+    act upon the note.
     """
 
     phase: str
@@ -220,6 +221,7 @@ class Status(Wire, frozen=True, array_like=True, gc=False):
     host: str = ""
     note: str = ""
     stopped: bool = False
+    grave: bool = False
 
 
 class Body(Wire, frozen=True, array_like=True, gc=False):

@@ -87,7 +87,7 @@ class SwarmModel:
         if before is None or before.phase != status.phase:
             self.watch.add(status.phase, "info", i)
         if status.note and (before is None or before.note != status.note):
-            self.watch.told(i, status.note)
+            self.watch.told(i, status.note, status.grave)
         if before is not None and status.sent < before.sent:  # its agent was started again
             self._plans = {k: rest for k, of in self._plans.items() if (rest := {j: of[j] for j in of if j != i})}
         if math.isfinite(status.cost):
@@ -113,6 +113,13 @@ class SwarmModel:
         """(3,) m, world: where drone i was last, None if it was not heard."""
         k = self.config.ids.index(i)
         return None if self._seen[k] == -np.inf else self._rows[k, 0:3].astype(float)
+
+    def heard_by(self, i: int) -> int:
+        """How many drones of the swarm drone i hears, itself among them; 0 if it is not heard here."""
+        seen = self.drones[i]
+        if seen.status is None or self.bus.clock.now() - seen.heard > STALE:
+            return 0
+        return len(self.config.ids) - len(seen.status.suspect) - len(seen.status.gone)
 
     def frame(self) -> bytes:
         """Where all drones are: s by this clock (float64), then a row of COLUMNS float32 for each, little-endian.
@@ -143,11 +150,8 @@ class SwarmModel:
 
         While they plan, a relaxation is that of the routes that a drone knows by then: no bound.
         """
-        curve = []
-        for k in sorted(self._plans):
-            costs, relaxed = zip(*self._plans[k].values(), strict=True)
-            curve.append((k, _mean(costs), _mean(relaxed)))
-        return curve
+        of = {k: list(self._plans[k].values()) for k in sorted(self._plans)}
+        return [(k, _mean(cost for cost, _ in told), _mean(relaxed for _, relaxed in told)) for k, told in of.items()]
 
     def table(self) -> list[dict[str, Any]]:
         """A row a drone: how it is, and how it is reached. What is not known is None."""

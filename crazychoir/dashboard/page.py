@@ -28,8 +28,8 @@ CLEAR = """<dialog id="clear" aria-labelledby="clear-what"><form method="dialog"
 emergency stop to end? Space still stops all.</p><button value="no" autofocus>Cancel</button>
 <button value="yes">End it</button></form></dialog>"""
 
-LINKS = """<p class="help legend">Links: what the <em>simulated</em> network loses, from green, 0 %, to red, 67 %; grey
-where one end does not hear the other.</p>"""
+LINKS = """<p class="help legend">Links: <em>simulated</em> loss from green, 0 %, to red, 67 %; grey where an end is not
+heard.</p>"""
 
 
 class Page:
@@ -109,12 +109,13 @@ def _tasks() -> None:
 
 def _network() -> None:
     text('<h2>Simulated network</h2><p class="help">None chosen: all links. One drone: its links. Two: the link '
-         "between them.</p>")  # fmt: skip
+         "between them.</p><p>In force: <span id=\"network-said\">not known yet</span></p>")  # fmt: skip
     with row():
         text(
             field("loss", "Loss", 0, "%", "range", min=0, max=100, step=1)
             + field("delay", "Delay", 0, "ms", "range", min=0, max=500, step=5)
         )
+        button("Apply", "network.apply()")
     with row():
         button("Cut the chosen off", "network.cut()", "outline")
         button("Take everything back", "network.clear()", "outline")

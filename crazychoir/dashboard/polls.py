@@ -7,6 +7,7 @@ from typing import Any
 from crazychoir.bus.commands import DONE, REFUSED
 from crazychoir.dashboard.desk import Desk, Receipt
 from crazychoir.dashboard.lately import Lately, share
+from crazychoir.dashboard.model import SwarmModel
 from crazychoir.runtime.actor import Actor
 from crazychoir.swarm.graph import span
 from crazychoir.swarm.impairment import in_words
@@ -85,8 +86,8 @@ class TaskBoard(Actor):
 
     name = "tasks"
 
-    def __init__(self, desk: Desk) -> None:
-        self.desk, self.ids = desk, desk.place.config.ids
+    def __init__(self, desk: Desk, model: SwarmModel) -> None:
+        self.desk, self.ids, self.model = desk, desk.place.config.ids, model
         self.watched = False
         self.tasks: list[dict[str, Any]] | None = None
         """As TaskSource lists them; None for a mission without."""
@@ -100,7 +101,13 @@ class TaskBoard(Actor):
                 await self.look()
 
     async def look(self) -> None:
-        """Ask for the list."""
+        """Ask for the list: the drone that was asked last, unless it hears no more than half of the swarm.
+
+        Then its list is that of who is cut off, and the next one is asked that hears more, if any does.
+        """
+        n = len(self.ids)
+        steps = (k for k in range(n) if 2 * self.model.heard_by(self.ids[(self._k + k) % n]) > n)
+        self._k += next(steps, 0)
         answer = await _answer(self.desk, self.ids[self._k % len(self.ids)], "task_list")
         if answer is None:
             self._k += 1

@@ -149,7 +149,7 @@ async def serve(place: Outlook, served: Served, say: Callable[[str], None]) -> N
     bus, clock, config = place.link.bus, place.clock, place.config
     watch = Watch(clock)
     model, desk = SwarmModel(bus, place.address, config, watch), Desk(place, watch)
-    overview, board = Overview(desk), TaskBoard(desk)
+    overview, board = Overview(desk), TaskBoard(desk, model)
     stream = Stream(model, desk, watch, overview, board)
     listening = served.bound()
     port = listening.getsockname()[1]

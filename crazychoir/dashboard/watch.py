@@ -10,8 +10,8 @@ from crazychoir.runtime.clock import Clock
 Level = Literal["info", "warning", "error"]
 KEPT = 500
 """Lines."""
-GRAVE = ("failed", "hangs", "late by", "motors", "stopped", "emergency")
-"""Words of a line that somebody should act upon."""
+GRAVE = ("failed", "hangs", "late by")
+"""Words of the lines with which agents say that a part of them has failed, and processes that their loop hangs."""
 
 
 @dataclass(frozen=True)
@@ -38,10 +38,10 @@ class Watch:
         self.count += 1
         self._lines.append(Line(self.count, round(self.clock.now(), 2), level, text, drone))
 
-    def told(self, i: int, text: str) -> None:
-        """A line of drone i, which names no level: one of GRAVE makes it an error; commands are no trouble."""
+    def told(self, i: int, text: str, grave: bool = False) -> None:
+        """Trouble of drone i, or a command, which is none; grave, or with one of GRAVE, it is an error."""
         bare = text.removeprefix(f"drone {i}: ")
-        trouble: Level = "error" if any(word in bare for word in GRAVE) else "warning"
+        trouble: Level = "error" if grave or any(word in bare for word in GRAVE) else "warning"
         self.add(bare, "info" if bare.startswith(COMMANDED) else trouble, i)
 
     def after(self, number: int) -> list[Line]:

@@ -69,4 +69,5 @@ class Drone:
             host=self.port.bus.host,
             note=self.waits or "; ".join(text for text in (HELD if self.pilot.held else "", self.pilot.note) if text),
             stopped=self.port.bus.stopped,
+            grave=self.pilot.grave and not self.waits,
         )

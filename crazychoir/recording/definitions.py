@@ -100,7 +100,8 @@ int64[] gone
 string process
 string host
 string note
-bool stopped  # an emergency stop of the swarm is in force""",
+bool stopped  # an emergency stop of the swarm is in force
+bool grave  # somebody should act upon the note""",
     "crazychoir_msgs/Value": """\
 std_msgs/Header header
 string json  # null for what is not finite""",

@@ -184,6 +184,8 @@ class Pilot(Actor):
         self.mode: Mode = GROUND
         self.state: State | None = None
         self.note = self._evades = ""  # the latter: what the collision filter has said last
+        self.grave = False
+        """Whether somebody should act upon the note: its motors were cut, or it lands for its safety."""
         self.brought_down = ""
         """Why the safety table has first ended a flight by landing it; empty if it never did."""
         self.held = False
@@ -516,7 +518,7 @@ class Pilot(Actor):
         self._reference = None
         self._change(Event.HOLD)
 
-    def land(self, reason: str = "") -> float:
+    def land(self, reason: str = "", grave: bool = False) -> float:
         """Come to rest, then straight down, inside the fence, and stop the motors; returns the time it will take.
 
         Without a reason it is guidance that wants it: one that is held or returns goes on so, and 0 is returned.
@@ -524,7 +526,7 @@ class Pilot(Actor):
         if self.mode in (*DOWN, LAND) or self.state is None or (not reason and (self.held or self.mode is RETURN)):
             return 0.0
         if reason:
-            self._say("land", reason)
+            self._say("land", reason, grave)
         return self._descend()
 
     def misjudged(self) -> str:
@@ -547,14 +549,14 @@ class Pilot(Actor):
         self._change(Event.STOP)
         self.cut_for = self.cut_for or reason
         self.link.cut()
-        self._say("cut", reason)
+        self._say("cut", reason, grave=True)
 
     def guidance_failed(self, reason: str) -> None:
         """Guidance is gone: hover, then land, whoever has commanded its flight; on the ground, stay there."""
         if not self.airborne:
-            self._say("guidance", f"guidance failed ({reason}): stays on the ground")
+            self._say("guidance", f"guidance failed ({reason}): stays on the ground", grave=True)
             return
-        self._say("guidance", f"guidance failed ({reason}): hovering, then landing")
+        self._say("guidance", f"guidance failed ({reason}): hovering, then landing", grave=True)
         self.unguided, self.commanded = reason, False
         self.hover()
         due_ns = self.clock.now_ns() + round(GIVE_UP_HOVER * SECOND)
@@ -697,7 +699,7 @@ class Pilot(Actor):
 
     def _give_up(self, reason: str) -> None:
         """Land, whatever its mission wants."""
-        if self.land(reason) > 0.0:
+        if self.land(reason, grave=True) > 0.0:
             self.brought_down = self.brought_down or reason
 
     @property
@@ -819,7 +821,7 @@ class Pilot(Actor):
     def _kept_clear(self, state: State, reference: Acceleration | FullState, now: float) -> Vec | None:
         safe = self.clearance.evasion(state, reference, self.reference_limits.gains, now, lands=self.mode is LAND)
         if safe is None and self.note == self._evades:
-            self.note = ""
+            self.note, self.grave = "", False
         return safe
 
     def _evade(self, state: State, a: Vec, yaw: float, now: float) -> Command | None:
@@ -835,7 +837,7 @@ class Pilot(Actor):
         if other is None:
             self._say("collision", "braking: who is near is not heard")
         else:
-            self.note = f"keeps clear of drone {other}"
+            self.note, self.grave = f"keeps clear of drone {other}", False
             if self.clearance.ticks == 1:
                 log.info("drone %d: %s", self.drone, self.note)
         self._evades = self.note
@@ -851,7 +853,7 @@ class Pilot(Actor):
     def _obey(self, verdict: Verdict) -> None:
         """Do what the safety table says, on its edges."""
         if verdict.action is not Action.NOMINAL:
-            self._say(f"{verdict.action.name} {verdict.measure}", verdict.reason)
+            self._say(f"{verdict.action.name} {verdict.measure}", verdict.reason, verdict.action >= Action.LAND)
         if verdict.action is self._obeyed:
             return
         self._obeyed = verdict.action
@@ -926,8 +928,8 @@ class Pilot(Actor):
             self.port.publish(LOG, f"drone {self.drone}: {text}")
         self.braked = 0
 
-    def _say(self, topic: str, text: str) -> None:
+    def _say(self, topic: str, text: str, grave: bool = False) -> None:
         text = text.removeprefix(f"drone {self.drone}: ")  # errors name their drone; the line does so too
-        self.note = text
+        self.note, self.grave = text, grave
         if self._said.due(self.clock.now(), topic) and self._said.due(self.clock.now(), text):
             log.warning("drone %d: %s", self.drone, text)

@@ -81,11 +81,12 @@ async def test_six_take_off_and_one_flies_a_word_that_was_drawn_and_space_stops_
                 before = team.newest()
                 await page.click("#tab-network")
                 await page.fill("#loss", "30")
-                await page.dispatch_event("#loss", "change")
+                await page.click("text=Apply")
                 await until(lambda: lost(team, before) > 0.2, 30.0, lambda: f"{lost(team, before)}")
                 await page.wait_for_function(
                     "choir.seen.drones.every(drone => drone.lost > 0.2 && drone.lost < 0.4)", timeout=30_000
                 )
+                assert await page.text_content("#network-said") == "loss 0.3, delay 0"
                 await page.click("#tab-fly")
                 assert "impair loss 0.3" in await receipt(page, "impair")
                 await page.shot("5_loss")

@@ -1,7 +1,6 @@
 """What the page says, sends and refuses to send, in a real browser; its server is there, and no drone."""
 
 import contextlib
-import json
 
 import numpy as np
 import pytest
@@ -233,23 +232,37 @@ async def test_a_field_without_a_number_is_marked_and_nothing_is_sent(tmp_path):
         assert wire.of("add-task") == wire.of("draw") == []
 
 
-async def test_a_slider_that_is_moved_by_keys_asks_once_it_rests(tmp_path):
+async def test_sliders_show_what_is_in_force_for_the_chosen_and_send_it_as_often_as_is_asked(tmp_path):
     async with looked_at(tmp_path) as (page, wire, _):
-        await page.evaluate(MOVES)
-        await until(lambda: wire.asked, 5.0)
-        await page.wait_for_timeout(500)
-        assert [message["loss"] for message in wire.of("impair")] == [0.2]
-        await page.evaluate(f"{MOVES}; choir.network.clear()")
-        await page.wait_for_timeout(500)
-        assert wire.of("impair")[1:] == [{"ask": "impair", "clear": True}]
+        await page.click("#tab-network")
+        assert await page.inner_text("#network-said") == "not known yet"
+        rules = [{"loss": 0.3}, {"edge": [2, 1], "delay": 0.1}, {"drone": 1, "loss": 0.5}, {"drone": 4, "delay": 0.2}]
+        wire.news = {"network": {"rules": rules, "words": "loss 0.3; drone 1: loss 0.5; ..."}}
+        await page.wait_for_function(SLIDERS + " === '30 0'")
+        assert await page.inner_text("#network-said") == "loss 0.3; drone 1: loss 0.5; ..."
+        for _ in range(2):
+            await page.click("text=Apply")
+        assert wire.of("impair") == [{"ask": "impair", "loss": 0.3, "delay": 0, "drones": None}] * 2
+        await page.check('input[aria-label="drone 1"]')
+        assert await page.evaluate(SLIDERS) == "50 0"
+        await page.check('input[aria-label="drone 2"]')
+        assert await page.evaluate(SLIDERS) == "50 100"
+        assert await page.text_content('output[for="delay"]') == "100"
+        await page.uncheck('input[aria-label="drone 1"]')
+        assert await page.evaluate(SLIDERS) == "30 0"
+        await page.focus("#loss")
+        for _ in range(5):
+            await page.keyboard.press("ArrowRight")
+        await page.wait_for_timeout(700)
+        assert await page.evaluate(SLIDERS) == "35 0", "news that say the same move nothing"
+        assert len(wire.of("impair")) == 2, "nor is anything sent before it is asked for"
+        await page.click("text=Take everything back")
+        assert await page.evaluate(SLIDERS) == "0 0"
+        wire.news = {"network": {"rules": [{"p_good_bad": 0.1, "p_bad_good": 0.3}], "words": "bursts"}}
+        await page.wait_for_function(SLIDERS + " === '25 0'")
 
 
-MOVES = """
-for (let k = 1; k <= 20; k++) {
-  document.getElementById("loss").value = k;
-  document.getElementById("loss").dispatchEvent(new Event("change"));
-}
-"""
+SLIDERS = "`${document.getElementById('loss').value} ${document.getElementById('delay').value}`"
 
 
 @pytest.mark.parametrize("kind", ["csv", "svg"])
@@ -399,23 +412,6 @@ async def test_routes_are_drawn_from_where_their_drones_are(tmp_path):
         await page.wait_for_function("!choir.seen.routes[1]")
         await page.wait_for_timeout(500)
         assert await page.locator("#scene canvas").screenshot() == bare
-
-
-async def test_the_table_says_what_radios_answer_and_that_other_losses_are_simulated(tmp_path):
-    async with looked_at(tmp_path) as (page, wire, _):
-        cells = "[...document.querySelectorAll('#drones tr[data-drone=\"1\"] td')].map(cell => cell.textContent)"
-        drones = await page.evaluate("choir.seen.drones")
-        drones[1] |= {"link": "up", "rssi": -60, "answered": 0.983, "battery": 3.9, "lost": 0.1}
-        wire.page.send(json.dumps({"drones": drones}))
-        await page.wait_for_function(f"{cells}.includes('up, -60 dBm, 98 % answered') && {cells}.includes('10 %')")
-        drones[1] = {key: drones[1][key] for key in drones[0]} | {"link": "silent", "silent": 150.2}
-        wire.page.send(json.dumps({"drones": drones}))
-        await page.wait_for_function(f"{cells}.includes('silent for 150 s') && !{cells}.includes('3.9 V')")
-        heads = "[...document.querySelectorAll('#drones th[title]')].map(head => [head.textContent, head.title])"
-        titles = dict(await page.evaluate(heads))
-        assert "measured" in titles["radio"]
-        assert "no measure of a real network" in titles["simulated loss"]
-        assert "simulated" in await page.inner_text(".legend")
 
 
 WRITTEN = """

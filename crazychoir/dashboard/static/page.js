@@ -37,8 +37,35 @@ function tabs() {
 const TEXTS = ["text", "search", "password", "email", "url"];
 const writes = (element) => element.isContentEditable || element.tagName === "TEXTAREA" || TEXTS.includes(element.type);
 
-const SETTLED = 200; // ms: an arrow key that is held changes a slider 31 times a second
-const settling = {};
+// Loss and delay of links that the simulated network gives the drones that are chosen, by the rules of Impairment.describe.
+function simulated(rules, drones) {
+  const covers = ({ drone, edge, directed }) => {
+    if (drone != null) return drones?.includes(drone);
+    return !edge || (!directed && drones?.length === 2 && edge.every((i) => drones.includes(i)));
+  };
+  const rank = ({ drone, edge }) => (edge ? 2 : drone != null ? 1 : 0);
+  const { loss, delay, p_good_bad: worse, p_bad_good: better } = Object.assign({},
+    ...rules.filter(covers).sort((one, other) => rank(one) - rank(other)));
+  return { loss: loss ?? (worse ? worse / (worse + better) : 0), delay: delay ?? 0 };
+}
+
+let network = "";
+
+function slide({ loss, delay }) {
+  for (const [id, value] of [["loss", 100 * loss], ["delay", 1000 * delay]]) {
+    find(id).value = value;
+    find(id).dispatchEvent(new Event("input"));
+  }
+}
+
+// Sliders show what is in force for those that are chosen, whenever one or the other changes.
+function inForce(told) {
+  find("network-said").textContent = told?.words ?? "not known yet";
+  const text = JSON.stringify(told?.rules ?? []);
+  if (text === network) return;
+  network = text;
+  slide(simulated(JSON.parse(network), chosen()));
+}
 
 // What buttons call.
 const choir = {
@@ -60,10 +87,8 @@ const choir = {
   turn: () => Quasar.Dark.toggle(),
   network: {
     cut: () => (chosen() ? ask({ ask: "impair", drones: chosen(), cut: true }) : tell("refused", "cut off: choose drones")),
-    clear: () => {
-      for (const id in settling) clearTimeout(settling[id]);
-      return ask({ ask: "impair", clear: true });
-    },
+    apply: () => ask({ ask: "impair", loss: number("loss") / 100, delay: number("delay") / 1000, drones: chosen() }),
+    clear: () => ask({ ask: "impair", clear: true }) && slide(simulated([])),
   },
   sketch: draw.sketch,
   tasks: tasks.tasks,
@@ -77,13 +102,8 @@ function sliders() {
     range.addEventListener("input", show);
     show();
   }
-  for (const [id, unit] of [["loss", 100], ["delay", 1000]]) {
-    find(id).addEventListener("change", () => {
-      const message = { ask: "impair", [id]: number(id) / unit, drones: chosen() };
-      clearTimeout(settling[id]);
-      settling[id] = setTimeout(() => ask(message), SETTLED);
-    });
-  }
+  on("network", inForce);
+  on("selected", () => slide(simulated(JSON.parse(network || "[]"), chosen())));
 }
 
 function keys() {

@@ -119,7 +119,8 @@ async def test_what_was_heard_of_a_radio_is_forgotten_once_its_owner_is_silent(c
 async def test_the_log_has_phases_notes_lines_and_results_with_levels(clock):
     seen, port = Seen(clock), None
     port = seen.ports[3]
-    for status in (Status("on ground"), Status("on ground"), Status("taking off", note="braking"), Status("hovering")):
+    for status in (Status("on ground"), Status("on ground"), Status("taking off", note="braking"), Status("hovering"),
+                   Status("landing", note="battery 2.9 V below 3.0 V: landing", grave=True)):  # fmt: skip
         port.publish(STATUS, status)
         await clock.sleep(0.25)
     port.publish(LOG, "drone 3: guidance failed: no idea")
@@ -127,6 +128,7 @@ async def test_the_log_has_phases_notes_lines_and_results_with_levels(clock):
     await clock.sleep(0.1)
     assert seen.lines() == [
         (3, "info", "on ground"), (3, "info", "taking off"), (3, "warning", "braking"), (3, "info", "hovering"),
+        (3, "info", "landing"), (3, "error", "battery 2.9 V below 3.0 V: landing"),
         (3, "error", "guidance failed: no idea"), (3, "error", "mission ended: no idea"),
     ]  # fmt: skip
 

@@ -9,7 +9,7 @@ from crazychoir.bus.commands import REFUSED, Commander, CommandServer
 from crazychoir.bus.impairment import Impairment
 from crazychoir.bus.local import OBSERVER, Bus
 from crazychoir.bus.rules import Partition
-from crazychoir.bus.topics import STATE
+from crazychoir.bus.topics import STATE, STATUS
 from crazychoir.dashboard import operator
 from crazychoir.dashboard.desk import SILENT, UNFINISHED, Desk
 from crazychoir.dashboard.model import RATE, SwarmModel
@@ -19,7 +19,7 @@ from crazychoir.dashboard.stream import FLOOD, MOST_ASKED, MOST_PAGES, PER_SECON
 from crazychoir.dashboard.watch import Watch
 from crazychoir.errors import Refused
 from crazychoir.swarm.config import SwarmConfig
-from crazychoir.types import State
+from crazychoir.types import State, Status
 
 
 class Socket:
@@ -64,9 +64,9 @@ class Server:
             CommandServer(self.bus.port(i), lambda verb, arguments, i=i: self.execute(i, verb, arguments), print)
         self.commander, self.watch = Commander(self.bus.port(OBSERVER)), Watch(clock)
         self.desk = Desk(self, self.watch)
-        self.overview, self.board = Overview(self.desk), TaskBoard(self.desk)
-        model = SwarmModel(self.bus, OBSERVER, self.config, self.watch)
-        self.stream = Stream(model, self.desk, self.watch, self.overview, self.board)
+        self.model = SwarmModel(self.bus, OBSERVER, self.config, self.watch)
+        self.overview, self.board = Overview(self.desk), TaskBoard(self.desk, self.model)
+        self.stream = Stream(self.model, self.desk, self.watch, self.overview, self.board)
         self.actors = [asyncio.create_task(one.run()) for one in (self.stream, self.overview, self.board)]
 
     async def execute(self, i, verb, arguments):
@@ -371,6 +371,34 @@ async def test_a_task_that_one_has_accepted_or_may_have_heard_is_given_to_nobody
     assert added == [0]
     assert server.desk.receipts[-1].answers[0][0] == SILENT
     assert len(server.desk.receipts) == 2
+
+
+@served
+async def test_tasks_are_those_of_who_hears_more_than_half_of_the_swarm(clock, server, page):
+    execute = server.execute
+
+    async def own(i, verb, arguments):
+        if verb == "task_list" and i:
+            server.obeyed.append((i, verb, arguments))
+            return {"tasks": [{"id": i}]}
+        return await execute(i, verb, arguments)
+
+    async def say(seconds, **silent):
+        for _ in range(round(4 * seconds)):
+            for i in range(3):
+                server.bus.ports[i].publish(STATUS, Status("mission", suspect=silent.get(f"d{i}", [])))
+            await clock.sleep(0.25)
+
+    server.execute = own
+    await say(4.0)
+    assert page.told("tasks")[-1] == [{"id": 1}], "drone 0 refuses"
+    await say(2.0, d1=[0, 2], d0=[1], d2=[1])
+    assert page.told("tasks")[-1] == [{"id": 2}]
+    await say(2.0)
+    assert page.told("tasks")[-1] == [{"id": 2}], "who is asked goes on being asked"
+    server.obeyed.clear()
+    await say(4.0, d0=[1, 2], d1=[0, 2], d2=[0, 1])
+    assert {i for i, *_ in server.those("task_list")} == {2}, "nobody knows better"
 
 
 @virtual

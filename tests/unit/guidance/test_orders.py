@@ -430,14 +430,15 @@ def test_what_cannot_be_flown_is_refused_before_anything_moves():
     play(There, scene)
 
 
-def test_a_drone_says_what_each_of_its_links_has_lost():
+def test_a_drone_says_what_each_of_its_links_has_lost_and_what_is_simulated():
     async def scene(operator):
-        assert await told(operator, "links", 0) == (DONE, {})
+        kind, said = await told(operator, "overview", 0)
+        assert (kind, said["links"], said["network"]["rules"], said["route"]) == (DONE, {}, [], [])
         await told(operator, "impair", 0, loss=0.5)
         await operator.order("take-off")
-        kind, links = await told(operator, "links", 0)
-        assert (kind, sorted(links)) == (DONE, [1, 2])
-        for sent, lost in links.values():
+        kind, said = await told(operator, "overview", 0)
+        assert (kind, sorted(said["links"]), said["network"]["rules"]) == (DONE, [1, 2], [{"loss": 0.5}])
+        for sent, lost in said["links"].values():
             assert sent > 30
             assert 0.2 < lost / sent < 0.8
         await operator.order("land")

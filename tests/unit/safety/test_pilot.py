@@ -22,7 +22,7 @@ from crazychoir.runtime.supervisor import Supervisor
 from crazychoir.safety.clearance import DEAF
 from crazychoir.safety.collision.filter import CollisionFilter
 from crazychoir.safety.collision.traffic import SILENT, Traffic
-from crazychoir.safety.guard import INSET, Action, Fence
+from crazychoir.safety.guard import INSET, REACHED, TABLE, Action, Fence, Verdict
 from crazychoir.safety.limits import ReferenceLimits
 from crazychoir.safety.modes import Mode
 from crazychoir.safety.pilot import GIVE_UP_HOVER, TOUCHDOWN_LATE, Pilot
@@ -297,6 +297,31 @@ def test_what_brakes_again_and_again_is_said_rarely_and_counted_at_the_end(caplo
     assert 3 <= len(said) <= 8, "over a minute of it"
     assert int(re.search(r"braked it (\d+) times in this flight", note)[1]) > len(said)
     assert heard == [f"drone 0: {note}"], "and is in the result of the run"
+
+
+@pytest.mark.parametrize("rule", dict.fromkeys((*TABLE, *REACHED)), ids=lambda rule: f"{rule.measure} {rule.limit:g}")
+def test_who_lands_for_its_safety_or_is_cut_says_that_it_is_grave(rule):
+    """Every rule of the safety tables; what it is asked to do by others is not."""
+
+    async def scene(clock):
+        drone = Flown(clock)
+        await drone.hovering()
+        drone.pilot._obey(Verdict(rule.action, "why", rule.measure))
+        said = drone.pilot.note, drone.pilot.grave
+        drone.pilot._say("other", "it is all right")
+        return said, drone.pilot.grave
+
+    assert run_virtual(scene) == (("why", rule.action in (Action.LAND, Action.CUT)), False)
+
+
+@virtual
+async def test_a_landing_on_command_is_not_grave_and_a_cut_is(clock):
+    drone = Flown(clock)
+    await drone.hovering()
+    drone.pilot.land("landing on command")
+    assert (drone.pilot.note, drone.pilot.grave) == ("landing on command", False)
+    drone.pilot.cut("emergency stop")
+    assert (drone.pilot.note, drone.pilot.grave) == ("emergency stop", True)
 
 
 def test_a_line_names_its_drone_once_and_says_what_one_on_the_ground_does(caplog):
