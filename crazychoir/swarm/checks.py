@@ -330,6 +330,30 @@ def _is_address(text: str) -> bool:
     return True
 
 
+def secured(swarm: Swarm) -> bool:
+    """Whether its network is encrypted and closed: unless told otherwise, where a host is not this machine."""
+    wanted = swarm.security.insecure
+    return not all(map(_is_loopback, swarm.hosts.values())) if wanted is None else not wanted
+
+
+def _is_loopback(address: str) -> bool:
+    try:
+        return ipaddress.ip_address(address).is_loopback
+    except ValueError:
+        return address == "localhost"
+
+
+def _security(swarm: Swarm, where: str) -> None:
+    if not secured(swarm):
+        return
+    if not swarm.hosts:
+        do = "Add [hosts], or leave security.insecure out: nobody else reaches this machine's own addresses."
+        raise ConfigError(f"{where}: security.insecure", "false", "a swarm with [hosts]", do)
+    if not swarm.security.operators:
+        do = f"Add [security] with operators = {show([next(iter(swarm.hosts))])}, or with insecure = true."
+        raise ConfigError(f"{where}: security.operators", "nothing", "the hosts that may command, as by stop", do)
+
+
 def _placement(swarm: Swarm, where: str) -> None:
     names = ", ".join(swarm.hosts) or "none, there is no [hosts]"
     for n, drone in enumerate(swarm.drones):
@@ -425,7 +449,7 @@ def _partitions(swarm: Swarm, where: str) -> None:
 
 
 RULES = (
-    _uris, _platforms, _delay, _roles, _speed, _box, _limit_area, _homes, _cameras, _hosts, _placement, _world,
+    _uris, _platforms, _delay, _roles, _speed, _box, _limit_area, _homes, _cameras, _hosts, _security, _placement, _world,
     _processes, _start, _ports, _links, _partitions, check_radios,
 )  # fmt: skip
 """In the order of their errors."""

@@ -8,10 +8,11 @@ from typing import Any, Self
 
 import msgspec
 
+from crazychoir.bus.access import Access
 from crazychoir.bus.local import BODIES, EYES
 from crazychoir.bus.topics import POSE, TRUTH, Topic
 from crazychoir.errors import ConfigError
-from crazychoir.swarm.checks import REPLAY, check, graph_of, owned
+from crazychoir.swarm.checks import REPLAY, check, graph_of, owned, secured
 from crazychoir.swarm.graph import Graph, span
 from crazychoir.swarm.radios import body_name, dongles, is_reached, reached, seen
 from crazychoir.swarm.reading import parse, read, require_plain
@@ -30,7 +31,7 @@ FILES = ("instance", "drawing")
 """Options of missions that name a file."""
 SHAPES = ("model", "scene")
 """Keys of [mujoco] that name a file; only the host of the world's owner needs them."""
-OWN_TO_A_HOST = ("hosts", "base_port", "network")
+OWN_TO_A_HOST = ("hosts", "security", "base_port", "network")
 """What hosts need not agree on: how they reach each other, and what is simulated to happen to their messages."""
 
 
@@ -51,7 +52,7 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
             raise ConfigError(str(path), str(reason), "a swarm file, TOML or JSON", do) from error
         config = cls.loads(text, str(path))
         folder = Path(path).parent
-        return config._with_mission_from(folder)._with_files_from(folder)._with_shapes_from(folder)
+        return config._with_mission_from(folder)._with_files_from(folder)._with_shapes_from(folder)._with_keys(folder)
 
     @classmethod
     def loads(cls, text: str, where: str = "swarm") -> Self:
@@ -95,6 +96,10 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
         found = {key: str((folder / value).resolve()) for key, value in named.items()}
         mujoco = msgspec.structs.replace(self.mujoco, **found)
         return msgspec.structs.replace(self, mujoco=mujoco) if found else self
+
+    def _with_keys(self, folder: Path) -> Self:
+        keys = str((folder / self.security.keys).resolve())
+        return msgspec.structs.replace(self, security=msgspec.structs.replace(self.security, keys=keys))
 
     @property
     def files(self) -> dict[str, Path]:
@@ -169,7 +174,30 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
 
     def _listens(self, host: str | None, process: int) -> str:
         address = LOCAL if host is None else self.hosts[host]
-        return f"tcp/{_bracketed(address)}:{self.base_port + process}"
+        return f"{'tls' if self.secured else 'tcp'}/{_bracketed(address)}:{self.base_port + process}"
+
+    @property
+    def secured(self) -> bool:
+        """Whether its network is encrypted, and open to those alone who have a certificate."""
+        return secured(self)
+
+    def access(self, host: str) -> Access | None:
+        """Who may say what, as a host sees it; None where the network is open to everybody."""
+        if not self.secured:
+            return None
+        owners = [(self.dongle_host(k), f"dongle{k}") for k in self.dongles]
+        owners += [(self.mocap.host, "mocap")] if self.seen else []
+        owners += [(self.world.host, "world")] if self.owned else []
+        agents = [(self.drone(group[0]).host, str(group[0])) for group in self.groups()]
+        processes: dict[str, tuple[str, ...]] = {name: () for name in (*self.hosts, *self.security.operators)}
+        for of, name in (*owners, *agents):
+            processes[str(of)] += (name,)
+        holders = {drone.id: str(drone.host) for drone in self.drones}
+        holders |= {BODIES + i: str(self.world.host) for i in self.owned}
+        holders |= {BODIES + i: str(self.dongle_host(k)) for k, ids in self.dongles.items() for i in ids}
+        holders |= {EYES + i: str(self.mocap.host) for i in self.seen}
+        folder = Path(self.security.keys) / host
+        return Access(self.name, host, folder, processes, holders, self.security.operators)
 
     @property
     def owned(self) -> tuple[int, ...]:

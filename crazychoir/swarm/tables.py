@@ -94,6 +94,7 @@ Rate = Annotated[float, Meta(ge=0, le=1000, description="a rate in Hz, 0 (each t
 Hosts = Annotated[
     dict[str, str], Meta(description="a table of names and addresses", examples=[{"laptop": "192.168.1.10"}])
 ]
+Names = Annotated[tuple[Name, ...], Meta(description="a list of names", examples=[["laptop"]])]
 
 
 Dongle = Annotated[int, Meta(ge=0, le=15, description="the number of a dongle, 0 to 15", examples=[0])]
@@ -410,6 +411,18 @@ class Network(Link, frozen=True, kw_only=True):
     partitions: Partitions = ()
 
 
+class Security(Table, frozen=True, kw_only=True):
+    """[security]: of the network between hosts, which is encrypted and closed as soon as one is not this machine.
+
+    insecure: true: neither, for whoever is on the network; false: on this machine, too;  keys: the folder of `crazychoir keys`, relative to the swarm
+    file;  operators: names of certificates whose hosts may command.
+    """
+
+    insecure: Flag | None = None
+    keys: Text = "keys"
+    operators: Names = ()
+
+
 class Swarm(Table, frozen=True, kw_only=True):
     """A swarm file. SI units, world frame; see deploy/README.md."""
 
@@ -428,6 +441,7 @@ class Swarm(Table, frozen=True, kw_only=True):
     base_port: Port = 7460
     processes: Groups | None = None
     hosts: Hosts = field(default_factory=dict)
+    security: Security = Security()
     network: Network = Network()
     flight: Flight = Flight()
     fence: Fence = Fence()

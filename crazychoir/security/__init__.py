@@ -1,0 +1,1 @@
+"""Who may take part in a swarm: certificates of an authority, and what each of them may say."""
