@@ -79,11 +79,11 @@ async def _replay(
     from crazychoir.bus.local import Bus
     from crazychoir.bus.topics import BY_NAME, OBSERVABLE
     from crazychoir.bus.zenoh import ZenohLink
-    from crazychoir.launch.network import attached
+    from crazychoir.launch.network import REPLAY, attached
     from crazychoir.recording.replayer import Replayer
 
     incarnation = random.SystemRandom().getrandbits(62)
-    bus = Bus(clock, process=f"replay-{incarnation & 0xFFFFFFFF:08x}", host="replay")
+    bus = Bus(clock, process=f"replay-{incarnation & 0xFFFFFFFF:08x}", host=REPLAY)
     for i in config.ids:
         for address in sorted({i, *(config.source(BY_NAME[name], i) for name in OBSERVABLE)}):
             bus.port(address, incarnation)
