@@ -104,8 +104,17 @@ async def _replay(
 
 def _asked(step: float) -> "Step":
     """Steps at the lines of standard input; its end lets the flight go on to its end."""
+    at = 0.0
 
     async def next_step() -> float:
+        nonlocal at
+        seconds = await asked()
+        at += seconds
+        return seconds
+
+    async def asked() -> float:
+        STDERR.print(f"at {at:.2f} s; Enter: on by {step:g} s; a number and Enter: by that many; Ctrl-C ends it",
+                     highlight=False, soft_wrap=True)  # fmt: skip
         while line := await _line():
             if not line.strip():
                 return step
