@@ -10,8 +10,8 @@ from crazychoir.swarm.config import LOCAL, SwarmConfig, find_swarm
 LOCAL_FILE = "swarm.toml"
 DISCOVERY = 4.0
 """s to find the processes of a swarm, from the last one that was found."""
-STARTS = 30.0
-"""s that a run of this machine gets until the first of them is there."""
+STARTS = 180.0
+"""s that a run of this machine gets until the first of them is there: it may have to compile its laws first."""
 LOOK = 0.02
 """s between two looks at who is there."""
 SOON = 2.0
@@ -47,12 +47,17 @@ def choose(found: list[Run]) -> str:
     return "Name one: " + "; ".join(f"--swarm {run.file} ({run.what})" for run in found)
 
 
+def runs_here(config: SwarmConfig) -> bool:
+    """Whether a run of this machine flies, or starts, this swarm."""
+    return any(run.swarm == config.name for run in runs())
+
+
 def patience(config: SwarmConfig) -> float:
     """s until the first process of this swarm must be found: longer where a run is starting it, 0 if nobody is there.
 
     Who has no process on this machine that would listen, but on others, may be there all the same.
     """
-    if any(run.swarm == config.name for run in runs()):
+    if runs_here(config):
         return STARTS
     places = [endpoint.removeprefix("tcp/").rpartition(":") for endpoint in config.endpoints().values()]
     elsewhere = any(host != LOCAL for host, _, _ in places)

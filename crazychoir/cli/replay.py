@@ -79,11 +79,11 @@ async def _replay(
     from crazychoir.bus.local import Bus
     from crazychoir.bus.topics import BY_NAME, OBSERVABLE
     from crazychoir.bus.zenoh import ZenohLink
-    from crazychoir.launch.network import attached
+    from crazychoir.launch.network import REPLAY, attached
     from crazychoir.recording.replayer import Replayer
 
     incarnation = random.SystemRandom().getrandbits(62)
-    bus = Bus(clock, process=f"replay-{incarnation & 0xFFFFFFFF:08x}", host="replay")
+    bus = Bus(clock, process=f"replay-{incarnation & 0xFFFFFFFF:08x}", host=REPLAY)
     for i in config.ids:
         for address in sorted({i, *(config.source(BY_NAME[name], i) for name in OBSERVABLE)}):
             bus.port(address, incarnation)
@@ -104,8 +104,17 @@ async def _replay(
 
 def _asked(step: float) -> "Step":
     """Steps at the lines of standard input; its end lets the flight go on to its end."""
+    at = 0.0
 
     async def next_step() -> float:
+        nonlocal at
+        seconds = await asked()
+        at += seconds
+        return seconds
+
+    async def asked() -> float:
+        STDERR.print(f"at {at:.2f} s; Enter: on by {step:g} s; a number and Enter: by that many; Ctrl-C ends it",
+                     highlight=False, soft_wrap=True)  # fmt: skip
         while line := await _line():
             if not line.strip():
                 return step

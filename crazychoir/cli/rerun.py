@@ -55,8 +55,9 @@ def rerun(
     digest = recording.outcome.get("digest")
     same = difference is None and digest in (None, result["digest"])
     where = UNSEEN if difference is None else str(difference)
+    whole = recording.lacks["complete"]
     told = {
-        "success": same, "mission": config.mission, "seed": config.seed,
+        "success": same and whole, "same": same, "mission": config.mission, "seed": config.seed,
         **recording.lacks,
         "recorded_digest": digest, "digest": result["digest"], "first_difference": None if same else where,
         "others": others, "simulated_s": result["simulated_s"], "wall_s": result["wall_s"],
@@ -66,7 +67,7 @@ def rerun(
         write_json(told)
     else:
         _show(told)
-    raise typer.Exit(0 if same else 1)
+    raise typer.Exit(0 if told["success"] else 1)
 
 
 def _check(recording: "Recording") -> None:
@@ -93,7 +94,8 @@ def _other_versions(recording: "Recording") -> dict[str, str]:
 
 
 def _show(told: dict[str, Any]) -> None:
-    title = f"{Path(told['mission']).name}, seed {told['seed']}: {'the same' if told['success'] else 'not the same'}"
+    verdict = "the same" if told["success"] else "the same, so far" if told["same"] else "not the same"
+    title = f"{Path(told['mission']).name}, seed {told['seed']}: {verdict}"
     table = Table("figure", "value", title=title)
     table.add_row("recorded digest", told["recorded_digest"] or "none: the recording was cut off")
     table.add_row("digest", told["digest"])

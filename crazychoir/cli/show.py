@@ -232,9 +232,16 @@ class Progress(Generic[T]):
             self.live.stop()
 
 
+def _verdict(run: dict[str, Any]) -> str:
+    if run["success"]:
+        return "success"
+    commanded = run["reasons"] and all(str(reason).endswith("on command") for reason in run["reasons"].values())
+    return "ended by its operator" if commanded and not run.get("reason") else "failed"
+
+
 def summary_table(run: dict[str, Any]) -> Table:
     """The result of a run, one row a figure."""
-    table = Table("figure", "value", title=f"{_flown(run)}: {'success' if run['success'] else 'failed'}")
+    table = Table("figure", "value", title=f"{_flown(run)}: {_verdict(run)}")
     shown = [
         ("drones", "{}"), ("tasks", "{}"), ("cost", "{:.4f} m"), ("plan_digest", "{:.16}"), ("simulated_s", "{:.2f} s"),
         ("startup_s", "{:.2f} s"), ("wall_s", "{:.2f} s"), ("real_time_factor", "{:.1f}"), ("rounds", "{}"),

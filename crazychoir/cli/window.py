@@ -10,9 +10,9 @@ from crazychoir.bus.local import OBSERVER
 from crazychoir.bus.topics import Topic
 from crazychoir.bus.zenoh import ZenohLink
 from crazychoir.cli.emergency import ABSENT, EmergencyStop
-from crazychoir.cli.meant import DISCOVERY, LOOK, SOON, nobody, patience, running_swarm, starting
+from crazychoir.cli.meant import DISCOVERY, LOOK, SOON, STARTS, nobody, patience, running_swarm, runs_here, starting
 from crazychoir.errors import ConfigError
-from crazychoir.launch.network import attached, observer
+from crazychoir.launch.network import REPLAY, attached, observer
 from crazychoir.runtime.clock import Clock, run_wall
 from crazychoir.runtime.mailbox import Call
 from crazychoir.swarm.config import SwarmConfig
@@ -50,6 +50,15 @@ class Window:
         """Drones that were found, in order."""
         return sorted(j for j in self.link.directory if j < OBSERVER)
 
+    def is_there(self, i: int) -> bool:
+        """Whether anybody answers for drone i."""
+        return i in self.link.directory
+
+    @property
+    def replays(self) -> bool:
+        """Whether what is heard is a recording."""
+        return any(peer.host == REPLAY for peer in self.link.peers.values())
+
     async def find(self) -> list[int]:
         """Wait until all drones are found, at most DISCOVERY s after the last one; raises Refused if none comes."""
         await self.somebody()
@@ -63,13 +72,15 @@ class Window:
         return self.drones
 
     async def somebody(self) -> None:
-        """Wait until the first drone is found; raises Refused if none is."""
-        began, said = self.clock.now(), False
+        """Wait until the first drone is found; raises Refused if none is, and soon after its run has ended."""
+        began, looked, said = self.clock.now(), self.clock.now(), False
         while not self.drones:
-            waited = self.clock.now() - began
-            if waited >= self.patience:
+            now = self.clock.now()
+            ended = self.patience == STARTS and now - looked > DISCOVERY and not runs_here(self.config)
+            looked = now if now - looked > DISCOVERY else looked
+            if ended or now - began >= self.patience:
                 raise nobody(self.config, self.option)
-            if waited > SOON and not said and self.patience > DISCOVERY:
+            if now - began > SOON and not said and self.patience > DISCOVERY:
                 log.warning("%s", starting(self.config, self.patience))
                 said = True
             await self.clock.sleep(LOOK)

@@ -14,8 +14,11 @@ from crazychoir.errors import CrazyChoirError
 from crazychoir.runtime.clock import Clock
 from crazychoir.swarm.config import SwarmConfig
 
-SENT, SILENT, UNFINISHED = "sent", "silent", "unfinished"
-"""Beside those of an answer; UNFINISHED: it has accepted it, and may do it yet."""
+SENT, SILENT, UNFINISHED, WITHDRAWN = "sent", "silent", "unfinished", "withdrawn"
+"""Beside those of an answer; UNFINISHED: it has accepted it, and may do it yet; WITHDRAWN: by a later order."""
+ABSENT = "no agent of it is there"
+REPLAYED = "REPLAY: nobody obeys"
+ENDED = "ENDED: no drone is there"
 ACKNOWLEDGED = 2.0
 """s within which a drone says that it has heard a command; it is resent meanwhile, and goes on being."""
 SECONDS = {
@@ -46,14 +49,23 @@ class Place(Protocol):
     config: SwarmConfig
     commander: Commander
 
+    def is_there(self, i: int) -> bool:
+        """Whether anybody answers for drone i."""
+        ...
+
+    @property
+    def replays(self) -> bool:
+        """Whether what is heard is a recording."""
+        ...
+
 
 @dataclass
 class Receipt:
     """A command, and what each drone has said to it.
 
     number: counts from 1;  t: s, when it was given;  answers: by drone, (kind, words): SENT until it has acknowledged,
-    then ACCEPTED, DONE, REFUSED or UNFINISHED, SILENT if it has not acknowledged in time;  version: counts changes of
-    all receipts;  key: what the page calls it that asked for it, so that it is not taken twice.
+    then ACCEPTED, DONE, REFUSED, UNFINISHED or WITHDRAWN, SILENT if it has not acknowledged in time;  version: counts
+    changes of all receipts;  key: what the page calls it that asked for it, so that it is not taken twice.
     """
 
     number: int
@@ -123,6 +135,12 @@ class Desk:
         """The receipts that have changed since then, oldest first."""
         return [receipt for receipt in self.receipts if receipt.version > version]
 
+    def ended(self) -> str:
+        """Why nobody obeys; empty while somebody may."""
+        if self.place.replays:
+            return REPLAYED
+        return "" if any(map(self.place.is_there, self.place.config.ids)) else ENDED
+
     def order(
         self, verb: str, drones: Iterable[int] | None = None, seconds: float | None = None, words: str = "",
         each: Callable[[int], Mapping[str, Any]] = lambda i: {}, says: Callable[[Any], Any] = lambda detail: detail,
@@ -134,6 +152,10 @@ class Desk:
         drone is asked; a later order, or a stop, counts meanwhile.
         """
         receipt = self._new(verb, self.place.config.ids if drones is None else drones, words)
+        if why := REPLAYED if self.place.replays else "":
+            for i in receipt.answers:
+                self._answer(receipt, i, REFUSED, why)
+            return receipt
         limit = SECONDS.get(verb, REQUEST) if seconds is None else seconds
         if verb in MOTION:
             self._outdo(receipt, BESIDE.get(verb, ()))
@@ -231,7 +253,7 @@ class Desk:
 
     def _withdrawn(self, receipt: Receipt, i: int, by: str) -> None:
         """It is no trouble, and not worth a line of the log."""
-        receipt.answers[i] = REFUSED, f"withdrawn by {by}"
+        receipt.answers[i] = WITHDRAWN, f"by {by}"
         self._changed(receipt)
 
     def _changed(self, receipt: Receipt) -> None:
@@ -266,7 +288,7 @@ class Desk:
             return
         finally:
             self._asked.pop(asked, None)
-        if asked.outdone and _waits(answer):
+        if asked.outdone and answer.kind == REFUSED:
             self._withdrawn(receipt, i, asked.outdone)
         elif answer.kind == ACCEPTED:
             self._answer(receipt, i, UNFINISHED, f"accepted, not done within {seconds:g} s")
@@ -301,7 +323,8 @@ class Desk:
 
     def _unheard(self, receipt: Receipt, i: int) -> None:
         if receipt.answers[i][0] == SENT:
-            self._answer(receipt, i, SENT, f"not acknowledged within {ACKNOWLEDGED:g} s; resent")
+            why = f"not acknowledged within {ACKNOWLEDGED:g} s" if self.place.is_there(i) else ABSENT
+            self._answer(receipt, i, SENT, f"{why}; resent")
 
     async def _stop(self, stop: _Stop) -> None:
         """Agents and the bodies at owners; a drone has obeyed when both have. A clear that comes late helps nobody."""

@@ -162,6 +162,8 @@ async def serve(place: Outlook, served: Served, say: Callable[[str], None]) -> N
         ssl_ca_certs=served.authority,
         ssl_cert_reqs=ssl.CERT_NONE if served.authority is None else ssl.CERT_REQUIRED,
     ))  # fmt: skip
+    if served.port is None and port != PORT:
+        say(f"port {PORT} is taken, as by the page of another swarm: this one is at {port}")
     say(f"page of swarm {config.name}: {served.scheme}://{served.name}:{port}; Ctrl-C ends it, and the swarm flies on")
     streaming = asyncio.create_task(Supervisor(clock, "page").run([stream, overview, board]))
     try:

@@ -127,8 +127,8 @@ class Stream(Actor):
     def news(self) -> dict[str, Any]:
         """What changes slowly."""
         return {
-            "drones": self.model.table(), "costs": self.model.costs(), "tasks": self.board.tasks,
-            **self.overview.news(),
+            "ended": self.desk.ended(), "drones": self.model.table(), "costs": self.model.costs(),
+            "tasks": self.board.tasks, **self.overview.news(),
         }  # fmt: skip
 
     async def serve(self, socket: Socket, answering: Answering) -> None:

@@ -217,7 +217,11 @@ class CFGuidance:
         """Wait for a command of the operator, as long as `waits` says so; Interrupted after so many s without it."""
         member, pilot = self.member, self.member.pilot
         ends, report = member.clock.now() + seconds, member.report
-        member.gate, member.report = gate, lambda: {"task": GATES[gate]}
+
+        def lands() -> str:
+            return f", or lands in {max(0.0, ends - member.clock.now()):.0f} s" if pilot.airborne else ""
+
+        member.gate, member.report = gate, lambda: {"task": GATES[gate] + lands()}
         member.announce()
         while waits() and member.clock.now() < ends and not member.ended:
             if pilot.commanded and pilot.remaining() > 0.0:

@@ -26,6 +26,7 @@ QOS = "::,10:,:,:,,"
 ALONE, EMPTY = "0/0", "%"
 _ATTACHMENT = struct.Struct("<qqB16s")
 GID = 16
+_INSTALL = "pip install 'crazychoir[ros2]'."
 
 
 def node_token(domain: int, session: str, name: str) -> str:
@@ -67,7 +68,7 @@ class Publisher:
         try:
             import xxhash
         except ImportError as error:
-            raise ConfigError("crazychoir ros", str(error), "xxhash", "pip install 'crazychoir[ros2]'.") from error
+            raise ConfigError("crazychoir ros", "no package xxhash", "that of the extra ros2", _INSTALL) from error
         number: int = xxhash.xxh3_128_intdigest(self.token.encode())
         return number.to_bytes(GID, "little")
 

@@ -100,7 +100,8 @@ class Graph(Wire, frozen=True, array_like=True, gc=True, dict=True):
     def diameter(self) -> int:
         """The most hops that a message needs from one drone to another: rounds of a flood."""
         if not self.is_connected:
-            raise ConfigError("graph", "a drone that cannot reach all others", "a connected graph", "Add an edge.")
+            do = "Add an edge; in flight: those in between have gone, and the others cannot go on as a team."
+            raise ConfigError("graph", "a drone that cannot reach all others", "a connected graph", do)
         return _diameter(self.ids, self.arcs)
 
     def at(self, k: int) -> Self:

@@ -19,6 +19,8 @@ pytestmark = [
     pytest.mark.skipif(CHROMIUM is None, reason="no chromium: apt-get install chromium"),
 ]
 CONNECTED, LOST = '#connection[data-there="true"]', "body[data-lost]"
+PLACES = """[".stop", "#drones", "#scene"].map(name => {
+  const { left, top } = document.querySelector(name).getBoundingClientRect(); return [left, top]; })"""
 TICKED = "[...document.querySelectorAll('#drones tbody input:checked')].map(box => box.ariaLabel)"
 
 
@@ -49,6 +51,33 @@ async def test_who_is_chosen_stays_ticked_on_a_new_line(tmp_path):
         assert wire.of("order")[-1]["drones"] == [1, 3]
         await page.uncheck('input[aria-label="drone 1"]')
         assert await page.evaluate("choir.chosen()") == [3]
+
+
+@pytest.mark.parametrize("width", [1366, 1024])
+async def test_nothing_that_the_header_says_moves_the_stop_or_the_table(tmp_path, width):
+    async with looked_at(tmp_path) as (page, wire, _):
+        await page.set_viewport_size({"width": width, "height": 768})
+        await page.wait_for_selector("#connection[data-ended]")
+        assert await page.inner_text("#connection") == "ENDED: no drone is there"
+        before = await page.evaluate(PLACES)
+        await page.click("text=Go there")
+        await says(page, "header [role=alert]", "choose drones")
+        assert await page.evaluate(PLACES) == before
+        await page.click("text=Hold")
+        await says(page, "#newest", "hold")
+        assert await page.evaluate(PLACES) == before
+        wire.dead = True
+        await page.wait_for_selector(LOST)
+        assert await page.evaluate(PLACES) == before
+        assert await page.inner_text("#connection") == "NOT CONNECTED"
+
+
+async def test_who_must_log_in_again_is_told_so(tmp_path):
+    async with looked_at(tmp_path, strict=False) as (page, wire, _):
+        await page.route("**/own/page.css", lambda route: route.fulfill(status=401))
+        wire.dead = True
+        await page.click("#connection a", timeout=20_000.0, trial=True)
+        assert await page.inner_text("#connection") == "LOG IN AGAIN"
 
 
 async def test_those_that_are_ticked_are_commanded_after_the_server_was_started_again(tmp_path):

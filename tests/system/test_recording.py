@@ -149,8 +149,8 @@ def test_a_rerun_of_a_cut_off_recording(here, recorded, tmp_path):
     content = recorded[0].read_bytes()
     path.write_bytes(content[: len(content) // 2])
     said = here("crazychoir", "rerun", path, "--json")
-    assert said.code == 0, said.err
-    assert (said.json["complete"], said.json["recorded_digest"]) == (False, None)
+    assert said.code == 1, said.err
+    assert (said.json["complete"], said.json["same"], said.json["recorded_digest"]) == (False, True, None)
     assert "as far as it goes" in said.err
 
 

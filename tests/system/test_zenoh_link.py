@@ -158,7 +158,7 @@ async def test_two_processes_reach_the_answer_of_one(ground: Ground) -> None:
     assert (await child.end()) == ""
     assert link.counters.frames_received > 90
     assert link.counters.malformed == link.counters.failed == 0
-    assert link.counters.strangers <= 2, "a HELLO may overtake its token"
+    assert link.counters.strangers < 10, "HELLOs may overtake their token, rounds do not"
 
 
 @pytest.mark.parametrize("loss", [0.0, 0.4])
@@ -247,7 +247,7 @@ async def test_a_process_that_comes_back_under_another_name_goes_on(ground: Grou
     ours = await consensus_here(link, 2, 50)
     assert (await theirs)["1"] == ours["0"] == [0.5] * 6
     assert list(link.peers) == ["b-2"]
-    assert link.counters.strangers <= 2, "a HELLO may overtake its token"
+    assert link.counters.strangers < 10, "HELLOs may overtake their token, rounds do not"
 
 
 async def test_of_two_agents_with_one_id_the_later_is_refused(ground: Ground) -> None:

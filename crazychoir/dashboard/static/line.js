@@ -19,7 +19,7 @@ export function tell(kind, value) {
 }
 
 function refuse(why) {
-  tell("refused", `${why}: nothing was sent`);
+  tell("refused", `${why}; nothing was sent: say it again`);
   return false;
 }
 
@@ -28,7 +28,7 @@ export const isOpen = () => socket?.readyState === WebSocket.OPEN;
 export const send = (text) => socket.send(text);
 
 export function ask(message) {
-  if (!isOpen()) return refuse("not connected");
+  if (!isOpen()) return refuse("this page has no line to its server yet");
   const text = JSON.stringify(message), bytes = new Blob([text]).size;
   if (bytes > MOST) return refuse(`${message.ask}: too large, ${Math.ceil(bytes / 1024)} KiB of at most ${MOST / 1024}`);
   send(text);
@@ -97,8 +97,15 @@ function lose() {
   there = false;
   line.close();
   tell("connected", false);
+  locked();
   setTimeout(open, 1000 * again);
   again = Math.min(2 * again, 5);
+}
+
+// A password counts for a while only: what a line is refused for, its browser tells nobody.
+async function locked() {
+  const answer = await fetch("/own/page.css", { cache: "no-store" }).catch(() => null);
+  if (answer?.status === 401) tell("locked");
 }
 
 // Looks are counted, not seconds: one that comes late, as in a browser that was busy, leaves time for frames that have come.

@@ -7,6 +7,7 @@ import * as receipts from "./receipts.js";
 import * as scene from "./scene.js";
 import * as stops from "./stops.js";
 import * as table from "./table.js";
+import { make, set } from "./table.js";
 import * as tasks from "./tasks.js";
 
 const find = (id) => document.getElementById(id);
@@ -144,10 +145,15 @@ function begin() {
   theme();
   table.start({ table: find("drones"), lines: find("log"), level: find("level"), caption: find("chosen") });
   on("connected", (there) => {
-    find("connection").textContent = there ? "connected" : "NOT CONNECTED: this page shows nothing new; a stop waits";
+    set(find("connection"), there ? "connected" : "NOT CONNECTED");
     find("connection").dataset.there = there;
     document.body.toggleAttribute("data-lost", !there);
   });
+  on("ended", (why) => {
+    set(find("connection"), why || "connected");
+    find("connection").toggleAttribute("data-ended", Boolean(why));
+  });
+  on("locked", () => find("connection").replaceChildren(make("a", { href: "/" }, "LOG IN AGAIN")));
   on("links", (lost) => (seen.links = lost));
   for (const part of [stops, receipts, draw, plots, tasks]) part.start();
   scene.start(find("scene"));

@@ -7,7 +7,7 @@ const ANSWER = 1000; // ms within which the server shows a receipt of what it wa
 export const STOP = "emergency stop";
 const CLEAR = "clear stop";
 const VERBS = { "go-to": "go-to", fly: "fly", impair: "impair", "add-task": "task_add", "cancel-task": "task_cancel" };
-const MARKS = { done: "✓", bad: "✗", open: "…" };
+const MARKS = { done: "✓", bad: "✗", open: "…", over: "–" };
 const find = (id) => document.getElementById(id);
 let newest = 0, troubled = 0; // numbers of receipts
 let raised = ""; // the last trouble of a receipt: told once
@@ -31,7 +31,9 @@ const bad = ({ answers }) => Object.fromEntries(Object.entries(answers).filter((
 
 function outcome({ answers }) {
   const all = Object.values(answers);
-  return all.every(([kind]) => kind === "done") ? "done" : all.some(isBad) ? "bad" : "open";
+  if (all.some(isBad)) return "bad";
+  if (all.some(([kind]) => kind === "sent" || kind === "accepted")) return "open";
+  return all.every(([kind]) => kind === "done") ? "done" : "over";
 }
 
 export function told(receipt, answers) {
@@ -117,7 +119,7 @@ function lost() {
   doubt(waiting);
   for (const { timer } of waiting) clearTimeout(timer);
   waiting = [];
-  set(find("newest"), "");
+  set(find("newest"), "This page shows nothing new; a stop waits for the line.");
 }
 
 export function start() {

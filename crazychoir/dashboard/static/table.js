@@ -61,10 +61,15 @@ function fill(drones) {
 
 const LEVELS = ["info", "warning", "error"];
 
+// The time of day, by this browser, of a moment of the server's clock.
+function moment(t, latest) {
+  return new Date(Date.now() - 1000 * ((seen.at || latest) - t)).toLocaleTimeString("en-GB");
+}
+
 function log(list, level, lines) {
   for (const line of lines) {
     const who = line.drone == null ? "" : `drone ${line.drone}: `;
-    const item = make("li", { "data-level": line.level }, `${line.t.toFixed(1)} ${line.level} ${who}${line.text}`);
+    const item = make("li", { "data-level": line.level }, `${moment(line.t, lines.at(-1).t)} ${line.level} ${who}${line.text}`);
     item.hidden = LEVELS.indexOf(line.level) < LEVELS.indexOf(level.value);
     list.prepend(item);
   }

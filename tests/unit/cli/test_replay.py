@@ -31,9 +31,12 @@ def steps(count):
     return run_wall(main)
 
 
-def test_a_line_is_a_step_and_its_end_the_rest(typed):
+def test_a_line_is_a_step_and_its_end_the_rest(typed, capsys):
     typed(b"\n 2.5 \n \n")
     assert steps(4) == [0.5, 2.5, 0.5, math.inf]
+    said = capsys.readouterr().err.splitlines()
+    assert said[0] == "at 0.00 s; Enter: on by 0.5 s; a number and Enter: by that many; Ctrl-C ends it"
+    assert [line.split(";")[0] for line in said] == ["at 0.00 s", "at 0.50 s", "at 3.00 s", "at 3.50 s"]
 
 
 def test_what_is_no_step_is_said_and_asked_for_again(typed, capsys):

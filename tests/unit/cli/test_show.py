@@ -151,6 +151,13 @@ def test_a_run_says_who_failed():
     assert "drone 1" not in text
 
 
+def test_a_run_that_its_operator_has_landed_has_not_failed_by_itself():
+    landed = {"success": False, "reasons": {0: "landed on command", 1: "drone 1: sent home on command"}}
+    assert "m: ended by its operator" in printed(show.summary_table(RUN | landed))
+    landed["reasons"][1] = "drone 1: lost"
+    assert "m: failed" in printed(show.summary_table(RUN | landed))
+
+
 def test_a_run_says_where_its_recording_is_and_what_it_lacks():
     whole = {"file": "a.mcap", "messages": 7, "lost": 0, "missed": 0, "error": ""}
     text = printed(show.summary_table(RUN | {"recording": whole}))

@@ -5,7 +5,18 @@ from virtual_time import virtual
 from crazychoir.bus.commands import ACCEPTED, DONE, NOT_READY, REFUSED, Commander, CommandServer
 from crazychoir.bus.local import OBSERVER, Bus
 from crazychoir.bus.topics import REQUEST
-from crazychoir.dashboard.desk import ACKNOWLEDGED, KEPT, SENT, SILENT, STOP, UNFINISHED, Desk
+from crazychoir.dashboard.desk import (
+    ACKNOWLEDGED,
+    ENDED,
+    KEPT,
+    REPLAYED,
+    SENT,
+    SILENT,
+    STOP,
+    UNFINISHED,
+    WITHDRAWN,
+    Desk,
+)
 from crazychoir.dashboard.watch import Watch
 from crazychoir.errors import ConfigError, Refused
 from crazychoir.swarm.config import SwarmConfig
@@ -25,6 +36,10 @@ class Swarm:
         self.commander = Commander(bus.port(OBSERVER))
         self.watch = Watch(clock)
         self.desk = Desk(self, self.watch)
+        self.replays = False
+
+    def is_there(self, i):
+        return i in self.bus.ports
 
     def deaf(self, i):
         """Drone i hears nothing until the function that is returned is called."""
@@ -53,13 +68,46 @@ async def test_a_receipt_tells_who_has_acknowledged_who_has_done_it_who_refuses_
     await clock.sleep(1.0)
     assert receipt.answers[0] == (DONE, "hovering")
     await clock.sleep(ACKNOWLEDGED - 1.2 + 0.1)
-    assert receipt.answers[2] == (SENT, "not acknowledged within 2 s; resent")
+    assert receipt.answers[2] == (SENT, "no agent of it is there; resent")
     assert receipt.open
     await swarm.desk.settled(receipt)
     assert clock.now() >= 5.0
     assert receipt.answers[2][0] == SILENT
     assert not receipt.done()
     assert [(line.drone, line.level) for line in swarm.watch.after(0)] == [(1, "warning"), (2, "warning")]
+
+
+@virtual
+async def test_nobody_obeys_in_a_replay_and_when_all_have_gone(clock):
+    swarm = Swarm(clock)
+    assert swarm.desk.ended() == ""
+    swarm.replays = True
+    assert swarm.desk.ended() == REPLAYED
+    receipt = swarm.desk.order("land")
+    assert receipt.answers == dict.fromkeys(range(3), (REFUSED, REPLAYED))
+    assert swarm.desk.stop().answers[0][0] == SENT, "a stop is sent whatever is believed"
+    await clock.sleep(1.0)
+    assert swarm.obeyed == []
+    swarm.replays = False
+    swarm.is_there = lambda i: False
+    assert swarm.desk.ended() == ENDED
+
+
+@virtual
+async def test_what_was_begun_and_refused_after_a_later_order_is_withdrawn_by_it(clock):
+    swarm = Swarm(clock)
+
+    async def until_held(verb, arguments):
+        if verb == "fly":
+            await clock.sleep(2.0)
+            raise Refused("drone 0", "held")
+
+    CommandServer(swarm.bus.ports[0], until_held, print)
+    flying = swarm.desk.order("fly", [0])
+    await clock.sleep(0.5)
+    swarm.desk.order("hold", [0])
+    assert (await swarm.desk.settled(flying)).answers == {0: (WITHDRAWN, "by hold")}
+    assert [line.text for line in swarm.watch.after(0)] == [], "it is no trouble"
 
 
 @virtual
@@ -144,7 +192,7 @@ async def test_a_stop_ends_when_it_is_cleared_or_given_anew_and_one_of_some_leav
     swarm = Swarm(clock)
     hears = swarm.deaf(0)
     first, second = swarm.desk.stop(), swarm.desk.stop()
-    assert first.answers[0] == (REFUSED, "withdrawn by emergency stop")
+    assert first.answers[0] == (WITHDRAWN, "by emergency stop")
     alone = swarm.desk.stop([0])
     await clock.sleep(1.0)
     assert (second.answers[0], alone.answers[0]) == ((SENT, ""), (SENT, ""))
@@ -157,7 +205,7 @@ async def test_a_stop_ends_when_it_is_cleared_or_given_anew_and_one_of_some_leav
     hears = swarm.deaf(1)
     third = swarm.desk.stop([1])
     cleared = swarm.desk.stop(clear=True)
-    assert third.answers == {1: (REFUSED, "withdrawn by clear stop")}
+    assert third.answers == {1: (WITHDRAWN, "by clear stop")}
     await swarm.desk.settled(cleared)
     assert cleared.answers[0] == (DONE, "cleared")
     assert cleared.answers[1] == (SILENT, f"no acknowledgement within {STOP:g} s")
@@ -176,13 +224,13 @@ async def test_a_stop_withdraws_whatever_would_move_its_drones(clock):
     going = swarm.desk.order("go-to", [0, 1], each=lambda i: {"p": [0, 0, 1]})
     flying, worse = swarm.desk.order("fly", [1], 500.0), swarm.desk.order("impair", [1], each=lambda i: {"loss": 0.1})
     await clock.sleep(0.2)
-    assert going.answers == {0: (ACCEPTED, ""), 1: (REFUSED, "withdrawn by fly")}
+    assert going.answers == {0: (ACCEPTED, ""), 1: (WITHDRAWN, "by fly")}
     lines = swarm.watch.count
     swarm.desk.stop([1])
-    assert flying.answers == {1: (REFUSED, "withdrawn by stop")}
+    assert flying.answers == {1: (WITHDRAWN, "by stop")}
     assert worse.answers == {1: (SENT, "")}, "it moves nothing"
     swarm.desk.stop()
-    assert going.answers[0] == (REFUSED, "withdrawn by stop")
+    assert going.answers[0] == (WITHDRAWN, "by stop")
     assert swarm.watch.count == lines, "no trouble"
     hears()
     await clock.sleep(1.0)
@@ -197,7 +245,7 @@ async def test_what_is_ordered_later_counts_when_the_network_is_back(clock):
     swarm = Swarm(clock)
     hears = swarm.deaf(0)
     go, hold = swarm.desk.order("go", [0]), swarm.desk.order("hold", [0])
-    assert go.answers == {0: (REFUSED, "withdrawn by hold")}
+    assert go.answers == {0: (WITHDRAWN, "by hold")}
     await clock.sleep(0.5)
     going = swarm.desk.order("go-to", [0], each=lambda i: {"p": [0, 0, 1]})
     assert hold.answers[0][0] == SENT, "who flies somewhere is held"
@@ -225,7 +273,7 @@ async def test_who_is_to_be_asked_again_is_not_when_something_else_was_ordered(c
     receipt = swarm.desk.order("take-off", [0])
     await clock.sleep(1.0)
     await swarm.desk.settled(swarm.desk.order("land", [0]))
-    assert receipt.answers == {0: (REFUSED, "withdrawn by land")}
+    assert receipt.answers == {0: (WITHDRAWN, "by land")}
     await clock.sleep(5.0)
     assert asked[-1] == "land"
 
@@ -256,7 +304,7 @@ async def test_who_has_accepted_a_take_off_and_was_told_to_hold_is_not_asked_for
     await swarm.desk.settled(rising)
     await clock.sleep(3.0)
     assert asked == ["take-off", "hold"]
-    assert rising.answers == {0: (REFUSED, "withdrawn by hold")}
+    assert rising.answers == {0: (WITHDRAWN, "by hold")}
     assert swarm.watch.count == lines, "no trouble"
     swarm.desk.close()
 
@@ -304,7 +352,7 @@ async def test_a_stop_counts_while_what_was_ordered_before_is_still_prepared(clo
     await clock.sleep(1.0)
     assert flying.answers == {0: (SENT, "")}
     swarm.desk.stop()
-    assert flying.answers == {0: (REFUSED, "withdrawn by stop")}
+    assert flying.answers == {0: (WITHDRAWN, "by stop")}
     await clock.sleep(5.0)
     assert swarm.obeyed == []
     flying = fly()

@@ -11,7 +11,7 @@ from crazychoir.bus.local import OBSERVER, Bus
 from crazychoir.bus.rules import Partition
 from crazychoir.bus.topics import STATE, STATUS
 from crazychoir.dashboard import operator
-from crazychoir.dashboard.desk import SILENT, UNFINISHED, Desk
+from crazychoir.dashboard.desk import SILENT, UNFINISHED, WITHDRAWN, Desk
 from crazychoir.dashboard.model import RATE, SwarmModel
 from crazychoir.dashboard.operator import Operator
 from crazychoir.dashboard.polls import LATER, Overview, TaskBoard
@@ -63,11 +63,14 @@ class Server:
         for i in range(3):
             CommandServer(self.bus.port(i), lambda verb, arguments, i=i: self.execute(i, verb, arguments), print)
         self.commander, self.watch = Commander(self.bus.port(OBSERVER)), Watch(clock)
-        self.desk = Desk(self, self.watch)
+        self.desk, self.replays = Desk(self, self.watch), False
         self.model = SwarmModel(self.bus, OBSERVER, self.config, self.watch)
         self.overview, self.board = Overview(self.desk), TaskBoard(self.desk, self.model)
         self.stream = Stream(self.model, self.desk, self.watch, self.overview, self.board)
         self.actors = [asyncio.create_task(one.run()) for one in (self.stream, self.overview, self.board)]
+
+    def is_there(self, i):
+        return i in self.bus.ports
 
     async def execute(self, i, verb, arguments):
         self.obeyed.append((i, verb, arguments))
@@ -489,7 +492,7 @@ async def test_a_stop_comes_between_while_what_each_flies_is_made(clock):
         assert server.bus.stopped
         await clock.sleep(5.0)
         assert not server.those("fly")
-        assert server.desk.receipts[0].answers == {1: (REFUSED, "withdrawn by stop")}
+        assert server.desk.receipts[0].answers == {1: (WITHDRAWN, "by stop")}
         page.asks.put_nowait({"ask": "fly", "drones": [1, 2], "offset": [0, 50.0, 0]})
         await clock.sleep(4.0)
     assert not server.those("fly")
