@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
+from crazychoir.bus.access import Access
 from crazychoir.bus.hello import Hello
 from crazychoir.bus.local import BODIES, EYES, OBSERVER, Bus
 from crazychoir.bus.topics import Class
@@ -30,7 +31,7 @@ class Peer:
     """Another process, of which a liveliness token is there; without `hello` it is not yet, or not, talked to.
 
     tokens: their keys;  since_ns: when it began, by our clock;  said: its last HELLO as it came;  refusal: why it was
-    not taken;  lanes: of the link.
+    not taken;  forbidden: whether it was said that it may not command;  lanes: of the link.
     """
 
     process: str
@@ -40,6 +41,7 @@ class Peer:
     since_ns: int = 0
     said: bytes | None = None
     refusal: str = ""
+    forbidden: bool = False
     lanes: dict[Class, Any] = field(default_factory=dict)
 
 
@@ -47,9 +49,10 @@ class Peers:
     """What this process knows of the others, by name, and the way to each address."""
 
     def __init__(
-        self, bus: Bus, swarm: str, incarnation: int, version: str, on_token: OnToken, on_refused: OnRefused
-    ) -> None:
-        self.bus, self.swarm, self.incarnation, self.version = bus, swarm, incarnation, version
+        self, bus: Bus, swarm: str, incarnation: int, version: str, access: Access | None, on_token: OnToken,
+        on_refused: OnRefused,
+    ) -> None:  # fmt: skip
+        self.bus, self.swarm, self.incarnation, self.version, self.access = bus, swarm, incarnation, version, access
         self.on_token, self.on_refused = on_token, on_refused
         self.by_name: dict[str, Peer] = {}
         self.directory: dict[int, Peer] = {}
@@ -121,6 +124,8 @@ class Peers:
         peer.said = payload
         uptime = hello.uptime + age
         peer.since_ns = peer.since_ns or self.bus.clock.now_ns() - round(uptime * SECOND)
+        if self._forbids(peer, hello):
+            return False
         refusal = self._refusal(hello)
         if refusal:
             return self._refuse(peer, hello, refusal, uptime)
@@ -138,6 +143,18 @@ class Peers:
         for peer in self.by_name.values():
             if peer.hello is not None and self.mutual(peer):
                 self.bus.add_remote_interests(peer.hello.wants())
+
+    def _forbids(self, peer: Peer, hello: Hello) -> bool:
+        """Whether it claims what the swarm file gives to another host; said once."""
+        others = [j for j in hello.addresses if self.access is not None and not self.access.may_hold(peer.host, j)]
+        if not others:
+            return False
+        who, what = f"process {hello.process} on host {hello.host}", _named(others[0])
+        refusal = f"{who} speaks for {what}, which the swarm file does not give to that host"
+        if peer.refusal != refusal:
+            log.warning("%s: it is refused", refusal)
+        peer.refusal = refusal
+        return True
 
     def _refusal(self, hello: Hello) -> str:
         who = f"process {hello.process} on host {hello.host}"
@@ -185,3 +202,11 @@ class Peers:
         for peer in sorted(self.by_name.values(), key=lambda peer: peer.since_ns):
             for address in peer.hello.addresses if peer.hello is not None else ():
                 self.directory.setdefault(address, peer)
+
+
+def _named(address: int) -> str:
+    """An address in words."""
+    for base, what in ((EYES, "what cameras see of drone"), (BODIES, "the body of drone")):
+        if address >= base:
+            return f"{what} {address - base}"
+    return f"drone {address}"

@@ -22,6 +22,7 @@ from typing import Any, Self
 import zenoh
 
 from crazychoir.bus import endpoints
+from crazychoir.bus.access import Access
 from crazychoir.bus.codec import encode
 from crazychoir.bus.estranged import Estranged
 from crazychoir.bus.frames import (
@@ -81,8 +82,8 @@ class LinkCounters:
     """What went over the network, and what was thrown away.
 
     malformed, other_version: frames that could not be read;  strangers: frames and messages from those that have no
-    token (or whose HELLO overtook it), or speak for others;  unsendable: messages that no frame takes;  dropped:
-    messages for a peer that went away;  overflowed: frames that a hung event loop did not take;  failed: frames whose
+    token (or whose HELLO overtook it), or speak for others;  forbidden: commands of who is no operator;
+    unsendable: messages that no frame takes;  dropped: messages for a peer that went away;  overflowed: frames that a hung event loop did not take;  failed: frames whose
     handler raised;  tokens: that were declared once more, since another process lost ours;  worst_put_s: s, the longest
     put.
     """
@@ -93,6 +94,7 @@ class LinkCounters:
     malformed: int = 0
     other_version: int = 0
     strangers: int = 0
+    forbidden: int = 0
     unsendable: int = 0
     dropped: int = 0
     overflowed: int = 0
@@ -105,7 +107,8 @@ class LinkCounters:
 class ZenohLink(Actor):
     """This process on the network; the `Forwarder` of its bus. Raises ConfigError for a malformed endpoint.
 
-    listen, connect: endpoints;  lease: s without a sign of a host before its tokens go;  settings: of Zenoh, by path.
+    listen, connect: endpoints;  lease: s without a sign of a host before its tokens go;  access: who may say what, None
+    for everybody all;  settings: of Zenoh, by path.
     """
 
     name = "zenoh"
@@ -120,18 +123,20 @@ class ZenohLink(Actor):
         incarnation: int,
         version: str,
         lease: float = 1.0,
+        access: Access | None = None,
         settings: Mapping[str, Any] | None = None,
         on_token: OnToken = lambda drones, there: None,
         on_refused: OnRefused = lambda refused: None,
     ) -> None:
         for where, name in (("swarm", swarm), ("host", bus.host), ("process", bus.process)):
             endpoints.check_name(where, name)
-        self.bus, self.swarm, self.listen, self.connect = bus, swarm, listen, connect
+        self.bus, self.swarm, self.listen, self.connect, self.access = bus, swarm, listen, connect, access
         self._live = f"choir/{swarm}/live"
         self.counters = LinkCounters()
-        self.table = Peers(bus, swarm, incarnation, version, on_token, on_refused)
+        self.table = Peers(bus, swarm, incarnation, version, access, on_token, on_refused)
         self.peers, self.directory = self.table.by_name, self.table.directory
-        self._config = _config({**endpoints.settings(listen, connect, lease), **(settings or {})})
+        secured = access.settings() if access is not None else {}
+        self._config = _config({**endpoints.settings(listen, connect, lease), **secured, **(settings or {})})
         self._loop = asyncio.get_running_loop()
         self._now_ns = bus.clock.now_ns
         self._queue: deque[tuple[Handler, str, bytes, int]] = deque(maxlen=BACKLOG)
@@ -481,6 +486,8 @@ class ZenohLink(Actor):
                 self._greeted(peer, message.payload, message.age + waited)
             elif directory.get(message.source) is not peer:
                 self.counters.strangers += 1
+            elif self.access is not None and not self.access.may_say(peer.host, message.topic):
+                self._forbid(peer)
             else:
                 age = message.age + waited
                 for j in message.to:
@@ -490,6 +497,13 @@ class ZenohLink(Actor):
                             message.topic, message.source, message.payload, message.number,
                             message.channel, message.flags, age,
                         )  # fmt: skip
+
+    def _forbid(self, peer: Peer) -> None:
+        """A command that is not obeyed; it is said once."""
+        self.counters.forbidden += 1
+        if not peer.forbidden:
+            peer.forbidden = True
+            log.warning("host %s (process %s) commands and is no operator: not obeyed", peer.host, peer.process)
 
     def _greeted(self, peer: Peer, payload: bytes, age: float) -> None:
         try:

@@ -11,6 +11,7 @@ from crazychoir.cli import (
     dashboard,
     ending,
     identify,
+    keys,
     look,
     orders,
     param,
@@ -65,6 +66,7 @@ for verb in orders.TEXTS:
 
 app.command(name="go-to")(steer.go_to)
 app.command()(steer.fly)
+app.add_typer(keys.app, name="keys")
 app.add_typer(param.app, name="param")
 app.add_typer(radio.app, name="radio")
 app.add_typer(task.app, name="task")

@@ -59,7 +59,7 @@ def patience(config: SwarmConfig) -> float:
     """
     if runs_here(config):
         return STARTS
-    places = [endpoint.removeprefix("tcp/").rpartition(":") for endpoint in config.endpoints().values()]
+    places = [endpoint.partition("/")[2].rpartition(":") for endpoint in config.endpoints().values()]
     elsewhere = any(host != LOCAL for host, _, _ in places)
     return DISCOVERY if elsewhere or any(_listens(int(port)) for _, _, port in places) else 0.0
 

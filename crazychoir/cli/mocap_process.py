@@ -52,7 +52,7 @@ def run_mocap(config: SwarmConfig, listen: str | None, record: Path | None, show
         mocap = MocapProcess(clock, config, source, name, host, incarnation, recorder)
         link = ZenohLink(
             mocap.bus, config.name, listen=[listen or config.endpoints()[MOCAP]], connect=[], incarnation=incarnation,
-            version=VERSION, lease=config.lease, on_refused=mocap.refuse,
+            version=VERSION, lease=config.lease, access=config.access(host), on_refused=mocap.refuse,
         )  # fmt: skip
         link.open()
         watchdog = Watchdog(clock)

@@ -29,7 +29,7 @@ LOWEST = 10_000
 def observer(clock: Clock, config: SwarmConfig) -> ZenohLink:
     """The link of an observer under a name and an address of its own: many may look on at once, from many hosts."""
     draw = random.SystemRandom()
-    bus = Bus(clock, process=f"observer-{draw.getrandbits(32):08x}", host="observer")
+    bus = Bus(clock, process=f"observer-{draw.getrandbits(32):08x}", host=own_name(config))
     bus.port(OBSERVER + 1 + draw.getrandbits(24), draw.getrandbits(32))
     return observer_link(bus, config)
 
@@ -37,9 +37,22 @@ def observer(clock: Clock, config: SwarmConfig) -> ZenohLink:
 def observer_link(bus: Bus, config: SwarmConfig) -> ZenohLink:
     """The network as an observer sees it: connected to every process of the swarm file, listening nowhere known."""
     return ZenohLink(
-        bus, config.name, listen=["tcp/127.0.0.1:0"], connect=list(config.endpoints().values()),
+        bus, config.name, listen=[f"{config.scheme}/127.0.0.1:0"], connect=list(config.endpoints().values()),
         incarnation=random.SystemRandom().getrandbits(62), version=VERSION, lease=config.lease,
+        access=config.access(bus.host),
     )  # fmt: skip
+
+
+def own_name(config: SwarmConfig) -> str:
+    """Whose certificate an observer shows: an operator's, if one is here, else that of a host; raises ConfigError."""
+    if not config.secured:
+        return "observer"
+    names = list(dict.fromkeys([*config.security.operators, *config.hosts]))
+    here = [name for name in names if (Path(config.security.keys) / name).is_dir()]
+    if not here:
+        do = f"Copy the folder of this host there; see `crazychoir keys add {names[0]}`."
+        raise ConfigError("security.keys", config.security.keys, f"a folder with that of {', '.join(names)}", do)
+    return here[0]
 
 
 @contextlib.asynccontextmanager

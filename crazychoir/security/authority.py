@@ -90,12 +90,12 @@ def holders(folder: Path) -> list[Holder]:
     return [Holder(path.name, _read(path / CERTIFICATE).not_valid_after_utc) for path in found]
 
 
-def checked(folder: Path, host: str, now: datetime.datetime) -> Path:
+def checked(folder: Path, host: str, now: datetime.datetime | None = None) -> Path:
     """The folder of a host on itself, if all is there, belongs together, is good and is read by nobody else.
 
     Raises ConfigError. What others hold against its certificate, they say.
     """
-    own = folder / host
+    own, now = folder / host, now or datetime.datetime.now(datetime.UTC)
     certificate, root = _read(own / CERTIFICATE), _read(own / ROOT)
     key = own / KEY
     try:

@@ -12,6 +12,7 @@ from crazychoir.bus.access import Access
 from crazychoir.bus.local import BODIES, EYES
 from crazychoir.bus.topics import POSE, TRUTH, Topic
 from crazychoir.errors import ConfigError
+from crazychoir.security import authority
 from crazychoir.swarm.checks import REPLAY, check, graph_of, owned, secured
 from crazychoir.swarm.graph import Graph, span
 from crazychoir.swarm.radios import body_name, dongles, is_reached, reached, seen
@@ -174,7 +175,12 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
 
     def _listens(self, host: str | None, process: int) -> str:
         address = LOCAL if host is None else self.hosts[host]
-        return f"{'tls' if self.secured else 'tcp'}/{_bracketed(address)}:{self.base_port + process}"
+        return f"{self.scheme}/{_bracketed(address)}:{self.base_port + process}"
+
+    @property
+    def scheme(self) -> str:
+        """Of the endpoints."""
+        return "tls" if self.secured else "tcp"
 
     @property
     def secured(self) -> bool:
@@ -182,7 +188,10 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
         return secured(self)
 
     def access(self, host: str) -> Access | None:
-        """Who may say what, as a host sees it; None where the network is open to everybody."""
+        """Who may say what, as a host sees it; None where the network is open to everybody.
+
+        Raises ConfigError for keys that are not there, or not good.
+        """
         if not self.secured:
             return None
         owners = [(self.dongle_host(k), f"dongle{k}") for k in self.dongles]
@@ -196,7 +205,7 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
         holders |= {BODIES + i: str(self.world.host) for i in self.owned}
         holders |= {BODIES + i: str(self.dongle_host(k)) for k, ids in self.dongles.items() for i in ids}
         holders |= {EYES + i: str(self.mocap.host) for i in self.seen}
-        folder = Path(self.security.keys) / host
+        folder = authority.checked(Path(self.security.keys), host)
         return Access(self.name, host, folder, processes, holders, self.security.operators)
 
     @property

@@ -414,7 +414,7 @@ class Network(Link, frozen=True, kw_only=True):
 class Security(Table, frozen=True, kw_only=True):
     """[security]: of the network between hosts, which is encrypted and closed as soon as one is not this machine.
 
-    insecure: true: neither, for whoever is on the network; false: on this machine, too;  keys: the folder of `crazychoir keys`, relative to the swarm
+    insecure: true: neither; false: on this machine, too;  keys: the folder of `crazychoir keys`, relative to the swarm
     file;  operators: names of certificates whose hosts may command.
     """
 

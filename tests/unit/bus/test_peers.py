@@ -45,7 +45,7 @@ class Here:
         self.tokens: list[tuple[list[int], bool]] = []
         self.refused: list[Refused] = []
         self.peers = Peers(
-            self.bus, "s", 1, "1", lambda ids, there: self.tokens.append((ids, there)), self.refused.append
+            self.bus, "s", 1, "1", None, lambda ids, there: self.tokens.append((ids, there)), self.refused.append
         )
         self.clock.ns = round(uptime * 1e9)
 
