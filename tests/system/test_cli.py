@@ -275,7 +275,7 @@ async def test_operating_and_looking_into_a_swarm_that_runs_then_landing_it(look
 
     async def command(team):
         for verb, says in (("take-off", "hovering"), ("start", "its mission goes on")):
-            await until(lambda verb=verb: all(s["task"].endswith(verb) for s in team.newest()), 40.0)
+            await until(lambda verb=verb: all(f": {verb}" in s["task"] for s in team.newest()), 40.0)
             said = await look_here(verb, "--json", "--swarm", path)
             assert (said.code, said.json) == (0, answers("0123", "done", says))
 

@@ -99,6 +99,9 @@ class Operator:
     def pilot(self, i):
         return self.agent.drones[i].pilot
 
+    def task(self, i):
+        return self.agent.drones[i].status().task
+
     def modes(self):
         return [drone.pilot.mode for drone in self.agent.drones.values()]
 
@@ -123,6 +126,7 @@ def test_a_run_waits_on_the_ground_for_its_take_off_and_in_the_air_for_its_start
     async def scene(operator):
         refused = await operator.order("start")
         assert refused[0] == (REFUSED, "it waits for its operator: take-off")
+        assert operator.task(0) == "waits for its operator: take-off"
         await operator.clock.sleep(5.0)
         assert await operator.order("arm") == dict.fromkeys(range(3), (DONE, "ready"))
         operator.pilot(1).unfit = lambda: ["battery at 3.10 V"]
@@ -134,6 +138,7 @@ def test_a_run_waits_on_the_ground_for_its_take_off_and_in_the_air_for_its_start
             assert await operator.order(verb, 1) == (REFUSED, "it is in the air already")
         await operator.clock.sleep(5.0)
         assert operator.modes() == [Mode.HOVER] * 3
+        assert operator.task(0) == "waits for its operator: start, or lands in 294 s"
         assert [operator.pilot(i).state.p[2] for i in range(3)] == pytest.approx([0.3, 0.4, 0.5], abs=0.02)
         assert await operator.order("start") == dict.fromkeys(range(3), (DONE, "its mission goes on"))
         await operator.clock.sleep(1.0)
