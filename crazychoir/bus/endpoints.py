@@ -37,7 +37,7 @@ def settings(listen: list[str], connect: list[str], lease: float) -> dict[str, A
     the others' from those, and has a link to each; without it, it would see no token but theirs.
     """
     check(listen, connect)
-    if all(_LOOPBACK.match(endpoint) for endpoint in listen + connect):
+    if are_local(listen + connect):
         lease = max(lease, LOCAL_LEASE)
     return {
         "mode": "peer",
@@ -54,6 +54,11 @@ def settings(listen: list[str], connect: list[str], lease: float) -> dict[str, A
         "transport/link/rx/max_message_size": MAX_MESSAGE,
         "transport/shared_memory/enabled": False,
     }
+
+
+def are_local(endpoints: Iterable[str]) -> bool:
+    """Whether all of them are this machine's own."""
+    return all(_LOOPBACK.match(endpoint) for endpoint in endpoints)
 
 
 def check(listen: Iterable[str], connect: Iterable[str]) -> None:

@@ -57,6 +57,7 @@ ASKING = 4
 """HELLOs a second to a peer that is not yet talked to."""
 TOKENS = 8
 """Of ours beyond the first, the newest."""
+OPEN = "the network is neither encrypted nor closed (security.insecure): whoever is on it reads, and commands"
 _PRIORITY = {
     Class.ESTOP: zenoh.Priority.REAL_TIME,
     Class.CONTROL: zenoh.Priority.INTERACTIVE_HIGH,
@@ -155,6 +156,8 @@ class ZenohLink(Actor):
     def open(self) -> None:
         """Listen, connect, subscribe, and only then declare the token; raises ConfigError for a busy endpoint."""
         os.environ.setdefault("ZENOH_RUNTIME", RUNTIME)
+        if self.access is None and not endpoints.are_local(self.listen + self.connect):
+            log.warning("%s", OPEN)
         try:
             session = zenoh.open(self._config)
         except zenoh.ZError as error:

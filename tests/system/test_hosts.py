@@ -12,6 +12,7 @@ from system.agents import BRISK, flying, results
 from system.namespaces import ADDRESSES, Hosts, two_hosts
 
 from crazychoir.guidance.mission import load
+from crazychoir.security import authority
 from crazychoir.swarm.config import SwarmConfig
 
 pytestmark = pytest.mark.system
@@ -20,12 +21,17 @@ OUTAGE = 1.3
 MISSION = load("pickup_delivery")
 
 
-def demo(network: dict[str, float], groups: list[list[int]]) -> SwarmConfig:
-    """The demo's six drones and ten goods, three drones a host, flown briskly."""
+def demo(folder: Path, network: dict[str, float], groups: list[list[int]]) -> SwarmConfig:
+    """The demo's six drones and ten goods, three drones a host, flown briskly; with mutual TLS."""
+    keys = folder / "keys"
+    authority.init(keys)
+    for name in "ab":
+        authority.add(keys, name)
     config = MISSION.swarm(None)
     raw = json.loads(config.dumps())
     return config.replace(
         hosts=dict(zip("ab", ADDRESSES, strict=True)),
+        security={"operators": ["a"], "keys": str(keys)},
         drones=[{"id": d["id"], "home": d["home"], "host": "ab"[d["id"] // 3]} for d in raw["drones"]],
         processes=groups,
         network=network,
@@ -53,7 +59,7 @@ def clock_of(hosts: Hosts, host: int) -> float:
 
 async def cut_in_planning(hosts: Hosts, folder: Path, groups: list[list[int]]) -> None:
     """The hosts do not hear each other for a while as the six plan."""
-    config = demo({"loss": 0.3, "delay": 0.02}, groups)
+    config = demo(folder, {"loss": 0.3, "delay": 0.02}, groups)
     async with flying(config, folder, lambda i: hosts.command(i // 3)) as team:
         await team.in_planning(10)
         hosts.cut()
@@ -67,7 +73,7 @@ async def cut_in_planning(hosts: Hosts, folder: Path, groups: list[list[int]]) -
 
 async def fly_undisturbed(hosts: Hosts, folder: Path) -> None:
     """One process a host."""
-    config = demo({"loss": 0.3}, [[0, 1, 2], [3, 4, 5]])
+    config = demo(folder, {"loss": 0.3}, [[0, 1, 2], [3, 4, 5]])
     async with flying(config, folder, lambda i: hosts.command(i // 3)) as team:
         ended = await team.end(90)
     check_served(config, ended)

@@ -1,0 +1,178 @@
+"""Who may take part: real sessions with a certificate, with none, with others', and with a host's that says too much."""
+
+import asyncio
+import contextlib
+import datetime
+import json
+from pathlib import Path
+
+import pytest
+import zenoh
+from system.link_process import linked, wall_clock
+
+from crazychoir.bus.codec import encode
+from crazychoir.bus.frames import Envelope, Frame, encode_frame
+from crazychoir.bus.topics import REQUEST, STATUS
+from crazychoir.launch.network import free_ports
+from crazychoir.security import authority
+from crazychoir.security.authority import CERTIFICATE, KEY, ROOT
+from crazychoir.swarm.config import SwarmConfig
+from crazychoir.types import Status
+
+pytestmark = [pytest.mark.system, pytest.mark.real_time]
+OBSERVER = 10_001
+HEARD = 1.0  # s within which a frame would have come
+
+
+class Lab:
+    """Two hosts of this machine with mutual TLS: drone 0 is on a, drone 1 on b, who commands on console."""
+
+    def __init__(self, folder, clock, stack):
+        self.folder, self.clock, self.stack, self.keys = folder, clock, stack, folder / "keys"
+        authority.init(self.keys)
+        for name in ("a", "b", "console"):
+            authority.add(self.keys, name)
+        self.config = SwarmConfig.of({
+            "name": "closed", "hosts": {"a": "127.0.0.1", "b": "127.0.0.1"}, "base_port": free_ports([0, 1]),
+            "security": {"insecure": False, "operators": ["console"], "keys": str(self.keys)},
+            "drones": [{"id": i, "home": [1.0 * i, 0, 0], "host": "ab"[i]} for i in range(2)],
+        })  # fmt: skip
+
+    async def link(self, host, process, drones, connect=True, **options):
+        """A process of a host, as the swarm file has it."""
+        first, second = self.config.endpoints().values()
+        own = {"a": first, "b": second}.get(host, "tls/127.0.0.1:0")
+        made = linked(
+            self.clock, process, "closed", drones, host=host, listen=[own], connect=[first] if connect else [],
+            access=self.config.access(host), **options,
+        )  # fmt: skip
+        return await self.stack.enter_async_context(made)
+
+    def intruder(self, folder=None):
+        """A session of another program, with the keys of a folder, or with none."""
+        config = zenoh.Config()
+        tls = {"root_ca_certificate": str((folder or self.keys / "a") / ROOT), "verify_name_on_connect": False}
+        if folder is not None:
+            tls |= {"connect_private_key": str(folder / KEY), "connect_certificate": str(folder / CERTIFICATE)}
+            tls["enable_mtls"] = True
+        settings = {
+            "mode": "peer", "connect/endpoints": [self.config.endpoint(0)], "scouting/multicast/enabled": False,
+            "transport/shared_memory/enabled": False, "transport/link/tls": tls,
+        }  # fmt: skip
+        for key, value in settings.items():
+            config.insert_json5(key, json.dumps(value))
+        session = zenoh.open(config)
+        self.stack.callback(session.close)
+        return session
+
+
+@pytest.fixture
+async def lab(tmp_path):
+    async with wall_clock() as clock, contextlib.AsyncExitStack() as stack:
+        yield Lab(tmp_path, clock, stack)
+
+
+async def until(condition, seconds=10.0):
+    async with asyncio.timeout(seconds):
+        while not condition():  # noqa: ASYNC110 - of Zenoh's threads
+            await asyncio.sleep(0.01)
+
+
+async def speaks(lab, of, link, host="b", process="1-f", seconds=HEARD):
+    """What an intruder hears, though drone 0 speaks, and whether anything of it has come; it says it is `process`."""
+    heard, before = [], link.counters.frames_received + link.counters.strangers + link.counters.malformed
+    subscriber = of.declare_subscriber("**", lambda sample: heard.append(str(sample.key_expr)))
+    token = of.liveliness().declare_token(f"choir/closed/live/{host}/{process}")
+    frame = encode_frame(Frame(process, 1, STATUS.klass, [Envelope(STATUS.number, 1, (0,), 1, 0, 0.0, "", b"x")]))
+    for _ in range(round(seconds / 0.05)):
+        of.put(f"choir/closed/f/{link.bus.process}/{host}/{process}/control", frame)
+        link.bus.ports[0].publish(STATUS, Status("on ground"))
+        await asyncio.sleep(0.05)
+    token.undeclare()
+    subscriber.undeclare()
+    came = link.counters.frames_received + link.counters.strangers + link.counters.malformed - before
+    return [key for key in heard if f"/{process}/" not in f"{key}/"], came
+
+
+def foreign(lab):
+    other = lab.folder / "other"
+    authority.init(other)
+    return authority.add(other, "a")
+
+
+def pretender(lab):
+    """A foreign certificate beside the lab's own root."""
+    folder = foreign(lab)
+    (folder / ROOT).write_bytes((lab.keys / "a" / ROOT).read_bytes())
+    return folder
+
+
+def expired(lab):
+    """One that the authority has signed, good until a minute ago."""
+    real = authority.datetime.datetime
+
+    class Past(real):
+        @classmethod
+        def now(cls, tz=None):
+            return real.now(tz) - datetime.timedelta(days=1, minutes=1)
+
+    authority.datetime.datetime = Past
+    try:
+        return authority.add(lab.keys, "late", days=1)
+    finally:
+        authority.datetime.datetime = real
+
+
+@pytest.mark.parametrize("keys", [lambda lab: None, foreign, pretender, expired])
+async def test_without_a_good_certificate_nothing_is_read_and_nothing_heard(lab, keys):
+    link = await lab.link("a", "0-1", [0])
+    assert await speaks(lab, lab.intruder(keys(lab)), link) == ([], 0)
+    assert link.peers == {}
+
+
+async def test_a_host_is_held_to_its_own_name_and_reads_nothing_of_others(lab):
+    """The certificate of b, in a program of its own that asks for everything and says it is a."""
+    link = await lab.link("a", "0-1", [0])
+    friend = await lab.link("console", "observer-1", [OBSERVER])
+    await until(lambda: "observer-1" in link.peers and link.table.mutual(link.peers["observer-1"]))
+    intruder = lab.intruder(lab.keys / "b")
+    heard, came = await speaks(lab, intruder, link, host="a", process="0-2")
+    assert [key for key in heard if "/observer-1/" in key] == [], "what a says to the console is theirs"
+    assert "0-2" not in link.peers
+    assert "0-2" not in friend.peers
+    assert link.counters.malformed == 0
+
+
+async def test_a_host_speaks_for_its_drones_alone(lab, caplog):
+    link = await lab.link("a", "0-1", [0])
+    liar = await lab.link("b", "1-1", [0])
+    await until(lambda: link.peers.get("1-1") and link.peers["1-1"].refusal)
+    assert 0 not in link.directory
+    assert "process 1-1 on host b speaks for drone 0, which the swarm file does not give to that host" in caplog.text
+    assert caplog.text.count("speaks for drone 0") == 1
+    await liar.on_stop()
+
+
+async def test_only_operators_are_obeyed_and_the_others_are_named_once(lab, caplog):
+    link = await lab.link("a", "0-1", [0])
+    commanded = []
+    link.bus.ports[0].handlers[REQUEST.number] = lambda *message: commanded.append(message)
+    others = {"b": await lab.link("b", "observer-2", [OBSERVER + 1])}
+    others["console"] = await lab.link("console", "observer-1", [OBSERVER])
+    await until(lambda: len([peer for peer in link.peers.values() if link.table.mutual(peer)]) == 2)
+    await until(lambda: all(0 in other.directory for other in others.values()))
+    for other in others.values():
+        (port,) = other.bus.ports.values()
+        for number in range(3):
+            port.send(REQUEST, (0,), encode(["land", {}, 5.0]), number, "1", 0, 0)
+    await until(lambda: len(commanded) == 3 and link.counters.forbidden == 3)
+    assert caplog.text.count("host b (process observer-2) commands and is no operator: not obeyed") == 1
+
+
+async def test_who_is_revoked_is_out_from_the_next_session_on(lab):
+    old = lab.folder / "kept"
+    (lab.keys / "b").rename(old)
+    authority.add(lab.keys, "b")
+    authority.revoke(lab.keys, "b")
+    link = await lab.link("a", "0-1", [0])
+    assert await speaks(lab, lab.intruder(Path(old)), link) == ([], 0)

@@ -1,0 +1,85 @@
+from pathlib import Path
+
+import pytest
+
+from crazychoir.bus.access import Access
+from crazychoir.bus.local import BODIES, EYES, OBSERVER
+from crazychoir.bus.topics import ESTOP, REQUEST, STATE
+from crazychoir.errors import ConfigError
+from crazychoir.security.authority import add, init
+from crazychoir.swarm.config import SwarmConfig
+
+RAW = {
+    "name": "lab",
+    "hosts": {"laptop": "192.168.1.10", "desktop": "192.168.1.11"},
+    "security": {"operators": ["console", "laptop"]},
+    "world": {"host": "laptop"},
+    "drones": [
+        {"id": 0, "home": [0, 0, 0], "host": "laptop", "uri": "sim://motors"},
+        {"id": 1, "home": [1, 0, 0], "host": "desktop", "uri": "sim://motors"},
+    ],
+}
+
+
+@pytest.fixture
+def config(tmp_path):
+    init(tmp_path / "keys")
+    for name in ("laptop", "desktop", "console"):
+        add(tmp_path / "keys", name)
+    security = {**RAW["security"], "keys": str(tmp_path / "keys")}
+    return SwarmConfig.of({**RAW, "security": security})
+
+
+def test_a_host_holds_the_drones_bodies_and_eyes_that_the_swarm_file_gives_it(config):
+    access = config.access("laptop")
+    assert access.may_hold("laptop", 0)
+    assert access.may_hold("desktop", 1)
+    assert access.may_hold("laptop", BODIES + 1), "its world"
+    for host, address in (("laptop", 1), ("desktop", 0), ("desktop", BODIES + 1), ("laptop", EYES), ("laptop", 7)):
+        assert not access.may_hold(host, address)
+    assert access.may_hold("desktop", OBSERVER + 5), "anybody looks on"
+
+
+def test_only_operators_command(config):
+    access = config.access("desktop")
+    assert [access.may_say(name, REQUEST.number) for name in ("console", "laptop", "desktop")] == [True, True, False]
+    assert not access.may_say("desktop", ESTOP.number)
+    assert access.may_say("desktop", STATE.number)
+
+
+def test_a_swarm_of_several_hosts_is_closed_unless_it_says_that_it_is_not(config):
+    assert config.endpoint(1) == "tls/192.168.1.11:7461"
+    plain = config.replace(security={"insecure": True})
+    assert (plain.endpoint(1), plain.access("laptop")) == ("tcp/192.168.1.11:7461", None)
+    local = {**RAW, "hosts": {"laptop": "127.0.0.1", "desktop": "localhost"}, "security": {}}
+    assert not SwarmConfig.of(local).secured, "nobody else reaches this machine's own addresses"
+    assert SwarmConfig.of({**local, "security": {"insecure": False, "operators": ["laptop"]}}).secured
+    with pytest.raises(ConfigError, match=r"security.operators: found nothing.* operators = \[\"laptop\"\]"):
+        SwarmConfig.of({**RAW, "security": {}})
+    with pytest.raises(ConfigError, match=r"a swarm with \[hosts\]"):
+        drones = [{"id": 0, "home": [0, 0, 0]}]
+        SwarmConfig.of({"name": "lab", "drones": drones, "security": {"insecure": False, "operators": ["a"]}})
+
+
+def test_keys_are_found_beside_the_swarm_file_and_are_no_part_of_what_hosts_agree_on(config, tmp_path):
+    path = tmp_path / "deep" / "swarm.json"
+    path.parent.mkdir()
+    path.write_text(config.replace(security={**RAW["security"], "keys": "../keys"}).dumps())
+    found = SwarmConfig.load(path)
+    assert found.access("desktop").folder == tmp_path / "keys" / "desktop"
+    assert found.digest() == config.digest()
+    with pytest.raises(ConfigError, match="crazychoir keys add tower"):
+        found.access("tower")
+
+
+def test_zenoh_holds_each_host_to_its_own_keys():
+    access = Access("s", "a", Path("k"), {"a": ("0", "world"), "b": ("2",)}, {0: "a", 2: "b"}, ("a",))
+    control = access.settings()["access_control"]
+    assert (control["enabled"], control["default_permission"]) == (True, "deny")
+    rules = {rule["id"]: rule for rule in control["rules"]}
+    assert rules["b says"]["key_exprs"] == ["choir/s/f/*/b/**", "choir/s/drone/2/**"]
+    assert rules["a hears"]["key_exprs"][:3] == ["choir/s/f/0-$*/**", "choir/s/f/world-$*/**", "choir/s/f/observer-$*/**"]
+    assert rules["b is there"]["key_exprs"] == ["choir/s/live/b/**"]
+    assert {policy["subjects"][0]: policy["rules"] for policy in control["policies"]} == {
+        name: ["out", f"{name} says", f"{name} hears", f"{name} is there", f"{name} looks"] for name in ("a", "b")
+    }
