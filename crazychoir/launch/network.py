@@ -20,8 +20,8 @@ from crazychoir.runtime.clock import Clock
 from crazychoir.runtime.supervisor import Supervisor
 from crazychoir.swarm.config import SwarmConfig
 
-REPLAY = "replay"
-"""The host of what a recording says."""
+REPLAY = "Replay"
+"""The host of what a recording says: no host of a swarm file can have this name."""
 LOWEST = 10_000
 """Of the ports that are drawn: below it are those of well-known services, and the default base_port."""
 

@@ -59,7 +59,8 @@ def _rule_in_words(rule: Mapping[str, Any]) -> str:
 def _partition_in_words(cut: Mapping[str, Any]) -> str:
     a, b = (", ".join(map(str, side)) for side in (cut["a"], cut["b"]))
     until = "the end" if cut["until"] is None else f"{cut['until']:g} s"
-    return f"{a} apart from {b or 'the others'}, from {cut['since']:g} s after GO to {until}"
+    since = f"{cut['since']:g} s after GO" if cut["since"] else "GO"
+    return f"{a} apart from {b or 'the others'}, from {since} to {until}"
 
 
 def _effects(table: dict[str, Any]) -> dict[str, float]:

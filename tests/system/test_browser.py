@@ -38,8 +38,8 @@ async def test_six_take_off_and_one_flies_a_word_that_was_drawn_and_space_stops_
                 assert "done: ready" in await receipt(page, "ready")
                 await page.click("text=Take off")
                 assert "done: hovering" in await receipt(page, "hovering")
+                await until(lambda: {status["phase"] for status in team.newest()} == {"hovering"}, 20.0)
                 await page.shot("1_taken_off")
-                assert {status["phase"] for status in team.newest()} == {"hovering"}
 
                 await page.click("#tab-draw")
                 await page.fill("#height", "1.6")

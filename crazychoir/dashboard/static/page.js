@@ -145,7 +145,7 @@ function begin() {
   theme();
   table.start({ table: find("drones"), lines: find("log"), level: find("level"), caption: find("chosen") });
   on("connected", (there) => {
-    set(find("connection"), there ? "connected" : "NOT CONNECTED");
+    if (!find("connection").querySelector("a") || there) set(find("connection"), there ? "connected" : "NOT CONNECTED");
     find("connection").dataset.there = there;
     document.body.toggleAttribute("data-lost", !there);
   });
@@ -153,7 +153,7 @@ function begin() {
     set(find("connection"), why || "connected");
     find("connection").toggleAttribute("data-ended", Boolean(why));
   });
-  on("locked", () => find("connection").replaceChildren(make("a", { href: "/" }, "LOG IN AGAIN")));
+  on("locked", () => find("connection").querySelector("a") || find("connection").replaceChildren(make("a", { href: "/" }, "LOG IN AGAIN")));
   on("links", (lost) => (seen.links = lost));
   for (const part of [stops, receipts, draw, plots, tasks]) part.start();
   scene.start(find("scene"));

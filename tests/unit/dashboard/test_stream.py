@@ -451,8 +451,8 @@ async def test_drones_are_cut_off_beside_those_that_are_and_the_receipt_says_wha
     receipt = server.desk.receipts[-1]
     assert receipt.words == "cut off, 2"
     assert receipt.answers[0] == (
-        "done", "1 apart from 2, from 5 s after GO to 9 s; 0 apart from the others, from 0 s after GO to the end; "
-        "2 apart from the others, from 0 s after GO to the end",
+        "done", "1 apart from 2, from 5 s after GO to 9 s; 0 apart from the others, from GO to the end; "
+        "2 apart from the others, from GO to the end",
     )  # fmt: skip
     page.asks.put_nowait({"ask": "impair", "clear": True})
     await clock.sleep(0.5)
