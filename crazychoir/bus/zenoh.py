@@ -84,9 +84,9 @@ class LinkCounters:
 
     malformed, other_version: frames that could not be read;  strangers: frames and messages from those that have no
     token (or whose HELLO overtook it), or speak for others;  forbidden: commands of who is no operator;
-    unsendable: messages that no frame takes;  dropped: messages for a peer that went away;  overflowed: frames that a hung event loop did not take;  failed: frames whose
-    handler raised;  tokens: that were declared once more, since another process lost ours;  worst_put_s: s, the longest
-    put.
+    unsendable: messages that no frame takes;  dropped: messages for a peer that went away;  overflowed: frames that a
+    hung event loop did not take;  failed: frames whose handler raised;  tokens: that were declared once more, since
+    another process lost ours;  worst_put_s: s, the longest put.
     """
 
     frames_sent: int = 0

@@ -1,6 +1,5 @@
 """crazychoir keys: the authority of a lab, and a certificate for each of its hosts."""
 
-import datetime
 from pathlib import Path
 from typing import Annotated, Any, NoReturn
 
@@ -9,6 +8,7 @@ from rich.table import Table
 
 from crazychoir.cli.show import STDOUT, fail, write_json
 from crazychoir.errors import ConfigError
+from crazychoir.runtime.clock import today
 from crazychoir.security import authority
 
 app = typer.Typer(help="Certificates: who may take part in a swarm of several hosts.", no_args_is_help=True)
@@ -67,7 +67,7 @@ def held(folder: Folder = HERE, as_json: Json = False) -> None:
     if as_json:
         write_json({"success": True, "holders": {one.name: one.until.isoformat() for one in found}})
         return
-    table, now = Table("host", "good until", "days left"), datetime.datetime.now(datetime.UTC)
+    table, now = Table("host", "good until", "days left"), today()
     for one in found:
         table.add_row(one.name, f"{one.until:%Y-%m-%d}", str((one.until - now).days))
     STDOUT.print(table)

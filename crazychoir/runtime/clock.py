@@ -7,6 +7,7 @@ This is the only file that reads the machine's clock.
 import asyncio
 import contextlib
 import ctypes
+import datetime
 import gc
 import heapq
 import os
@@ -190,6 +191,11 @@ class Stopwatch(Clock):
     """Real time for who only reads it, with or without a loop."""
 
     now_ns = staticmethod(time.monotonic_ns)
+
+
+def today() -> datetime.datetime:
+    """Date and time of day, UTC, of this host: for what is good until a date, never for what flies."""
+    return datetime.datetime.now(datetime.UTC)
 
 
 class WallClock(Clock):

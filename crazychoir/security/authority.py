@@ -23,6 +23,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from crazychoir.errors import ConfigError
+from crazychoir.runtime.clock import today
 
 AUTHORITY = "authority"
 CERTIFICATE, KEY, ROOT = "certificate.pem", "key.pem", "authority.pem"
@@ -95,7 +96,7 @@ def checked(folder: Path, host: str, now: datetime.datetime | None = None) -> Pa
 
     Raises ConfigError. What others hold against its certificate, they say.
     """
-    own, now = folder / host, now or datetime.datetime.now(datetime.UTC)
+    own, now = folder / host, now or today()
     certificate, root = _read(own / CERTIFICATE), _read(own / ROOT)
     key = own / KEY
     try:
@@ -146,7 +147,7 @@ def _issue(
     folder: Path, name: str, issuer: tuple[x509.Certificate, ec.EllipticCurvePrivateKey] | None, days: int
 ) -> Path:
     """A new key and its certificate, signed by an issuer, else by itself: then it is that of an authority."""
-    key, now = ec.generate_private_key(ec.SECP256R1()), datetime.datetime.now(datetime.UTC)
+    key, now = ec.generate_private_key(ec.SECP256R1()), today()
     subject = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name)])
     signer, secret = (subject, key) if issuer is None else (issuer[0].subject, issuer[1])
     last = now + datetime.timedelta(days=days)

@@ -449,7 +449,7 @@ def _partitions(swarm: Swarm, where: str) -> None:
 
 
 RULES = (
-    _uris, _platforms, _delay, _roles, _speed, _box, _limit_area, _homes, _cameras, _hosts, _security, _placement,
-    _world, _processes, _start, _ports, _links, _partitions, check_radios,
+    _uris, _platforms, _delay, _roles, _speed, _box, _limit_area, _homes, _cameras, _hosts, _placement, _world,
+    _processes, _start, _ports, _links, _partitions, check_radios, _security,
 )  # fmt: skip
 """In the order of their errors."""

@@ -99,6 +99,8 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
         return msgspec.structs.replace(self, mujoco=mujoco) if found else self
 
     def _with_keys(self, folder: Path) -> Self:
+        if not self.secured:
+            return self
         keys = str((folder / self.security.keys).resolve())
         return msgspec.structs.replace(self, security=msgspec.structs.replace(self.security, keys=keys))
 

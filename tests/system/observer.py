@@ -12,7 +12,7 @@ import msgspec
 
 from crazychoir.bus.local import OBSERVER, Bus
 from crazychoir.bus.topics import LOG, STATUS
-from crazychoir.launch.network import observer_link
+from crazychoir.launch.network import observer_link, own_name
 from crazychoir.runtime.clock import Clock, run_wall
 from crazychoir.runtime.mailbox import Call
 from crazychoir.runtime.supervisor import Supervisor
@@ -26,7 +26,7 @@ def say(clock: Clock, drone: int, topic: str, value: Any) -> None:
 
 async def look(clock: Clock) -> None:
     config = SwarmConfig.load(sys.argv[1])
-    bus = Bus(clock, process=f"observer-{secrets.token_hex(4)}", host="observer")
+    bus = Bus(clock, process=f"observer-{secrets.token_hex(4)}", host=own_name(config))
     bus.port(OBSERVER + 1)
     for i in config.ids:
         for topic in (STATUS, LOG):

@@ -1,4 +1,4 @@
-"""Who may take part: real sessions with a certificate, with none, with others', and with a host's that says too much."""
+"""Who may take part: real sessions with a certificate, with none, with others', or with that of another host."""
 
 import asyncio
 import contextlib
@@ -109,18 +109,12 @@ def pretender(lab):
 
 def expired(lab):
     """One that the authority has signed, good until a minute ago."""
-    real = authority.datetime.datetime
-
-    class Past(real):
-        @classmethod
-        def now(cls, tz=None):
-            return real.now(tz) - datetime.timedelta(days=1, minutes=1)
-
-    authority.datetime.datetime = Past
+    now = authority.today
+    authority.today = lambda: now() - datetime.timedelta(days=1, minutes=1)
     try:
         return authority.add(lab.keys, "late", days=1)
     finally:
-        authority.datetime.datetime = real
+        authority.today = now
 
 
 @pytest.mark.parametrize("keys", [lambda lab: None, foreign, pretender, expired])
@@ -130,13 +124,22 @@ async def test_without_a_good_certificate_nothing_is_read_and_nothing_heard(lab,
     assert link.peers == {}
 
 
+async def test_with_the_certificate_of_a_host_its_own_name_is_heard(lab):
+    """The other tests could not fail if nobody came through."""
+    link = await lab.link("a", "0-1", [0])
+    heard, came = await speaks(lab, lab.intruder(lab.keys / "b"), link)
+    assert came > 10
+    assert "1-f" in link.peers or link.counters.strangers > 10
+    assert heard == []
+
+
 async def test_a_host_is_held_to_its_own_name_and_reads_nothing_of_others(lab):
     """The certificate of b, in a program of its own that asks for everything and says it is a."""
     link = await lab.link("a", "0-1", [0])
     friend = await lab.link("console", "observer-1", [OBSERVER])
     await until(lambda: "observer-1" in link.peers and link.table.mutual(link.peers["observer-1"]))
     intruder = lab.intruder(lab.keys / "b")
-    heard, came = await speaks(lab, intruder, link, host="a", process="0-2")
+    heard, _ = await speaks(lab, intruder, link, host="a", process="0-2")
     assert [key for key in heard if "/observer-1/" in key] == [], "what a says to the console is theirs"
     assert "0-2" not in link.peers
     assert "0-2" not in friend.peers

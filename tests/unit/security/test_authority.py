@@ -77,7 +77,7 @@ def other_authority(keys):
         (lambda keys: (keys / "laptop" / CERTIFICATE).unlink(), "keys add laptop"),
         (lambda keys: (keys / "laptop" / CERTIFICATE).write_text("nothing"), "a certificate in PEM"),
         (lambda keys: (keys / "laptop" / KEY).unlink(), "the private key of its certificate"),
-        (lambda keys: (keys / "laptop" / KEY).write_bytes((keys / "desktop" / KEY).read_bytes()), "another certificate"),
+        (lambda keys: (keys / "desktop" / KEY).replace(keys / "laptop" / KEY), "another certificate"),
         (lambda keys: (keys / "laptop" / KEY).chmod(0o644), "chmod 600"),
         (lambda keys: (keys / "desktop").rename(keys / "tower"), "that of desktop; allowed: that of tower"),
         (other_authority, "signed by another authority"),

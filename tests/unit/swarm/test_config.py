@@ -74,6 +74,7 @@ def swarms(draw: st.DrawFn) -> dict[str, object]:
         "seed": draw(st.integers(0, 2**63 - 1)),
         **draw(st.sampled_from([{"graph": "path"}, {"edges": edges, "directed": True}, {"edges": edges}, {}])),
         "hosts": hosts,
+        "security": {"operators": list(hosts)},
         "network": draw(st.sampled_from([{}, network])),
         "drones": drones,
     }
@@ -155,10 +156,11 @@ def test_endpoints() -> None:
 
 @pytest.mark.parametrize(
     ("address", "endpoint"),
-    [("10.0.0.7", "tcp/10.0.0.7:7460"), ("fe80::1", "tcp/[fe80::1]:7460"), ("lab.local", "tcp/lab.local:7460")],
+    [("10.0.0.7", "tls/10.0.0.7:7460"), ("fe80::1", "tls/[fe80::1]:7460"), ("lab.local", "tls/lab.local:7460")],
 )
 def test_endpoint_of_a_host(address: str, endpoint: str) -> None:
-    raw = {"name": "a", "hosts": {"lab": address}, "drones": [{"id": 0, "home": [0, 0, 0], "host": "lab"}]}
+    drones = [{"id": 0, "home": [0, 0, 0], "host": "lab"}]
+    raw = {"name": "a", "hosts": {"lab": address}, "security": {"operators": ["lab"]}, "drones": drones}
     assert SwarmConfig.of(raw).endpoint(0) == endpoint
 
 
@@ -180,11 +182,12 @@ def test_the_owner_of_the_world_is_reached_before_all_agents() -> None:
     raw = {
         "name": "a",
         "hosts": {"lab": "10.0.0.7", "desk": "10.0.0.8"},
+        "security": {"operators": ["lab"]},
         "world": {"host": "desk"},
         "drones": [{"id": 0, "home": [0, 0, 0], "host": "lab"}],
     }
     named = SwarmConfig.of(raw)
-    assert (named.owned, named.endpoints()[WORLD]) == ((0,), "tcp/10.0.0.8:7459")
+    assert (named.owned, named.endpoints()[WORLD]) == ((0,), "tls/10.0.0.8:7459")
 
 
 def test_partitions_name_every_drone() -> None:

@@ -17,9 +17,9 @@ CASES = {
         'colour = "red"',
         "",
         'x.toml: colour = "red": there is no such key; the keys here are name, drones, mission, mission_options, '
-        "seed, graph, edges, directed, start, start_deadline, lost_after, lease, base_port, processes, hosts, network, "
-        "flight, fence, keep_out, mocap, radio, plant, motors, mujoco, world, collision, control, roles. Remove it; "
-        "keys of your own go into [mission_options].",
+        "seed, graph, edges, directed, start, start_deadline, lost_after, lease, base_port, processes, hosts, "
+        "security, network, flight, fence, keep_out, mocap, radio, plant, motors, mujoco, world, collision, control, "
+        "roles. Remove it; keys of your own go into [mission_options].",
     ),
     "misspelt key of a drone": (
         "",
@@ -422,7 +422,7 @@ def test_hostile_depth_is_a_config_error() -> None:
 
 def test_every_key_says_what_is_allowed_and_its_example_is() -> None:
     structs = [kind for kind in vars(tables).values() if isinstance(kind, type) and issubclass(kind, tables.Table)]
-    assert len(structs) == 20
+    assert len(structs) == 21
     for kind in structs:
         for entry in msgspec.structs.fields(kind):
             said = next((t for t in (entry.type, *get_args(entry.type)) if get_origin(t) is Annotated), None)
