@@ -66,7 +66,7 @@ def _here(config: "SwarmConfig") -> "SwarmConfig":
     raw = msgspec.to_builtins(config)
     drones = [{**drone, "host": None} for drone in raw["drones"]]
     world, mocap = ({**raw[name], "host": None} for name in ("world", "mocap"))
-    return config.replace(hosts={}, drones=drones, world=world, mocap=mocap)
+    return config.replace(hosts={}, security={}, drones=drones, world=world, mocap=mocap)
 
 
 async def _replay(

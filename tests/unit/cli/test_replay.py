@@ -9,8 +9,9 @@ import threading
 
 import pytest
 
-from crazychoir.cli.replay import _asked
+from crazychoir.cli.replay import _asked, _here
 from crazychoir.runtime.clock import run_wall
+from crazychoir.swarm.config import SwarmConfig
 
 
 @pytest.fixture
@@ -66,3 +67,12 @@ def test_who_is_cancelled_waits_for_no_line(monkeypatch):
         if thread.name == "standard input":
             thread.join(5.0)
     keyboard.close()
+
+
+def test_a_closed_network_of_several_hosts_is_said_again_on_this_machine_alone():
+    raw = {
+        "name": "lab", "hosts": {"a": "10.0.0.1"}, "security": {"insecure": False, "operators": ["a"]},
+        "drones": [{"id": 0, "home": [0, 0, 0], "host": "a"}],
+    }  # fmt: skip
+    here = _here(SwarmConfig.of(raw))
+    assert (here.endpoint(0), here.access("a")) == ("tcp/127.0.0.1:7460", None)
