@@ -82,10 +82,14 @@ def look_before(mission: Mission, config: SwarmConfig, force: bool = False) -> l
 
 
 def mission_hash(config: SwarmConfig, mission: Mission) -> str:
-    """What all hosts must have in common: the swarm file, and the text of the mission."""
+    """What all hosts must have in common: the swarm file, and the text of the mission; then, after a colon, its parts.
+
+    See strangers.difference.
+    """
     text = Path(getattr(mission, "__file__", None) or "")
     code = text.read_bytes() if text.is_file() else b""
-    return hashlib.blake2b(config.digest().encode() + code, digest_size=8).hexdigest()
+    whole = hashlib.blake2b(config.digest().encode() + code, digest_size=8).hexdigest()
+    return f"{whole}:{config.digests()}{hashlib.blake2b(code, digest_size=1).hexdigest()}"
 
 
 def names() -> list[str]:

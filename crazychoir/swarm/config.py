@@ -17,7 +17,7 @@ from crazychoir.swarm.checks import REPLAY, check, graph_of, owned, secured
 from crazychoir.swarm.graph import Graph, span
 from crazychoir.swarm.radios import body_name, dongles, is_reached, reached, seen
 from crazychoir.swarm.reading import parse, read, require_plain
-from crazychoir.swarm.tables import Control, Drone, Sender, Swarm, Table
+from crazychoir.swarm.tables import AGREED, OWN_TO_A_HOST, Control, Drone, Sender, Swarm, Table
 
 LOCAL = "127.0.0.1"
 WORLD = -1
@@ -32,8 +32,6 @@ FILES = ("instance", "drawing")
 """Options of missions that name a file."""
 SHAPES = ("model", "scene")
 """Keys of [mujoco] that name a file; only the host of the world's owner needs them."""
-OWN_TO_A_HOST = ("hosts", "security", "base_port", "network")
-"""What hosts need not agree on: how they reach each other, and what is simulated to happen to their messages."""
 
 
 class SwarmConfig(Swarm, frozen=True, kw_only=True):
@@ -121,6 +119,15 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
         Everything counts but `hosts`, `base_port`, `network` and the folders of the mission, of shapes and of poses. A
         file that the mission's options name counts by what is in it, wherever it lies.
         """
+        return hashlib.blake2b(msgspec.json.encode(self._agreed(), order="sorted"), digest_size=8).hexdigest()
+
+    def digests(self) -> str:
+        """Of each of the keys AGREED alone two hex digits, so that two files that differ are told in what."""
+        agreed = self._agreed()
+        said = [msgspec.json.encode(agreed[key], order="sorted") for key in AGREED]
+        return "".join(hashlib.blake2b(value, digest_size=1).hexdigest() for value in said)
+
+    def _agreed(self) -> dict[str, Any]:
         agreed = {key: value for key, value in msgspec.to_builtins(self).items() if key not in OWN_TO_A_HOST}
         agreed["mission"] = Path(self.mission or "").name
         agreed["mujoco"] |= {key: Path(getattr(self.mujoco, key)).name for key in SHAPES}
@@ -129,7 +136,7 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
         for drone in agreed["drones"]:
             name, mark, number = drone["uri"].removeprefix(REPLAY).partition("?")
             drone["uri"] = drone["uri"] if name == drone["uri"] else f"{REPLAY}{_content(name)}{mark}{number}"
-        return hashlib.blake2b(msgspec.json.encode(agreed, order="sorted"), digest_size=8).hexdigest()
+        return agreed
 
     @property
     def ids(self) -> tuple[int, ...]:

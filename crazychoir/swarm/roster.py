@@ -225,7 +225,8 @@ class Barrier:
     def _beat(self) -> bytes:
         epoch = self.roster.epoch if self.roster else 0
         hears = () if self.roster else tuple(j for j in self.monitor.watched if self._present(j))
-        lost, texts = tuple(self._lost), (self.mission_hash, self.refused)
+        mission = self.mission_hash.partition(":")[0] if self.roster else self.mission_hash
+        lost, texts = tuple(self._lost), (mission, self.refused)
         beat = Beat(self.port.incarnation, epoch, self._checksum, hears, lost, *texts)
         if beat != self._beaten[0]:
             self._beaten = beat, encode(beat.wire())

@@ -4,9 +4,27 @@ from collections.abc import Collection
 from typing import Final
 
 from crazychoir.runtime.clock import SECOND, Clock
+from crazychoir.swarm.tables import AGREED
 
 SETTLE: Final = 2.0
 """s after the first stranger until it is judged who is the minority, if not everybody has been heard before."""
+
+COPY: Final = "Copy one swarm file and one mission to every host."
+CODE: Final = "the text of the mission"
+
+
+def difference(ours: str, theirs: str) -> list[str]:
+    """The keys of the swarm file in which two mission hashes differ; [] where one of them does not say, or by chance."""
+    (_, _, a), (_, _, b) = ours.partition(":"), theirs.partition(":")
+    names = (*AGREED, CODE)
+    if len(a) != 2 * len(names) or len(b) != len(a):
+        return []
+    return [name for k, name in enumerate(names) if a[2 * k : 2 * k + 2] != b[2 * k : 2 * k + 2]]
+
+
+def _told(theirs: str, ours: str) -> str:
+    differs = difference(ours, theirs)
+    return theirs.partition(":")[0] + (f", which has another {', '.join(differs)}" if differs else "")
 
 
 class Strangers:
@@ -19,7 +37,7 @@ class Strangers:
 
     def heard(self, j: int, mission_hash: str) -> bool:
         """Whether j is one, by what its heartbeat says."""
-        if mission_hash == self.mission_hash:
+        if mission_hash.partition(":")[0] == self.mission_hash.partition(":")[0]:
             self.missions.pop(j, None)
             return False
         self._judge_ns = self._judge_ns or self.clock.now_ns() + int(SETTLE * SECOND)
@@ -35,9 +53,7 @@ class Strangers:
         return any((len(same), -min(same)) > (1 + len(ours), -min([self.id, *ours])) for same in theirs)
 
     def text(self) -> str:
-        """What to tell the user of them."""
-        others = ", ".join(f"drone {j} ({mission})" for j, mission in sorted(self.missions.items()))
-        return (
-            f"its swarm file or mission ({self.mission_hash}) is not that of {others}. "
-            "Copy one swarm file and one mission to every host."
-        )
+        """What to tell the user of them, and in what they differ."""
+        ours, whole = self.mission_hash, self.mission_hash.partition(":")[0]
+        others = ", ".join(f"drone {j} ({_told(theirs, ours)})" for j, theirs in sorted(self.missions.items()))
+        return f"its swarm file or mission ({whole}) is not that of {others}. {COPY}"

@@ -457,3 +457,9 @@ class Swarm(Table, frozen=True, kw_only=True):
     collision: Collision = Collision()
     control: Control = Control()
     roles: Roles = ()
+
+
+OWN_TO_A_HOST = ("hosts", "security", "base_port", "network")
+"""What hosts need not agree on: how they reach each other, and what is simulated to happen to their messages."""
+AGREED = tuple(key for key in Swarm.__struct_encode_fields__ if key not in OWN_TO_A_HOST)
+"""All other keys of a swarm file."""

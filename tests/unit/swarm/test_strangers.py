@@ -1,7 +1,8 @@
 """Who has another mission, and who of two camps is refused."""
 
 from crazychoir.runtime.clock import Clock, run_virtual
-from crazychoir.swarm.strangers import SETTLE, Strangers
+from crazychoir.swarm.config import default_swarm
+from crazychoir.swarm.strangers import CODE, SETTLE, Strangers, difference
 
 
 def told(story) -> None:
@@ -46,5 +47,28 @@ def test_who_has_not_heard_everybody_waits_before_it_judges():
         assert not camp.are_more([])
         await clock.sleep(SETTLE + 0.01)
         assert camp.are_more([])
+
+    told(story)
+
+
+def test_it_is_told_in_which_keys_of_the_swarm_file_and_whether_in_the_mission_itself_they_differ():
+    config = default_swarm(3)
+
+    def hashed(config, code="00"):
+        return f"{config.digest()}:{config.digests()}{code}"
+
+    other = config.replace(graph="complete", flight={"speed_limit": 2.0}, base_port=8000, network={"loss": 0.5})
+    assert difference(hashed(config), hashed(config)) == []
+    assert difference(hashed(config), hashed(other)) == ["graph", "flight"]
+    assert difference(hashed(config), hashed(config, "01")) == [CODE]
+    assert difference(hashed(config), hashed(config)[:-2]) == [], "of another version, with other keys"
+    assert difference(hashed(config), "ours") == []
+
+    async def story(clock: Clock) -> None:
+        camp = Strangers(clock, 1, 2, hashed(config))
+        assert not camp.heard(0, config.digest()), "after GO only the whole is said"
+        assert camp.heard(0, hashed(other))
+        whole = f"({config.digest()}) is not that of drone 0 ({other.digest()}, which has another graph, flight). Copy"
+        assert whole in camp.text()
 
     told(story)
