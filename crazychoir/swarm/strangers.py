@@ -14,7 +14,7 @@ CODE: Final = "the text of the mission"
 
 
 def difference(ours: str, theirs: str) -> list[str]:
-    """The keys of the swarm file in which two mission hashes differ; [] where one of them does not say, or by chance."""
+    """In which keys of the swarm file two mission hashes differ; [] where one of them does not say, or by chance."""
     (_, _, a), (_, _, b) = ours.partition(":"), theirs.partition(":")
     names = (*AGREED, CODE)
     if len(a) != 2 * len(names) or len(b) != len(a):
