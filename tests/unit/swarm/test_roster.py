@@ -2,14 +2,13 @@
 
 import asyncio
 from collections.abc import Awaitable, Callable
-from dataclasses import dataclass, field
 from typing import Any
 
 import pytest
+from living import LOSSY, Team, as_graph_says, counting, formed, settled, team
 from msgspec.structs import replace
 
 from crazychoir.bus.codec import decode, encode
-from crazychoir.bus.impairment import Impairment
 from crazychoir.bus.local import Bus
 from crazychoir.bus.presence import SILENCE, Presence
 from crazychoir.bus.rules import Partition, Rule
@@ -17,78 +16,9 @@ from crazychoir.bus.topics import HEARTBEAT, ROSTER
 from crazychoir.errors import PeerLost, Refused, RosterChanged
 from crazychoir.runtime.clock import SECOND, Clock, run_virtual
 from crazychoir.swarm import graph as graphs
-from crazychoir.swarm.communicator import Communicator
-from crazychoir.swarm.graph import Graph, GraphSequence
+from crazychoir.swarm.graph import GraphSequence
 from crazychoir.swarm.members import Beat, Go, Roster
 from crazychoir.swarm.roster import REMEMBERED, Barrier
-
-
-@dataclass
-class Member:
-    """One drone: its barrier, its communicator, and its life that can be cut."""
-
-    barrier: Barrier
-    communicator: Communicator
-    tasks: list["asyncio.Task[Any]"] = field(default_factory=list)
-
-
-class Team:
-    """Drones of one process; each can be killed and started again."""
-
-    def __init__(
-        self, clock: Clock, graph: Graph, impairment: Impairment, sequence: GraphSequence | None = None
-    ) -> None:
-        self.clock, self.graph, self.sequence = clock, graph, sequence
-        self.bus = Bus(clock, impairment)
-        self.members: dict[int, Member] = {}
-
-    def start(self, i: int, incarnation: int = 1, mission: str = "abc", **options: Any) -> Barrier:
-        port = self.bus.port(i, incarnation)
-        barrier = Barrier(port, self.graph, mission_hash=mission, version="1", **options)
-        communicator = Communicator(port, self.sequence or self.graph)
-        communicator.follow(barrier)
-        member = self.members[i] = Member(barrier, communicator)
-        self.run(i, barrier.monitor.run())
-        assert member.barrier is barrier
-        return barrier
-
-    def run(self, i: int, life: Awaitable[Any]) -> "asyncio.Task[Any]":
-        task = asyncio.ensure_future(life)
-        self.members[i].tasks.append(task)
-        return task
-
-    def kill(self, i: int) -> None:
-        for task in self.members.pop(i).tasks:
-            task.cancel()
-        del self.bus.ports[i]
-
-    def rosters(self) -> dict[int, Roster | None]:
-        return {i: member.barrier.roster for i, member in self.members.items()}
-
-
-async def formed(barriers: list[Barrier]) -> Roster:
-    """All have GO."""
-    rosters = await asyncio.gather(*(barrier.go() for barrier in barriers))
-    return rosters[0]
-
-
-def team(
-    graph: Graph, story: Callable[[Team], Awaitable[Any]], rules: list[Rule] | None = None,
-    partitions: list[Partition] | None = None, seed: int = 1, sequence: GraphSequence | None = None,
-) -> Any:  # fmt: skip
-    async def main(clock: Clock) -> Any:
-        it = Team(clock, graph, Impairment(seed, rules or [], partitions or []), sequence)
-        try:
-            return await story(it)
-        finally:
-            for i in list(it.members):
-                it.kill(i)
-
-    return run_virtual(main)
-
-
-LOSSY = [Rule({"loss": 0.3, "delay": 0.003, "jitter": 0.01, "duplicate": 0.1})]
-
 
 # GO -----------------------------------------------------------------------------------------------------------------
 
@@ -303,18 +233,6 @@ def test_strange_heartbeats_and_rosters_are_counted():
 
 
 # Epochs -------------------------------------------------------------------------------------------------------------
-
-
-async def settled(t: Team, epoch: int, seconds: float = 20.0) -> Roster:
-    """The roster of this epoch (or a later one), when all have the same."""
-    ends = t.clock.now() + seconds
-    while t.clock.now() < ends:
-        rosters = list(t.rosters().values())
-        first = rosters[0]
-        if first is not None and first.epoch >= epoch and all(roster == first for roster in rosters):
-            return first
-        await t.clock.sleep(0.05)
-    raise AssertionError(f"no agreement: {t.rosters()}")
 
 
 @pytest.mark.parametrize("rules", [None, LOSSY], ids=["good", "lossy"])
@@ -681,30 +599,6 @@ def test_one_who_was_lost_and_begins_again_is_not_lost():
 
 
 # Algorithms across epochs -------------------------------------------------------------------------------------------
-
-
-def counting(t: Team, i: int, heard: dict[int, list[tuple[int, ...]]], until: float, pace: float = 0.0) -> Any:
-    """Exchange the round's number until some time; keeps by round whom it heard."""
-
-    async def life() -> None:
-        await t.members[i].barrier.go()
-        c = t.members[i].communicator
-        ch = c.open("sum", joinable=True)
-        while t.clock.now() < until:
-            k = ch.sending
-            got = await c.neighbors_exchange(k, channel="sum")
-            assert set(got.values()) <= {k}
-            heard.setdefault(k, {})[i] = tuple(got)  # type: ignore[call-overload, index]
-            if pace:
-                await t.clock.sleep(pace)
-
-    return life()
-
-
-def as_graph_says(graph: Graph, k: int, heard: dict[int, Any], gone: int = -1) -> bool:
-    """Whether all members of a graph heard in round k just their neighbours (one who is gone may be missing)."""
-    needed = {i: tuple(j for j in graph.in_neighbors(i) if j != gone) for i in graph.ids if i != gone}
-    return {i: tuple(j for j in js if j != gone) for i, js in heard[k].items() if i != gone} == needed
 
 
 @pytest.mark.parametrize("rules", [[Rule({"delay": 0.01})], LOSSY], ids=["good", "lossy"])

@@ -1,0 +1,54 @@
+"""What one seed comes to."""
+
+import hashlib
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+
+@dataclass
+class Report:
+    """injected: how often each fault was;  wrong: invariants that do not hold, sentence by sentence;  digest: of all
+    that was computed, flown and said;  checks: invariants that were looked at.
+    """
+
+    seed: int
+    kind: str
+    injected: dict[str, int] = field(default_factory=dict)
+    wrong: list[str] = field(default_factory=list)
+    digest: str = ""
+    checks: int = 0
+    simulated_s: float = 0.0
+
+    def inject(self, fault: str, times: int = 1) -> None:
+        """So many more of a fault."""
+        self.injected[fault] = self.injected.get(fault, 0) + times
+
+    def holds(self, condition: Any, otherwise: str) -> None:
+        """An invariant; `otherwise` is said if it does not hold."""
+        self.checks += 1
+        if not condition:
+            self.wrong.append(otherwise)
+
+
+def digest(*values: Any) -> str:
+    """16 hex digits of arrays, numbers and texts, bit by bit."""
+    whole = hashlib.blake2b(digest_size=8)
+    for part in _parts(values):
+        whole.update(part)
+    return whole.hexdigest()
+
+
+def _parts(value: Any) -> Iterator[bytes]:
+    if isinstance(value, dict):
+        value = sorted(value.items())
+    if isinstance(value, (list, tuple)):
+        yield f"[{len(value)}".encode()
+        for one in value:
+            yield from _parts(one)
+    elif isinstance(value, (np.ndarray, np.generic)):
+        yield np.ascontiguousarray(value).tobytes()
+    else:
+        yield repr(value).encode()
