@@ -52,7 +52,8 @@ bench: $(VENV)/.installed-bench  ## measure, beside CycloneDDS and MPI
 paper: $(VENV)/.installed-bench  ## tables and pictures of the routing's benchmarks, into out/paper: an hour
 	$(BIN)/crazychoir bench paper --out out/paper
 
-campaign: $(VENV)/.installed-test  ## the long tests: many seeds, many faults
+campaign: $(VENV)/.installed-test  ## ten thousand seeds of faults in virtual time, then the long tests
+	cd tests && ../$(BIN)/python -m campaign 0-9999
 	$(BIN)/python -m pytest -m slow
 
 clean:  ## remove the environment and all caches; out/ stays

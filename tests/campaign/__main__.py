@@ -1,0 +1,98 @@
+"""The campaign from a shell, in tests/:  python -m campaign 0-9999  or, to see one again,  python -m campaign 4711.
+
+Every seventh seed is run twice, as a rule in another process with another hash seed: its digest must be the same.
+"""
+
+import argparse
+import json
+import multiprocessing
+import os
+import sys
+import time
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import asdict
+from typing import Any
+
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
+
+from campaign import seeds
+from campaign.report import Report
+
+AGAIN = 7
+
+
+def campaign(chosen: list[int], jobs: int, console: Console) -> dict[str, Any]:
+    """All of them; what came of it."""
+    began, first, reports = time.perf_counter(), dict[int, str](), list[Report]()
+    cpu, kinds, injected, repeated = Counter[str](), Counter[str](), Counter[str](), 0
+    work = chosen + [seed for seed in chosen if seed % AGAIN == 0]
+    with multiprocessing.get_context("spawn").Pool(jobs, seeds.quiet) as pool:
+        found: Iterable[tuple[Report, float]] = pool.imap(seeds.timed, work, chunksize=4)
+        for report, spent in track(found, "seeds", len(work), console=console):
+            cpu[report.kind] += spent
+            if report.seed in first:
+                repeated += 1
+                if report.digest != first[report.seed]:
+                    report.wrong.append("the same seed has another digest")
+            else:
+                kinds[report.kind] += 1
+                first[report.seed] = report.digest
+                injected.update(report.injected)
+            if report.wrong:
+                reports.append(report)
+                console.print(f"seed {report.seed} ({report.kind}): {report.wrong[0]}", markup=False, highlight=False)
+                console.print(f"  again: cd tests && python -m campaign {report.seed}", markup=False, highlight=False)
+    wall = time.perf_counter() - began
+    return {
+        "success": not reports, "seeds": len(chosen), "repeated": repeated, "wall_s": wall,
+        "seeds_per_s": len(work) / wall, "jobs": jobs, "kinds": dict(kinds), "injected": dict(injected.most_common()),
+        "cpu_s": {kind: spent / max(1, kinds[kind]) for kind, spent in cpu.items()},
+        "wrong": [asdict(report) for report in reports],
+    }  # fmt: skip
+
+
+def show(result: dict[str, Any], console: Console) -> None:
+    """As tables."""
+    table = Table("scenario", "seeds", "s of CPU a seed", "wrong")
+    wrong = Counter(one["kind"] for one in result["wrong"])
+    for kind, count in sorted(result["kinds"].items()):
+        table.add_row(kind, str(count), f"{result['cpu_s'][kind]:.3f}", str(wrong[kind]))
+    console.print(table)
+    faults = Table("injected", "times")
+    for fault, times in result["injected"].items():
+        faults.add_row(fault, str(times))
+    console.print(faults)
+    console.print(
+        f"{result['seeds']} seeds, {result['repeated']} of them twice, in {result['wall_s']:.0f} s, "
+        f"{result['seeds_per_s']:.1f} a second; {len(result['wrong'])} with a violated invariant",
+        highlight=False,
+    )
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(prog="python -m campaign", description=__doc__)
+    parser.add_argument("seeds", help="one, which is told in full, or a range: 0-9999")
+    parser.add_argument("--kind", choices=sorted(seeds.KINDS), help="only these scenarios of the range")
+    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
+    parser.add_argument("--json", action="store_true")
+    chosen = parser.parse_args()
+    console = Console(stderr=chosen.json)
+    first, _, last = chosen.seeds.partition("-")
+    if not last:
+        report = seeds.run(int(first))
+        print(json.dumps(asdict(report), indent=None if chosen.json else 2))  # noqa: T201
+        return int(bool(report.wrong))
+    some = [seed for seed in range(int(first), int(last) + 1) if chosen.kind in (None, seeds.kind_of(seed))]
+    result = campaign(some, chosen.jobs, console)
+    if chosen.json:
+        print(json.dumps(result))  # noqa: T201
+    else:
+        show(result, console)
+    return int(not result["success"])
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,169 @@
+"""Scenarios in flight: missions over a bad network with crashes, partitions and cameras that do not see."""
+
+import asyncio
+from typing import Any
+
+import numpy as np
+from system.online import crash, drawn
+
+from campaign import faults
+from campaign.faults import Draw
+from campaign.report import Report, digest
+from crazychoir.agent import Agent
+from crazychoir.bus.impairment import Impairment
+from crazychoir.bus.topics import POSE
+from crazychoir.guidance.mission import Mission, load
+from crazychoir.runtime.actor import Actor
+from crazychoir.runtime.clock import Clock, run_virtual
+from crazychoir.safety.modes import Mode
+from crazychoir.simulation.trace import Trace
+from crazychoir.swarm.checks import TOUCHING
+from crazychoir.swarm.config import SwarmConfig
+
+BRISK = {"takeoff_height": 0.5, "speed_limit": 1.5, "acceleration_limit": 3.0, "landing_speed": 0.6}
+IN_FLIGHT = 20.0
+"""s after the first take-off at which all are told to land."""
+LONGEST = 120.0
+"""s of virtual time in which every wait of a flight must be over."""
+OUTSIDE = 0.15
+"""m beyond the fence with running motors that a safety table may need to stop a drone; the limit area is 0.5 m off."""
+LOW = 0.1
+"""m above the floor: below it a drone stands, or is about to."""
+
+
+class Invariants(Actor):
+    """Looks at all drones at each step: distances, the fence, and whether they all come down in time."""
+
+    name = "invariants"
+
+    def __init__(self, agent: Agent, report: Report) -> None:
+        self.agent, self.report, self.killed = agent, report, dict[int, float]()
+        self.began = np.inf
+        self._said: dict[Any, None] = {}
+
+    async def run(self) -> None:
+        """A hundred times a second."""
+        async for _ in self.agent.clock.ticks(100.0):
+            self.look(self.agent.clock.now())
+
+    def look(self, now: float) -> None:
+        """One step."""
+        agent, report = self.agent, self.report
+        p = {i: agent._owner_of[i].world.states[agent._owner_of[i].world.row[i], 0:3] for i in agent.ids}
+        up = [i for i in agent.ids if p[i][2] > LOW and i not in self.killed]  # who falls hits whom he hits
+        if up and self.began == np.inf:
+            self.began = now
+        if now - self.began > IN_FLIGHT:
+            self.began = -np.inf
+            agent.land_all("the scenario is over")
+        report.checks += len(up)
+        low, high = (np.array(side) for side in (agent.config.fence.min, agent.config.fence.max))
+        for i in up:
+            beyond = float(np.max(np.maximum(low - p[i], p[i] - high)))
+            if beyond > OUTSIDE and agent.drones[i].pilot.mode is not Mode.CUT:
+                self._wrong(("fence", i), f"drone {i} is {beyond:.2f} m outside the fence at {now:.2f} s, motors on")
+        for a, i in enumerate(up):
+            for j in up[a + 1 :]:
+                apart = float(np.linalg.norm(p[i] - p[j]))
+                if apart < TOUCHING:
+                    self._wrong(("near", i, j), f"drones {i} and {j} are {apart:.3f} m from each other at {now:.2f} s")
+
+    def _wrong(self, what: Any, text: str) -> None:
+        if what not in self._said:
+            self._said[what] = None
+            self.report.wrong.append(text)
+
+
+def dropouts(agent: Agent, report: Report, draw: Draw) -> None:
+    """For a while the cameras do not see a drone."""
+    gaps = []
+    for _ in range(int(draw.integers(0, 4))):
+        since, length = float(draw.uniform(1.0, 15.0)), float(draw.choice([0.05, 0.3, 0.8, 3.0]))
+        gaps.append((int(draw.choice(agent.ids)), since, since + length))
+        report.inject("mocap dropouts")
+    if not gaps:
+        return
+    for i in agent.ids:
+        port = agent.bus.ports[i]
+        publish = port.publish
+
+        def seen(topic: Any, value: Any, age: float = 0.0, i: int = i, publish: Any = publish) -> None:
+            now = agent.clock.now()
+            blind = topic is POSE and any(j == i and since <= now < until for j, since, until in gaps)
+            if not blind:
+                publish(topic, value, age)
+
+        port.publish = seen  # type: ignore[method-assign]
+
+
+def flown(report: Report, draw: Draw, config: SwarmConfig, mission: Mission, kills: int) -> Agent | None:
+    """Fly it with faults; the agent afterwards, for what is to be looked at of its mission."""
+    ids, agents = config.ids, list[Agent]()
+    network = faults.rules(draw, report, ids, 0.3)
+    cuts = faults.partitions(draw, report, ids, 15.0)
+    victims = draw.choice(ids, kills, replace=False).tolist() if kills else []
+    report.inject("crashes", kills)
+
+    async def main(clock: Clock) -> None:
+        trace = Trace()
+        agent = Agent(clock, config, mission, ids, trace=trace)
+        agents.append(agent)
+        agent.bus.impairment = Impairment(report.seed, network, cuts)
+        watch = Invariants(agent, report)
+        agent.services.append(watch)
+        dropouts(agent, report, draw)
+
+        def kill(i: int) -> None:
+            if not agent.drones[i].result:
+                watch.killed[i] = clock.now()
+                crash(agent, i)
+
+        for i in victims:
+            clock.call_at(round(float(draw.uniform(1.0, 15.0)) * 1e9), kill, i)
+        async with asyncio.timeout(LONGEST):
+            results = await agent.run()
+        for i in ids:
+            report.holds(results[i] or i in watch.killed, f"drone {i} has no result")
+            mode = agent.drones[i].pilot.mode
+            report.holds(mode in (Mode.GROUND, Mode.CUT), f"drone {i} ends {mode.value}")
+        report.simulated_s = clock.now()
+        report.digest = digest(trace.digest(), clock.now_ns())
+
+    run_virtual(main)
+    return agents[0] if agents else None
+
+
+def formation(report: Report, draw: Draw) -> None:
+    """A formation by bearings, scattered at first."""
+    mission = load("bearing_formation")
+    made = mission.swarm(None).replace(
+        seed=report.seed, flight=BRISK, lost_after=2.0, start=3, start_deadline=3.0,
+        mission_options={"duration": float(draw.uniform(4.0, 12.0))},
+    )  # fmt: skip
+    flown(report, draw, mission.scatter(made), mission, int(draw.integers(0, 2)))
+
+
+def crossing(report: Report, draw: Draw) -> None:
+    """Drones that fly straight at each other."""
+    mission, n = load("crossing"), int(draw.integers(2, 6))
+    made = mission.swarm(n).replace(seed=report.seed, lost_after=2.0)
+    options = {"pattern": "antipodal", "radius": 1.2, "low": 0.8, "high": 1.2, "jitter": 0.05, "duration": 8.0}
+    config = mission.scatter(made.replace(mission_options=made.mission_options | options))
+    flown(report, draw, config, mission, int(draw.integers(0, 2)))
+
+
+def delivery(report: Report, draw: Draw) -> None:
+    """Goods that appear in flight: nothing is delivered twice, and what is said to be delivered was."""
+    made = drawn(report.seed, 0.0, drones=int(draw.integers(2, 5)), tasks=int(draw.integers(1, 4)), later=1)
+    agent = flown(report, draw, made.replace(flight=BRISK), load("online_delivery"), int(draw.integers(0, 2)))
+    if agent is None:
+        return
+    by: dict[tuple[int, str], list[int]] = {}
+    for i in agent.ids:
+        for stop in getattr(agent.drones[i].guidance, "served", []):
+            by.setdefault((stop["task"], stop["kind"]), []).append(i)
+    for (j, kind), who in sorted(by.items()):
+        report.holds(len(who) == 1 or kind == "pickup", f"{kind} of task {j} by {who}")
+
+
+KINDS = {"formation": formation, "crossing": crossing, "delivery": delivery}

@@ -1,0 +1,56 @@
+"""From a seed to its scenario: of twenty seeds three fly."""
+
+import logging
+import signal
+import time
+from typing import Any
+
+import numpy as np
+
+from campaign import flights, ground
+from campaign.report import Report
+
+PATIENCE = 120
+"""s of the wall clock after which a scenario hangs."""
+KINDS = {**ground.KINDS, **flights.KINDS}
+
+
+def kind_of(seed: int) -> str:
+    """What a seed is a scenario of."""
+    number, rest = divmod(seed, 20)
+    if rest >= 17:
+        return list(flights.KINDS)[rest - 17]
+    return list(ground.KINDS)[(17 * number + rest) % len(ground.KINDS)]
+
+
+def run(seed: int) -> Report:
+    """The scenario of a seed; what it raises is an invariant that does not hold."""
+    kind = kind_of(seed)
+    report = Report(seed, kind)
+    try:
+        KINDS[kind](report, np.random.default_rng([seed, 8]))
+    except Exception as error:  # noqa: BLE001 - it is the campaign's finding
+        report.wrong.append(f"{type(error).__name__}: {error}")
+    return report
+
+
+def quiet() -> None:
+    """What drones say in all their trouble is not for this terminal."""
+    logging.disable(logging.CRITICAL)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def late(number: int, frame: Any) -> None:
+    """The alarm."""
+    raise TimeoutError(f"it hangs: {PATIENCE} s of the wall clock")
+
+
+def timed(seed: int) -> tuple[Report, float]:
+    """The scenario, and s of its processor."""
+    signal.signal(signal.SIGALRM, late)
+    signal.alarm(PATIENCE)
+    began = time.process_time()
+    try:
+        return run(seed), time.process_time() - began
+    finally:
+        signal.alarm(0)
