@@ -9,6 +9,7 @@ import typer
 from crazychoir.cli import (
     convert,
     dashboard,
+    doctor,
     ending,
     identify,
     keys,
@@ -59,6 +60,7 @@ app.command()(record.record)
 app.command()(replay.replay)
 app.command()(identify.identify)
 app.command()(dashboard.dashboard)
+app.command()(doctor.doctor)
 for command in (look.topics, look.echo, look.hz, look.status, look.impair, orders.stop):
     app.command()(command)
 for verb in orders.TEXTS:

@@ -169,11 +169,18 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
 
     def endpoints(self) -> dict[int, str]:
         """The endpoint of each process, by its lowest drone; those of owners first: of dongles, cameras, the world."""
+        listens = {process: self._listens(host, process) for process, host in self._owners().items()}
+        return listens | {group[0]: self.endpoint(group[0]) for group in self.groups()}
+
+    def host_of(self, process: int) -> str | None:
+        """Where a process of `endpoints` runs; None without [hosts]."""
+        return self.drone(process).host if process >= 0 else self._owners()[process]
+
+    def _owners(self) -> dict[int, str | None]:
+        """The hosts of the processes that are no agents."""
         owners = {DONGLES - k: self.dongle_host(k) for k in reversed(self.dongles)}
         owners |= {MOCAP: self.mocap.host} if self.seen else {}
-        owners |= {WORLD: self.world.host} if self.owned else {}
-        listens = {process: self._listens(host, process) for process, host in owners.items()}
-        return listens | {group[0]: self.endpoint(group[0]) for group in self.groups()}
+        return owners | ({WORLD: self.world.host} if self.owned else {})
 
     def _listens(self, host: str | None, process: int) -> str:
         address = LOCAL if host is None else self.hosts[host]
