@@ -24,6 +24,7 @@ from crazychoir.cli import (
     rerun,
     rigid_bodies,
     ros,
+    router,
     simulate,
     solve,
     steer,
@@ -61,6 +62,7 @@ app.command()(replay.replay)
 app.command()(identify.identify)
 app.command()(dashboard.dashboard)
 app.command()(doctor.doctor)
+app.command()(router.router)
 for command in (look.topics, look.echo, look.hz, look.status, look.impair, orders.stop):
     app.command()(command)
 for verb in orders.TEXTS:

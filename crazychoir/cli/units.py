@@ -5,13 +5,13 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from crazychoir.swarm.config import SwarmConfig
 
-WORLD, MOCAP, DONGLES = -1, -2, -3
+WORLD, MOCAP, DONGLES, ROUTER = -1, -2, -3, -19
 """As in swarm/config.py, which takes 1 s to import."""
 
 
 def name_of(process: int) -> str:
     """What listens there, in words."""
-    owners = {WORLD: "the world's owner", MOCAP: "motion capture"}
+    owners = {WORLD: "the world's owner", MOCAP: "motion capture", ROUTER: "the router"}
     if process >= 0:
         return f"drone {process}"
     return owners.get(process, f"dongle {DONGLES - process}")
@@ -19,10 +19,10 @@ def name_of(process: int) -> str:
 
 def unit_of(process: int) -> str:
     """The systemd unit of a process."""
-    owners = {WORLD: "crazychoir-world.service", MOCAP: "crazychoir-mocap.service"}
+    owners = {WORLD: "crazychoir-world", MOCAP: "crazychoir-mocap", ROUTER: "crazychoir-router"}
     if process >= 0:
         return f"crazychoir-agent@{process}.service"
-    return owners.get(process, f"crazychoir-radio@{DONGLES - process}.service")
+    return owners.get(process, f"crazychoir-radio@{DONGLES - process}") + ".service"
 
 
 def units(config: "SwarmConfig", host: str) -> list[str]:

@@ -441,6 +441,7 @@ class Swarm(Table, frozen=True, kw_only=True):
     base_port: Port = 7460
     processes: Groups | None = None
     hosts: Hosts = field(default_factory=dict)
+    router: Name | None = None
     security: Security = Security()
     network: Network = Network()
     flight: Flight = Flight()
