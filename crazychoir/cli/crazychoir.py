@@ -17,6 +17,7 @@ from crazychoir.cli import (
     orders,
     param,
     plot,
+    push,
     radio,
     record,
     render,
@@ -63,6 +64,7 @@ app.command()(identify.identify)
 app.command()(dashboard.dashboard)
 app.command()(doctor.doctor)
 app.command()(router.router)
+app.command()(push.push)
 for command in (look.topics, look.echo, look.hz, look.status, look.impair, orders.stop):
     app.command()(command)
 for verb in orders.TEXTS:

@@ -101,8 +101,10 @@ def network(config: "SwarmConfig", host: str | None) -> list[Row]:
         address = config.hosts[name]
         rows.append(host_checks.reachable(name, address, host_facts.answer(address, port)))
     rows += certificates(config, here)
-    dongles = [k for k in config.dongles if _is_here(config.dongle_host(k), here) and _is_usb(config, k)]
-    rows += host_checks.radios(host_facts.crazyradios(), dongles)
+    ids = [i for k, ids in config.dongles.items() if _is_here(config.dongle_host(k), here) for i in ids]
+    uris = [config.drone(i).uri for i in ids]
+    numbers = [int(uri.split("/")[2]) for uri in uris if uri.startswith("radio://")]
+    rows += host_checks.radios(host_facts.crazyradios(), numbers)
     return [*rows, host_checks.memory(host_facts.memory_mb(), len(names))]
 
 
@@ -144,10 +146,6 @@ def certificates(config: "SwarmConfig", hosts: list[str]) -> list[Row]:
 
 def _is_here(host: str | None, here: list[str]) -> bool:
     return host is None or host in here
-
-
-def _is_usb(config: "SwarmConfig", dongle: int) -> bool:
-    return any(config.drone(i).uri.startswith("radio://") for i in config.dongles[dongle])
 
 
 def _show(rows: list[Row]) -> None:
