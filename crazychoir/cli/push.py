@@ -132,10 +132,10 @@ def run(host: str, step: Step) -> None:
             step.command, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=step.deadline, check=False
         )
     except FileNotFoundError as error:
-        raise ProcessFailed(f"{step.command[0]}: it is not on this machine. Install openssh-client.") from error
+        raise ProcessFailed(step.command[0], "it is not on this machine. Install openssh-client.") from error
     except subprocess.TimeoutExpired as error:
-        raise ProcessFailed(f"{host}: {step.what}: not done within {step.deadline:g} s. Is the host on?") from error
+        raise ProcessFailed(f"{host}: {step.what}", f"not done within {step.deadline:g} s. Is the host on?") from error
     if done.returncode:
         said = (done.stderr.strip() or done.stdout.strip() or "it says nothing").splitlines()[-1]
         do = "Try it by hand: " + shlex.join(step.command)
-        raise ProcessFailed(f"{host}: {step.what}: exit code {done.returncode}: {said}. {do}")
+        raise ProcessFailed(f"{host}: {step.what}", f"exit code {done.returncode}: {said}. {do}")
