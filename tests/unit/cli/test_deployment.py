@@ -172,3 +172,18 @@ def test_a_step_that_fails_says_why_and_what_to_try():
         pushing.run("a", pushing.Step("x", (sys.executable, "-c", "import time; time.sleep(9)"), 0.2))
     with pytest.raises(ProcessFailed, match="not on this machine"):
         pushing.run("a", pushing.Step("x", ("no-such-program",)))
+
+
+def test_the_guide_names_what_there_is(repository):
+    text = (repository / "deploy/GUIDE.md").read_text()
+    commands = [word for group in app.registered_commands for word in [group.name or group.callback.__name__]]
+    groups = [group.name for group in app.registered_groups]
+    for name in re.findall(r"(?:bin/|`|\n)crazychoir ([a-z][a-z-]+)", text):
+        assert name in commands + groups, name
+    for name in re.findall(r"(?:start|stop) ((?:crazychoir-[a-z]+(?:@\d)? ?)+)", text):
+        for one in re.findall(r"crazychoir-([a-z]+@?)", name):
+            assert one in UNITS, one
+    for path in re.findall(r"\]\(([\w.]+)\)", text):
+        assert (repository / "deploy" / path).is_file(), path
+    for name in re.findall(r"deploy/([\w.]+)", text):
+        assert (repository / "deploy" / name).exists(), name
