@@ -180,8 +180,8 @@ def test_the_guide_names_what_there_is(repository):
     groups = [group.name for group in app.registered_groups]
     for name in re.findall(r"(?:bin/|`|\n)crazychoir ([a-z][a-z-]+)", text):
         assert name in commands + groups, name
-    for name in re.findall(r"(?:start|stop) ((?:crazychoir-[a-z]+(?:@\d)? ?)+)", text):
-        for one in re.findall(r"crazychoir-([a-z]+@?)", name):
+    for line in re.findall(r"systemctl --user (?:start|stop) (.*)", text):
+        for one in re.findall(r"crazychoir-([a-z]+@?)", line):
             assert one in UNITS, one
     for path in re.findall(r"\]\(([\w.]+)\)", text):
         assert (repository / "deploy" / path).is_file(), path
