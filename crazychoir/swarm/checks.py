@@ -432,7 +432,7 @@ def _ports(swarm: Swarm, where: str) -> None:
     below = 3 + max(found) if (found := dongles(swarm)) else 1 if owned(swarm) else 0
     below = ROUTER_BELOW if swarm.router is not None else below
     if swarm.base_port - below < LOWEST_PORT:
-        problem = f"routers and owners of worlds and radios listen down to base_port - {below}"
+        problem = f"routers, owners of worlds and radios listen down to base_port - {below}"
         raise ConfigError(f"{where}: base_port", swarm.base_port, f"ports begin at {LOWEST_PORT}", "Raise it.", problem)
 
 
