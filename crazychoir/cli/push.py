@@ -103,7 +103,11 @@ def steps(
             raise ConfigError("--package", str(package), "a wheel or a folder", "python -m build --wheel")
         yield Step("package", (*SCP, str(package), f"{at}:{FOLDER}/"))
         what = f"{FOLDER}/{package.name}"
-    yield Step("installed", (*SSH, at, f"{FOLDER}/venv/bin/pip install --quiet {shlex.quote(what)}"), INSTALL)
+    install = f"{FOLDER}/venv/bin/pip install --quiet"
+    yield Step("installed", (*SSH, at, f"{install} {shlex.quote(what)}"), INSTALL)
+    if package is not None:  # pip leaves what is there of the same version
+        again = f"{install} --force-reinstall --no-deps {shlex.quote(what)}"
+        yield Step("installed anew", (*SSH, at, again), INSTALL)
 
 
 def named(config: "SwarmConfig") -> list[Path]:

@@ -155,6 +155,35 @@ def test_a_dry_push_prints_each_step_and_does_nothing(lab, repository, monkeypat
     assert re.search(r"pip install --quiet crazychoir==\d", lines[-1])
 
 
+def test_a_push_puts_all_in_its_place(lab, repository, tmp_path, monkeypatch):
+    """By programs that do on this machine what ssh and scp would do there; nothing is installed."""
+    there, bin_folder = tmp_path / "there", tmp_path / "bin"
+    for folder in (there, bin_folder):
+        folder.mkdir()
+    (bin_folder / "ssh").write_text(
+        f'#!/bin/sh\ncd {there}; for last; do :; done\n'
+        'case "$last" in *venv*|*systemctl*) echo "$last" >>said;; *) sh -c "$last";; esac\n'
+    )
+    (bin_folder / "scp").write_text(
+        f'#!/bin/sh\nfor last; do before=$here; here=$last; done\ncp -rp "$before" "{there}/${{last#*:}}"\n'
+    )
+    for program in bin_folder.iterdir():
+        program.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{bin_folder}:/usr/bin:/bin")
+    folder = str(repository / "deploy/systemd")
+    for _ in range(2):  # again is no different
+        done = CliRunner().invoke(app, ["push", "--swarm", str(lab), "--host", "a", "--units", folder])
+        assert done.exit_code == 0, done.output
+    moved = SwarmConfig.load(there / "choir/swarm.toml")
+    assert moved.access("a").folder == there / "choir/keys/a"
+    assert moved.mission == str(there / "choir/missions/own.py")
+    assert (there / "choir/missions/own.py").is_file()
+    assert sorted(path.name for path in (there / "choir/keys").iterdir()) == ["a"]
+    assert (there / "choir/keys/a/key.pem").stat().st_mode & 0o777 == 0o600
+    assert len(list((there / ".config/systemd/user").iterdir())) == len(UNITS)
+    assert (there / "said").read_text().splitlines()[-1].startswith("choir/venv/bin/pip install --quiet crazychoir==")
+
+
 def test_a_push_without_keys_or_beside_its_folder_is_refused(lab):
     done = CliRunner().invoke(app, ["push", "--swarm", str(lab), "--host", "b", "--dry-run"])
     assert done.exit_code == 2

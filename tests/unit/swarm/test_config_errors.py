@@ -195,8 +195,8 @@ CASES = {
     "a router nowhere": (
         'router = "desk"',
         "",
-        'x.toml: router = "desk": there is no such host; [hosts] has none, there is no [hosts]. Mend the name, or leave '
-        "router out: hosts then reach each other directly.",
+        'x.toml: router = "desk": there is no such host; [hosts] has none, there is no [hosts]. Mend the name, or '
+        "leave router out: hosts then reach each other directly.",
     ),
     "outside the fence": (
         "fence.max = [4, 0.9, 3]",
