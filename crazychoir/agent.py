@@ -37,6 +37,7 @@ from crazychoir.safety.collision.traffic import Traffic
 from crazychoir.safety.estimate import filter_of
 from crazychoir.safety.flights import braking
 from crazychoir.safety.guard import Fence
+from crazychoir.safety.modes import DOWN
 from crazychoir.safety.pilot import Pilot, Reached
 from crazychoir.safety.radio_watch import RadioWatch
 from crazychoir.simulation.remote import OwnerWatch, RemoteLink
@@ -46,6 +47,7 @@ from crazychoir.simulation.world import Link
 from crazychoir.swarm.checks import LIGHTWEIGHT, limit_area
 from crazychoir.swarm.communicator import Communicator
 from crazychoir.swarm.config import SwarmConfig
+from crazychoir.swarm.console import WATCHED, DeadMan
 from crazychoir.swarm.impairment import impairment_of
 from crazychoir.swarm.link_loss import TILTED, crowded, inset
 from crazychoir.swarm.roster import Barrier
@@ -54,7 +56,7 @@ from crazychoir.worlds import owners
 log = logging.getLogger(__name__)
 RESTARTED = 20.0
 """s without a word of the owner of a dongle, which `run` starts again, after which it does not come back."""
-QUERIES = ("param_get", "task_list", "overview", "ping")
+QUERIES = ("param_get", "task_list", "overview", "ping", WATCHED)
 VERBS = (*ORDERS, "go-to", "fly", "impair", "param_set", "task_add", "task_cancel", *QUERIES)
 """What operators may ask of a drone; QUERIES change nothing."""
 
@@ -130,6 +132,8 @@ class Agent:
         self.drones: dict[int, Drone] = {i: self._drone(i) for i in ids}
         pilots = [drone.pilot for drone in self.drones.values()]
         self.pacemaker = Pacemaker(clock, pilots, config.mocap.rate)
+        patience = 0.0 if alone else config.flight.dead_man
+        self.dead_man = DeadMan(clock, patience, self._flies, self.land_all) if patience else None
         self.supervisor = Supervisor(clock, f"process {process}", self._shared_failed)
         self.services: list[Actor] = []
         self._guidances: dict[int, GuidanceActor] = {}
@@ -267,7 +271,11 @@ class Agent:
 
     def _shared(self) -> list[Actor]:
         watch = [OwnerWatch(self.clock, self._remotes, self._orphaned)] if self._remotes else []
-        return [*self.services, *self.owners, *watch, *self._radios, self.pacemaker]
+        dead_man = [self.dead_man] if self.dead_man else []
+        return [*self.services, *self.owners, *watch, *self._radios, self.pacemaker, *dead_man]
+
+    def _flies(self) -> bool:
+        return any(drone.pilot.mode not in DOWN for drone in self.drones.values())
 
     def _flying(self, drone: Drone) -> list[Actor]:
         return [drone.barrier.monitor, drone.pilot, StatusActor(drone)]
@@ -354,6 +362,10 @@ class Agent:
                 if not hasattr(drone.guidance, "member"):
                     raise Refused(f"drone {drone.id}", "its mission has not begun")
                 return await drone.guidance.asked(verb, arguments)
+            case "watched":
+                if self.dead_man is not None:
+                    self.dead_man.heard()
+                return None
             case "ping":
                 return drone.pilot.mode.value
             case _:

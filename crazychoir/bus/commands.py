@@ -26,6 +26,7 @@ ACCEPTED, REFUSED, DONE = "accepted", "refused", "done"
 NOT_READY = "it is not ready"
 """How a refusal begins of who will do it soon: it may be asked again."""
 _ACCEPTED = encode([ACCEPTED, None])
+_OLD = encode([REFUSED, "it is older than what was asked since"])
 _Key = tuple[int, str, int]
 """Of a request: its issuer, the issuer's incarnation, its number."""
 
@@ -135,12 +136,16 @@ class Commander:
 
 
 class CommandServer:
-    """The executing side, at one drone. A repeated request gets the answer that it had; it is not executed again."""
+    """The executing side, at one drone. A repeated request gets the answer that it had; it is not executed again.
+
+    Nor is one that comes again after its answer has been forgotten: the numbers of an issuer's life rise.
+    """
 
     def __init__(self, port: Port, execute: Execute, on_stop: Callable[[bool], None]) -> None:
         self.port, self.execute, self.on_stop = port, execute, on_stop
         self._answers: dict[_Key, bytes] = {}
         self._running: dict[_Key, asyncio.Task[None]] = {}
+        self._forgotten: dict[tuple[int, str], int] = {}  # highest number of an issuer's life without its answer
         self._newest: dict[tuple[int, str, bool], int] = {}  # number of the newest stop, or clear, of an issuer's life
         port.handlers[REQUEST.number] = self._requested
         port.handlers[ESTOP.number] = self._stopped
@@ -152,6 +157,9 @@ class CommandServer:
             return
         if key in self._running:
             self._send(key, _ACCEPTED)
+            return
+        if number <= self._forgotten.get((source, channel), -1):
+            self._send(key, _OLD)
             return
         try:
             verb, arguments, remaining = decode(payload)
@@ -186,8 +194,16 @@ class CommandServer:
     def _answer(self, key: _Key, kind: str, detail: Any) -> None:
         payload = self._answers[key] = encode([kind, detail])
         while len(self._answers) > REMEMBERED:
-            del self._answers[next(iter(self._answers))]
+            self._forget(next(iter(self._answers)))
         self._send(key, payload)
+
+    def _forget(self, key: _Key) -> None:
+        del self._answers[key]
+        source, channel, number = key
+        forgotten = self._forgotten
+        forgotten[source, channel] = max(number, forgotten.pop((source, channel), -1))
+        while len(forgotten) > REMEMBERED:
+            del forgotten[next(iter(forgotten))]
 
     def _send(self, key: _Key, payload: bytes) -> None:
         source, channel, number = key

@@ -24,6 +24,7 @@ import zenoh
 
 from crazychoir.bus import endpoints
 from crazychoir.bus.access import Access
+from crazychoir.bus.budget import Budgets
 from crazychoir.bus.codec import encode
 from crazychoir.bus.estranged import Estranged
 from crazychoir.bus.frames import (
@@ -46,6 +47,8 @@ from crazychoir.runtime.clock import SECOND
 log = logging.getLogger(__name__)
 BACKLOG = 10_000
 """Frames that wait for the event loop; the oldest go when it hangs."""
+SLICE = 64
+"""Frames that are read in one pass of the event loop: ticks wait for no more."""
 CLOSE_DEADLINE = 1.5
 """s; within what a supervisor grants."""
 CLOSING = "zenoh close"
@@ -86,8 +89,8 @@ class LinkCounters:
     malformed, other_version: frames that could not be read;  strangers: frames and messages from those that have no
     token (or whose HELLO overtook it), or speak for others;  forbidden: commands of who is no operator;
     unsendable: messages that no frame takes;  dropped: messages for a peer that went away;  overflowed: frames that a
-    hung event loop did not take;  failed: frames whose handler raised;  tokens: that were declared once more, since
-    another process lost ours;  worst_put_s: s, the longest put.
+    hung event loop did not take;  flooded: frames of hosts that send too many;  failed: frames whose handler raised;
+    tokens: that were declared once more, since another process lost ours;  worst_put_s: s, the longest put.
     """
 
     frames_sent: int = 0
@@ -100,6 +103,7 @@ class LinkCounters:
     unsendable: int = 0
     dropped: int = 0
     overflowed: int = 0
+    flooded: int = 0
     failed: int = 0
     put_errors: int = 0
     tokens: int = 0
@@ -146,6 +150,7 @@ class ZenohLink(Actor):
         self._loop = asyncio.get_running_loop()
         self._now_ns = bus.clock.now_ns
         self._queue: deque[tuple[Handler, str, bytes, int]] = deque(maxlen=BACKLOG)
+        self._budgets = Budgets()
         self._armed = False
         self._flushing = False
         self._full: list[Lane] = []
@@ -393,18 +398,27 @@ class ZenohLink(Actor):
 
     def _received(self, sample: zenoh.Sample) -> None:
         """In Zenoh's thread: never blocks, runs no code of ours beyond the queue."""
-        self._enqueue(self._frame, sample, sample.payload.to_bytes())
+        key = str(sample.key_expr)
+        host = key.rsplit("/", 3)[1]
+        budget = self._budgets.of(host, now := self._now_ns())
+        if budget.take(now):
+            self._enqueue(self._frame, key, sample.payload.to_bytes())
+            return
+        self.counters.flooded += 1
+        if not budget.said:
+            budget.said = True
+            self._on_loop(partial(log.warning, "host %s floods us: of what it says beyond that nothing is read", host))
 
     def _token(self, sample: zenoh.Sample) -> None:
         """In Zenoh's other thread."""
         there = sample.kind == zenoh.SampleKind.PUT
-        self._enqueue(self._token_came if there else self._token_went, sample, b"")
+        self._enqueue(self._token_came if there else self._token_went, str(sample.key_expr), b"")
 
-    def _enqueue(self, handler: Handler, sample: zenoh.Sample, data: bytes) -> None:
+    def _enqueue(self, handler: Handler, key: str, data: bytes) -> None:
         queue = self._queue
         if len(queue) == BACKLOG:
             self.counters.overflowed += 1
-        queue.append((handler, str(sample.key_expr), data, self._now_ns()))
+        queue.append((handler, key, data, self._now_ns()))
         if not self._armed:
             self._armed = True
             if not self._on_loop(self._drain):
@@ -413,13 +427,16 @@ class ZenohLink(Actor):
     def _drain(self) -> None:
         self._armed = False  # before the queue is read, else a wake-up is lost
         queue = self._queue
-        for _ in range(len(queue)):
+        for _ in range(min(len(queue), SLICE)):
             handler, key, data, arrived_ns = queue.popleft()
             try:
                 handler(key, data, arrived_ns)
             except Exception as error:
                 self.counters.failed += 1  # whatever one frame breaks, the next one is read
                 log.error("a frame at %s was not taken: %s", key, error, exc_info=error)
+        if queue and not self._armed:
+            self._armed = True
+            self._loop.call_soon(self._drain)
 
     def _token_came(self, key: str, data: bytes, arrived_ns: int) -> None:
         host, process, *_ = key.split("/")[3:]

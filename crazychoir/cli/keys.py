@@ -8,8 +8,7 @@ from rich.table import Table
 
 from crazychoir.cli.show import STDOUT, fail, write_json
 from crazychoir.errors import ConfigError
-from crazychoir.runtime.clock import today
-from crazychoir.security import authority
+from crazychoir.security import DAYS
 
 app = typer.Typer(help="Certificates: who may take part in a swarm of several hosts.", no_args_is_help=True)
 Folder = Annotated[Path, typer.Option("--folder", help="Where they are; in swarm files: security.keys.")]
@@ -20,8 +19,10 @@ NEXT = "It counts for a process from its next start: copy each folder to its hos
 
 
 @app.command()
-def init(folder: Folder = HERE, days: Days = authority.DAYS, as_json: Json = False) -> None:
+def init(folder: Folder = HERE, days: Days = DAYS, as_json: Json = False) -> None:
     """Make an authority, once for a lab; its key stays on this machine."""
+    from crazychoir.security import authority
+
     try:
         certificate = authority.init(folder, days)
     except (ConfigError, OSError) as error:
@@ -32,9 +33,11 @@ def init(folder: Folder = HERE, days: Days = authority.DAYS, as_json: Json = Fal
 @app.command()
 def add(
     host: Annotated[str, typer.Argument(help="Its name, as in [hosts] or security.operators.")],
-    folder: Folder = HERE, days: Days = authority.DAYS, as_json: Json = False,
+    folder: Folder = HERE, days: Days = DAYS, as_json: Json = False,
 ) -> None:  # fmt: skip
     """Give a host, or an operator, a certificate."""
+    from crazychoir.security import authority
+
     try:
         own = authority.add(folder, host, days)
     except (ConfigError, OSError) as error:
@@ -46,9 +49,11 @@ def add(
 @app.command()
 def revoke(
     host: Annotated[str, typer.Argument(help="Who is to be kept out.")],
-    folder: Folder = HERE, days: Days = authority.DAYS, as_json: Json = False,
+    folder: Folder = HERE, days: Days = DAYS, as_json: Json = False,
 ) -> None:  # fmt: skip
     """Take a host out: all others get a new authority and new certificates, which count from their next start."""
+    from crazychoir.security import authority
+
     try:
         others = authority.revoke(folder, host, days)
     except (ConfigError, OSError) as error:
@@ -60,6 +65,9 @@ def revoke(
 @app.command(name="list")
 def held(folder: Folder = HERE, as_json: Json = False) -> None:
     """Who has a certificate, and until when."""
+    from crazychoir.runtime.clock import today
+    from crazychoir.security import authority
+
     try:
         found = authority.holders(folder)
     except (ConfigError, OSError) as error:

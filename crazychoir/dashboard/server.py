@@ -27,6 +27,7 @@ from crazychoir.dashboard.stream import Stream
 from crazychoir.dashboard.watch import Watch
 from crazychoir.errors import ConfigError
 from crazychoir.runtime.supervisor import Supervisor
+from crazychoir.swarm.console import Console, is_console
 
 PORT, PORTS = 8765, 20
 """Of a page for which none is named: the first of so many that is free."""
@@ -165,7 +166,8 @@ async def serve(place: Outlook, served: Served, say: Callable[[str], None]) -> N
     if served.port is None and port != PORT:
         say(f"port {PORT} is taken, as by the page of another swarm: this one is at {port}")
     say(f"page of swarm {config.name}: {served.scheme}://{served.name}:{port}; Ctrl-C ends it, and the swarm flies on")
-    streaming = asyncio.create_task(Supervisor(clock, "page").run([stream, overview, board]))
+    console = [Console(place.commander, config.ids)] if not place.replays and is_console(config, bus.host) else []
+    streaming = asyncio.create_task(Supervisor(clock, "page").run([stream, overview, board, *console]))
     try:
         await server.serve(sockets=[listening])
     finally:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from crazychoir.agent import Agent
+from crazychoir.bus.commands import Commander
 from crazychoir.guidance.drone import WAITING
 from crazychoir.guidance.feedback import idle
 from crazychoir.guidance.mission import Mission, has
@@ -22,6 +23,7 @@ from crazychoir.runtime.hanging import HangWatch
 from crazychoir.simulation.trace import Trace
 from crazychoir.swarm.checks import TOUCHING
 from crazychoir.swarm.config import SwarmConfig
+from crazychoir.swarm.console import Console, is_console
 
 log = logging.getLogger(__name__)
 NO_REASONS = "the mission's report returned success = False, without reasons"
@@ -85,7 +87,8 @@ def fly_real(
             unseen=config.unseen,
         )  # fmt: skip
         recorder = Recorder(link.bus, config.ids, file, address, config.source) if file else None
-        async with attached(link, score, *([recorder] if recorder else [])):
+        console = [Console(Commander(link.bus.ports[address]), config.ids)] if is_console(config, link.bus.host) else []
+        async with attached(link, score, *([recorder] if recorder else []), *console):
             results = await run_children(
                 groups, path, config, list(options), say, lambda: all_wait(config, score), owners(config, started)
             )

@@ -24,11 +24,10 @@ from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from crazychoir.errors import ConfigError
 from crazychoir.runtime.clock import today
+from crazychoir.security import DAYS
 
 AUTHORITY = "authority"
 CERTIFICATE, KEY, ROOT = "certificate.pem", "key.pem", "authority.pem"
-DAYS = 825
-"""For which a certificate is good."""
 SLACK = datetime.timedelta(minutes=5)
 """By which the clocks of two hosts may differ when a certificate is new."""
 NAME = re.compile(r"[a-z0-9_-]{1,40}")

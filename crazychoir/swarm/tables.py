@@ -209,7 +209,8 @@ class KeepOut(Table, frozen=True, kw_only=True):
 
 class Flight(Table, frozen=True, kw_only=True):
     """[flight]: ground: height of the floor, world frame; takeoff_height: above it; limits of references;
-    operator: drones wait for an operator's take-off, and their missions for his start.
+    operator: drones wait for an operator's take-off, and their missions for his start;  dead_man: s without his console
+    after which all land, 0 for never.
     """
 
     ground: Level = 0.0
@@ -218,6 +219,7 @@ class Flight(Table, frozen=True, kw_only=True):
     acceleration_limit: Acceleration = 2.0
     landing_speed: Speed = 0.3
     operator: Flag = False
+    dead_man: Seconds = 0.0
 
 
 class Mocap(Table, frozen=True, kw_only=True):

@@ -17,7 +17,7 @@ from system.agents import CRAZYCHOIR, Program, Team, flying, results, until
 
 pytest.importorskip("nicegui", reason="the page needs the extra: pip install 'crazychoir[dashboard]'")
 
-from system.pages import dashboard, looking_on, six
+from system.pages import FLIGHT, dashboard, looking_on, six
 from websockets.asyncio.client import connect
 from websockets.exceptions import ConnectionClosed, InvalidMessage, InvalidStatus
 
@@ -269,3 +269,20 @@ async def test_strangers_who_say_nothing_keep_nobody_out(tmp_path):
             writer.close()
     finally:
         await program.kill()
+
+
+async def test_without_their_operators_console_all_land_by_themselves(tmp_path, compiled):
+    """flight.dead_man: the page's server is killed; the observer that looks on is no console."""
+    async with flying(six(flight={**FLIGHT, "dead_man": 3.0}), tmp_path) as team:
+        program, address = await served(team)
+        async with looking_on(address) as page:
+            await page.sees("on ground")
+            await page.does("take-off")
+            await asyncio.sleep(4.0)
+            assert set(page.phases()) == {"hovering"}, "it is there"
+        program.signal(signal.SIGKILL)
+        await program.process.wait()
+        ended = await team.end(30.0)
+    reasons = [one["results"][key]["reason"] for one in ended.values() for key in one["results"]]
+    assert len(reasons) == 6
+    assert all("no operator's console for 3 s" in reason for reason in reasons), reasons

@@ -179,3 +179,31 @@ async def test_who_is_revoked_is_out_from_the_next_session_on(lab):
     authority.revoke(lab.keys, "b")
     link = await lab.link("a", "0-1", [0])
     assert await speaks(lab, lab.intruder(Path(old)), link) == ([], 0)
+
+
+async def test_a_flood_is_cut_off_and_named_once_and_others_are_heard(lab, caplog):
+    link = await lab.link("a", "0-1", [0])
+    friend = await lab.link("console", "observer-1", [OBSERVER])
+    await until(lambda: "observer-1" in link.peers and link.table.mutual(link.peers["observer-1"]))
+    intruder = lab.intruder(lab.keys / "b")
+    heard = []
+    link.bus.ports[0].handlers[REQUEST.number] = lambda *message: heard.append(message)
+    frame = encode_frame(Frame("1-f", 1, STATUS.klass, []))
+
+    def flood():
+        block = zenoh.CongestionControl.BLOCK
+        for _ in range(60_000):
+            intruder.put("choir/closed/f/0-1/b/1-f/control", frame, congestion_control=block)
+
+    flooding = asyncio.create_task(asyncio.to_thread(flood))
+    asked = 0
+    while not flooding.done():
+        friend.bus.ports[OBSERVER].send(REQUEST, (0,), encode(["land", {}, 5.0]), asked, "1", 0, 0)
+        asked += 1
+        await asyncio.sleep(0.01)
+    await flooding
+    await until(lambda: len(heard) == asked)
+    assert asked > 5
+    assert link.counters.flooded > 10_000
+    assert link.counters.overflowed == 0
+    assert caplog.text.count("host b floods us") == 1

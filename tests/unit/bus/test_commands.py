@@ -186,6 +186,28 @@ async def test_a_resent_request_says_how_much_time_remains(clock):
 
 
 @virtual
+async def test_a_replay_is_not_done_again_after_its_answer_was_forgotten(clock):
+    swarm = Swarm(clock, 1)
+    server = swarm.servers[1]
+    came = losing(swarm.operator.port, lambda *message: False)
+    for number in range(1, 2 * commands.REMEMBERED):
+        ask(server, encode(["go", {}, 5.0]), number)
+        await clock.sleep(0.01)
+    done = len(swarm.done)
+    came.clear()
+    ask(server, encode(["go", {}, 5.0]), 1)
+    await clock.sleep(0.1)
+    assert len(swarm.done) == done
+    assert [decode(payload) for _, payload in came] == [[REFUSED, "it is older than what was asked since"]]
+    ask(server, encode(["go", {}, 5.0]), 1, "f2")
+    await clock.sleep(0.1)
+    assert len(swarm.done) == done + 1, "of another life of the operator"
+    for life in range(2 * commands.REMEMBERED):
+        ask(server, encode(["late", {}, -1.0]), 1, f"{life:x}")
+    assert len(server._forgotten) <= commands.REMEMBERED
+
+
+@virtual
 async def test_malformed_requests_and_answers_are_counted(clock):
     swarm = Swarm(clock, 1)
     bodies = [b"", b"\xff", encode(3), encode(["go"]), encode([1, {}, 1.0]), encode(["go", 3, 1.0])]

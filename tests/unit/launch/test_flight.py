@@ -175,7 +175,8 @@ def test_the_world_is_started_once_with_all_drones_or_with_the_lowest_of_its_hos
     def config(world, *hosts):
         drones = [{"id": i, "home": [float(i), 0.0, 0.0], "host": host} for i, host in enumerate(hosts)]
         named = {"lab": "10.0.0.1", "desk": "10.0.0.2", "rack": "10.0.0.3"} if any(hosts) else {}
-        return SwarmConfig.of({"name": "a", "drones": drones, "hosts": named, "world": world})
+        raw = {"name": "a", "drones": drones, "hosts": named, "world": world, "security": {"insecure": True}}
+        return SwarmConfig.of(raw)
 
     assert not starts_world(config({}, None, None), None)
     here = config({"owned": True}, None, None)
@@ -192,6 +193,7 @@ def test_owners_of_cameras_and_dongles_start_with_the_drones_of_their_host():
         for i, host in enumerate(("lab", "desk", "lab"))
     ]
     raw = {"name": "a", "drones": drones, "hosts": {"lab": "10.0.0.1", "desk": "10.0.0.2"}}
+    raw |= {"security": {"insecure": True}}
     rows = [{"dongle": 0, "host": "lab"}, {"dongle": 1, "host": "desk"}]
     raw |= {"mocap": {"host": "desk"}, "radio": {"dongles": rows}}
     config = SwarmConfig.of(raw)

@@ -48,7 +48,7 @@ CASES = {
         "flight = 3",
         "",
         "x.toml: flight: found 3; allowed: a table with ground, takeoff_height, speed_limit, acceleration_limit, "
-        "landing_speed, operator.",
+        "landing_speed, operator, dead_man.",
     ),
     "out of range in a table": (
         "network = { loss = 1.5 }",
