@@ -24,7 +24,8 @@ class Access:
     """What the swarm file allows.
 
     host: ours;  folder: with its certificate.pem, key.pem, authority.pem;  processes: of each host, how their names
-    begin;  holders: the host of each address of a drone, its body, its eyes;  operators: hosts that may command.
+    begin;  holders: the host of each address of a drone, its body, its eyes;  operators: hosts that may command;
+    router: the host that passes on what all say: it holds each to its own name, and is itself believed.
     """
 
     swarm: str
@@ -33,6 +34,7 @@ class Access:
     processes: Mapping[str, tuple[str, ...]]
     holders: Mapping[int, str]
     operators: tuple[str, ...]
+    router: str | None = None
 
     def may_hold(self, host: str, address: int) -> bool:
         """Whether an address may be of a process of this host; those of observers may be anybody's."""
@@ -74,6 +76,8 @@ class Access:
                 _rule(f"{host} is there", "ingress", ["liveliness_token"], [f"{top}/live/{host}/**"]),
                 _rule(f"{host} looks", "ingress", _TOKENS[1:], [f"{top}/live/**"]),
             ]
+            if host == self.router:
+                own = [_rule(f"{host} passes on", "ingress", _TALK + _TOKENS, [f"{top}/**"])]
             rules += own
             policies.append({"subjects": [host], "rules": ["out", *(rule["id"] for rule in own)]})
         return {

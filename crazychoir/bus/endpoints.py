@@ -29,18 +29,19 @@ _REASON = re.compile(r"([A-Z][\w ]+) \(os error|message: \"([^\"]+)\"")
 _DROP = "transport/link/tx/queue/congestion_control/drop"
 
 
-def settings(listen: list[str], connect: list[str], lease: float) -> dict[str, Any]:
+def settings(listen: list[str], connect: list[str], lease: float, mode: str = "peer") -> dict[str, Any]:
     """Zenoh's settings by path: explicit endpoints, no multicast, puts that never wait; raises ConfigError.
 
     lease: s without a sign of another host before its tokens go; a process that dies here closes its connections,
     so that on one host only a longer one is needed. Gossip: who is given the endpoints of only some processes learns
-    the others' from those, and has a link to each; without it, it would see no token but theirs.
+    the others' from those, and has a link to each; without it, it would see no token but theirs. A client has one link,
+    to a router, over which all goes: Zenoh's routers pass nothing on between peers.
     """
     check(listen, connect)
     if are_local(listen + connect):
         lease = max(lease, LOCAL_LEASE)
     return {
-        "mode": "peer",
+        "mode": mode,
         "listen/endpoints": listen,
         "connect/endpoints": connect,
         "connect/retry": {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 2},
@@ -54,6 +55,11 @@ def settings(listen: list[str], connect: list[str], lease: float) -> dict[str, A
         "transport/link/rx/max_message_size": MAX_MESSAGE,
         "transport/shared_memory/enabled": False,
     }
+
+
+def of_router(listen: list[str], lease: float) -> dict[str, Any]:
+    """Those of a process that passes on what its clients say to each other; raises ConfigError."""
+    return settings(listen, [], lease, "router") | {"timestamping/enabled": False}
 
 
 def are_local(endpoints: Iterable[str]) -> bool:
@@ -88,6 +94,9 @@ def cannot_open(listen: list[str], connect: list[str], error: str) -> ConfigErro
     at_fault = next((endpoint for endpoint in listen if endpoint in error), "")
     reason = _REASON.search(error)
     said = next((text for text in reason.groups() if text), "") if reason else error.split(" at /", 1)[0]
+    if not listen:
+        do = "Is the router, or what else listens there, running? Start it first: crazychoir router --swarm FILE"
+        return ConfigError("endpoints", ", ".join(connect), "somebody must listen there", do, problem=said)
     return ConfigError(
         "listen endpoint" if at_fault else "endpoints",
         at_fault or ", ".join(listen + connect),

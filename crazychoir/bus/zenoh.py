@@ -9,12 +9,13 @@ sides send until each has heard the other.
 """
 
 import asyncio
+import contextlib
 import json
 import logging
 import os
 import threading
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, Self
@@ -112,8 +113,8 @@ class LinkCounters:
 class ZenohLink(Actor):
     """This process on the network; the `Forwarder` of its bus. Raises ConfigError for a malformed endpoint.
 
-    listen, connect: endpoints;  lease: s without a sign of a host before its tokens go;  access: who may say what, None
-    for everybody all;  settings: of Zenoh, by path.
+    listen, connect: endpoints;  routers: one that passes everything on, instead of both;  lease: s without a sign of a
+    host before its tokens go;  access: who may say what, None for everybody all;  settings: of Zenoh, by path.
     """
 
     name = "zenoh"
@@ -128,6 +129,7 @@ class ZenohLink(Actor):
         incarnation: int,
         version: str,
         lease: float = 1.0,
+        routers: list[str] | None = None,
         access: Access | None = None,
         settings: Mapping[str, Any] | None = None,
         on_token: OnToken = lambda drones, there: None,
@@ -135,13 +137,16 @@ class ZenohLink(Actor):
     ) -> None:
         for where, name in (("swarm", swarm), ("host", bus.host), ("process", bus.process)):
             endpoints.check_name(where, name)
-        self.bus, self.swarm, self.listen, self.connect, self.access = bus, swarm, listen, connect, access
+        self.bus, self.swarm, self.access = bus, swarm, access
+        self.listen, self.connect = ([], routers) if routers else (listen, connect)
         self._live = f"choir/{swarm}/live"
         self.counters = LinkCounters()
         self.table = Peers(bus, swarm, incarnation, version, access, on_token, on_refused)
         self.peers, self.directory = self.table.by_name, self.table.directory
         secured = access.settings() if access is not None else {}
-        self._config = _config({**endpoints.settings(listen, connect, lease), **secured, **(settings or {})})
+        mode = "client" if routers else "peer"
+        own = endpoints.settings(self.listen, self.connect, lease, mode)
+        self._config = _config({**own, **secured, **(settings or {})})
         self._loop = asyncio.get_running_loop()
         self._now_ns = bus.clock.now_ns
         self._queue: deque[tuple[Handler, str, bytes, int]] = deque(maxlen=BACKLOG)
@@ -534,6 +539,26 @@ class ZenohLink(Actor):
             return
         if not peer.refusal:
             self._heard_of_us(peer.process, self.table.mutual(peer))
+
+
+@contextlib.contextmanager
+def routing(listen: list[str], lease: float, access: Access | None) -> Iterator[None]:
+    """Pass on what the processes of a swarm say to each other, while its `with` lasts.
+
+    lease: s without a sign of a host before its tokens go. Raises ConfigError where it cannot be opened.
+    """
+    os.environ.setdefault("ZENOH_RUNTIME", RUNTIME)
+    if access is None and not endpoints.are_local(listen):
+        log.warning("%s", OPEN)
+    secured = access.settings() if access is not None else {}
+    try:
+        session = zenoh.open(_config({**endpoints.of_router(listen, lease), **secured}))
+    except zenoh.ZError as error:
+        raise endpoints.cannot_open(listen, [], str(error)) from error
+    try:
+        yield
+    finally:
+        session.close()
 
 
 class Outside:

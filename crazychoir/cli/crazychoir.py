@@ -9,6 +9,7 @@ import typer
 from crazychoir.cli import (
     convert,
     dashboard,
+    doctor,
     ending,
     identify,
     keys,
@@ -16,6 +17,7 @@ from crazychoir.cli import (
     orders,
     param,
     plot,
+    push,
     radio,
     record,
     render,
@@ -23,6 +25,7 @@ from crazychoir.cli import (
     rerun,
     rigid_bodies,
     ros,
+    router,
     simulate,
     solve,
     steer,
@@ -59,6 +62,9 @@ app.command()(record.record)
 app.command()(replay.replay)
 app.command()(identify.identify)
 app.command()(dashboard.dashboard)
+app.command()(doctor.doctor)
+app.command()(router.router)
+app.command()(push.push)
 for command in (look.topics, look.echo, look.hz, look.status, look.impair, orders.stop):
     app.command()(command)
 for verb in orders.TEXTS:

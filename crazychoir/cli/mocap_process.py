@@ -51,8 +51,9 @@ def run_mocap(config: SwarmConfig, listen: str | None, record: Path | None, show
         source, recorder = source_of(clock, config), None if record is None else stack.enter_context(Recorder(record))
         mocap = MocapProcess(clock, config, source, name, host, incarnation, recorder)
         link = ZenohLink(
-            mocap.bus, config.name, listen=[listen or config.endpoints()[MOCAP]], connect=[], incarnation=incarnation,
-            version=VERSION, lease=config.lease, access=config.access(host), on_refused=mocap.refuse,
+            mocap.bus, config.name, listen=[listen or config.endpoints()[MOCAP]], connect=[],
+            routers=config.routers, incarnation=incarnation, version=VERSION, lease=config.lease,
+            access=config.access(host), on_refused=mocap.refuse,
         )  # fmt: skip
         link.open()
         watchdog = Watchdog(clock)

@@ -76,7 +76,8 @@ def _link(
 
     return ZenohLink(
         agent.bus, config.name, listen=[listen or own], connect=lower if connect is None else connect,
-        incarnation=agent.incarnation, version=VERSION, lease=config.lease, access=config.access(agent.bus.host),
+        routers=[] if listen or connect else config.routers, incarnation=agent.incarnation, version=VERSION,
+        lease=config.lease, access=config.access(agent.bus.host),
         on_token=on_token, on_refused=on_refused,
     )  # fmt: skip
 
@@ -90,8 +91,9 @@ def run_world(config: SwarmConfig, listen: str | None) -> dict[str, Any]:
         host = config.world.host or socket.gethostname().split(".")[0]
         world = WorldProcess(clock, config, process, host, incarnation)
         link = ZenohLink(
-            world.bus, config.name, listen=[listen or config.endpoints()[WORLD]], connect=[], incarnation=incarnation,
-            version=VERSION, lease=config.lease, access=config.access(host), on_refused=world.refuse,
+            world.bus, config.name, listen=[listen or config.endpoints()[WORLD]], connect=[],
+            routers=config.routers, incarnation=incarnation, version=VERSION, lease=config.lease,
+            access=config.access(host), on_refused=world.refuse,
         )  # fmt: skip
         link.open()
         watchdog = Watchdog(clock)
@@ -117,8 +119,9 @@ def run_radios(config: SwarmConfig, dongle: int, listen: str | None) -> dict[str
         endpoints = config.endpoints()
         link = ZenohLink(
             radios.bus, config.name, listen=[listen or endpoints[DONGLES - dongle]],
-            connect=[endpoints[MOCAP]] if MOCAP in endpoints else [], incarnation=incarnation, version=VERSION,
-            lease=config.lease, access=config.access(host), on_refused=radios.refuse,
+            connect=[endpoints[MOCAP]] if MOCAP in endpoints else [], routers=config.routers,
+            incarnation=incarnation, version=VERSION, lease=config.lease, access=config.access(host),
+            on_refused=radios.refuse,
         )  # fmt: skip
         link.open()
         end_on_signals(clock, radios)

@@ -38,6 +38,7 @@ def observer_link(bus: Bus, config: SwarmConfig) -> ZenohLink:
     """The network as an observer sees it: connected to every process of the swarm file, listening nowhere known."""
     return ZenohLink(
         bus, config.name, listen=[f"{config.scheme}/127.0.0.1:0"], connect=list(config.endpoints().values()),
+        routers=config.routers,
         incarnation=random.SystemRandom().getrandbits(62), version=VERSION, lease=config.lease,
         access=config.access(bus.host),
     )  # fmt: skip

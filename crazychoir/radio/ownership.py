@@ -33,7 +33,7 @@ def require_free(config: SwarmConfig, dongles: Iterable[int]) -> None:
 def _names(config: SwarmConfig, dongle: int) -> list[str]:
     """Of its locks, in an order that all keep to."""
     uris = [config.drone(i).uri for i in config.dongles[dongle]]
-    names = {f"dongle-{dongle}" if uri.startswith("radio") else uri for uri in uris}
+    names = {f"dongle-{uri.split('/')[2]}" if uri.startswith("radio") else uri for uri in uris}
     return [name.replace("/", "_").replace(":", "_") for name in sorted(names)]
 
 

@@ -122,6 +122,11 @@ def checked(folder: Path, host: str, now: datetime.datetime | None = None) -> Pa
     return own
 
 
+def good_until(own: Path) -> datetime.datetime:
+    """When the first of the certificates of a host's folder ends. Raises ConfigError."""
+    return min(_read(own / name).not_valid_after_utc for name in (CERTIFICATE, ROOT))
+
+
 def _authority(folder: Path) -> tuple[x509.Certificate, ec.EllipticCurvePrivateKey]:
     own = folder / AUTHORITY
     if not own.exists():

@@ -30,6 +30,8 @@ WORLDS = "crazychoir.worlds"
 WORLD_STEP = 0.01
 """s, in which simulated worlds advance."""
 LOWEST_PORT = 1024
+ROUTER_BELOW = 19
+"""How far below base_port a router listens: below the owners of 16 dongles."""
 TOUCHING = 0.137
 """m: two Crazyflies nearer than this, centre to centre, may touch: 92 mm from motor to motor along the diagonal (data
 sheet of the Crazyflie 2.1, Bitcraze), and half a propeller of 45 mm beyond each end."""
@@ -387,6 +389,14 @@ def _world(swarm: Swarm, where: str) -> None:
         raise ConfigError(f"{where}: world.host", "nothing", f"a name of [hosts]: {names}", do)
 
 
+def _router(swarm: Swarm, where: str) -> None:
+    names = ", ".join(swarm.hosts) or "none, there is no [hosts]"
+    if swarm.router is not None and swarm.router not in swarm.hosts:
+        problem = "there is no such host"
+        do = "Mend the name, or leave router out: hosts then reach each other directly."
+        raise ConfigError(f"{where}: router", show(swarm.router), f"[hosts] has {names}", do, problem)
+
+
 def _processes(swarm: Swarm, where: str) -> None:
     if swarm.processes is None:
         return
@@ -420,8 +430,9 @@ def _ports(swarm: Swarm, where: str) -> None:
         problem = f"a process listens on base_port + its lowest drone id, here up to {swarm.base_port + last}"
         raise ConfigError(f"{where}: base_port", swarm.base_port, "ports end at 65535", "Lower it.", problem)
     below = 3 + max(found) if (found := dongles(swarm)) else 1 if owned(swarm) else 0
+    below = ROUTER_BELOW if swarm.router is not None else below
     if swarm.base_port - below < LOWEST_PORT:
-        problem = f"owners of worlds and radios listen down to base_port - {below}"
+        problem = f"routers, owners of worlds and radios listen down to base_port - {below}"
         raise ConfigError(f"{where}: base_port", swarm.base_port, f"ports begin at {LOWEST_PORT}", "Raise it.", problem)
 
 
@@ -449,7 +460,7 @@ def _partitions(swarm: Swarm, where: str) -> None:
 
 
 RULES = (
-    _uris, _platforms, _delay, _roles, _speed, _box, _limit_area, _homes, _cameras, _hosts, _placement, _world,
+    _uris, _platforms, _delay, _roles, _speed, _box, _limit_area, _homes, _cameras, _hosts, _placement, _world, _router,
     _processes, _start, _ports, _links, _partitions, check_radios, _security,
 )  # fmt: skip
 """In the order of their errors."""

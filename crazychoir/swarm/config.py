@@ -13,7 +13,7 @@ from crazychoir.bus.local import BODIES, EYES
 from crazychoir.bus.topics import POSE, TRUTH, Topic
 from crazychoir.errors import ConfigError
 from crazychoir.security import authority
-from crazychoir.swarm.checks import REPLAY, check, graph_of, owned, secured
+from crazychoir.swarm.checks import REPLAY, ROUTER_BELOW, check, graph_of, owned, secured
 from crazychoir.swarm.graph import Graph, span
 from crazychoir.swarm.radios import body_name, dongles, is_reached, reached, seen
 from crazychoir.swarm.reading import parse, read, require_plain
@@ -26,6 +26,8 @@ MOCAP = -2
 """That of motion capture."""
 DONGLES = -3
 """That of the owner of dongle 0; of dongle K: DONGLES - K."""
+ROUTER = -ROUTER_BELOW
+"""That of the router."""
 SPACING = 0.6
 MARGIN = 4.0
 FILES = ("instance", "drawing")
@@ -175,12 +177,25 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
         return self._listens(self.drone(i).host, self.process(i))
 
     def endpoints(self) -> dict[int, str]:
-        """The endpoint of each process, by its lowest drone; those of owners first: of dongles, cameras, the world."""
-        owners = {DONGLES - k: self.dongle_host(k) for k in reversed(self.dongles)}
-        owners |= {MOCAP: self.mocap.host} if self.seen else {}
-        owners |= {WORLD: self.world.host} if self.owned else {}
-        listens = {process: self._listens(host, process) for process, host in owners.items()}
+        """The endpoint of each process, by its lowest drone; those of the router and of owners first."""
+        listens = {process: self._listens(host, process) for process, host in self._owners().items()}
         return listens | {group[0]: self.endpoint(group[0]) for group in self.groups()}
+
+    def host_of(self, process: int) -> str | None:
+        """Where a process of `endpoints` runs; None without [hosts]."""
+        return self.drone(process).host if process >= 0 else self._owners()[process]
+
+    @property
+    def routers(self) -> list[str]:
+        """The endpoint of the router, if there is one: every process connects to it alone."""
+        return [self._listens(self.router, ROUTER)] if self.router is not None else []
+
+    def _owners(self) -> dict[int, str | None]:
+        """The hosts of the processes that are no agents."""
+        owners: dict[int, str | None] = {ROUTER: self.router} if self.router is not None else {}
+        owners |= {DONGLES - k: self.dongle_host(k) for k in reversed(self.dongles)}
+        owners |= {MOCAP: self.mocap.host} if self.seen else {}
+        return owners | ({WORLD: self.world.host} if self.owned else {})
 
     def _listens(self, host: str | None, process: int) -> str:
         address = LOCAL if host is None else self.hosts[host]
@@ -215,7 +230,7 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
         holders |= {BODIES + i: str(self.dongle_host(k)) for k, ids in self.dongles.items() for i in ids}
         holders |= {EYES + i: str(self.mocap.host) for i in self.seen}
         folder = authority.checked(Path(self.security.keys), host)
-        return Access(self.name, host, folder, processes, holders, self.security.operators)
+        return Access(self.name, host, folder, processes, holders, self.security.operators, self.router)
 
     @property
     def owned(self) -> tuple[int, ...]:

@@ -54,8 +54,12 @@ def _dongle(drone: Drone) -> int:
 
 
 def check_radios(swarm: Swarm, where: str) -> None:
-    """Two drones at one address; a dongle that is not the uri's; hosts that there are not."""
+    """Two drones at one address; a dongle that is not the uri's; hosts that there are not.
+
+    With [hosts] a uri says which dongle of its host it is, the key which of the swarm.
+    """
     first: dict[str, int] = {}
+    numbers: dict[int, str] = {}
     for n, drone in enumerate(swarm.drones):
         if not is_reached(drone):
             continue
@@ -68,7 +72,11 @@ def check_radios(swarm: Swarm, where: str) -> None:
             raise ConfigError(f"{key}.uri", show(drone.uri), "an address of its own", do, problem)
         first[same] = n
         found = RADIO_URI.fullmatch(drone.uri)
-        if found and drone.dongle not in (None, int(found[1])):
+        number = numbers.setdefault(_dongle(drone), found[1]) if found else ""
+        if found and number != found[1]:
+            problem, do = f"other drones of dongle {_dongle(drone)} say {number}", "Mend the uri, or its dongle."
+            raise ConfigError(f"{key}.uri", show(drone.uri), "one number on its host for each dongle", do, problem)
+        if found and not swarm.hosts and drone.dongle not in (None, int(found[1])):
             problem, do = f"its uri says dongle {found[1]}", "Leave dongle out, or mend one of them."
             raise ConfigError(f"{key}.dongle", drone.dongle, found[1], do, problem)
     _parameters(swarm.radio.parameters, f"{where}: radio.parameters")

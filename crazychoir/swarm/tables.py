@@ -443,6 +443,7 @@ class Swarm(Table, frozen=True, kw_only=True):
     base_port: Port = 7460
     processes: Groups | None = None
     hosts: Hosts = field(default_factory=dict)
+    router: Name | None = None
     security: Security = Security()
     network: Network = Network()
     flight: Flight = Flight()
@@ -459,7 +460,7 @@ class Swarm(Table, frozen=True, kw_only=True):
     roles: Roles = ()
 
 
-OWN_TO_A_HOST = ("hosts", "security", "base_port", "network")
+OWN_TO_A_HOST = ("hosts", "router", "security", "base_port", "network")
 """What hosts need not agree on: how they reach each other, and what is simulated to happen to their messages."""
 AGREED = tuple(key for key in Swarm.__struct_encode_fields__ if key not in OWN_TO_A_HOST)
 """All other keys of a swarm file."""

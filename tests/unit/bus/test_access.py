@@ -2,6 +2,7 @@ from pathlib import Path
 
 import pytest
 
+from crazychoir.bus import endpoints
 from crazychoir.bus.access import Access
 from crazychoir.bus.local import BODIES, EYES, OBSERVER
 from crazychoir.bus.topics import ESTOP, REQUEST, STATE
@@ -84,3 +85,21 @@ def test_zenoh_holds_each_host_to_its_own_keys():
     assert {policy["subjects"][0]: policy["rules"] for policy in control["policies"]} == {
         name: ["out", f"{name} says", f"{name} hears", f"{name} is there", f"{name} looks"] for name in ("a", "b")
     }
+
+
+def test_a_router_is_believed_and_holds_the_others_to_their_names():
+    access = Access("s", "a", Path("k"), {"a": ("0",), "r": ()}, {0: "a"}, ("a",), "r")
+    control = access.settings()["access_control"]
+    rules = {rule["id"]: rule for rule in control["rules"]}
+    assert rules["r passes on"]["key_exprs"] == ["choir/s/**"]
+    assert "r says" not in rules
+    assert {policy["subjects"][0]: policy["rules"] for policy in control["policies"]} == {
+        "a": ["out", "a says", "a hears", "a is there", "a looks"], "r": ["out", "r passes on"],
+    }  # fmt: skip
+
+
+def test_without_a_router_to_connect_to_it_is_said_what_to_start():
+    error = endpoints.cannot_open([], ["tls/10.0.0.9:7441"], "Connection refused (os error 111)")
+    assert "Start it first: crazychoir router" in str(error)
+    settings = endpoints.settings([], ["tcp/10.0.0.9:7441"], 1.0, "client")
+    assert (settings["mode"], settings["listen/endpoints"]) == ("client", [])

@@ -18,8 +18,8 @@ CASES = {
         "",
         'x.toml: colour = "red": there is no such key; the keys here are name, drones, mission, mission_options, '
         "seed, graph, edges, directed, start, start_deadline, lost_after, lease, base_port, processes, hosts, "
-        "security, network, flight, fence, keep_out, mocap, radio, plant, motors, mujoco, world, collision, control, "
-        "roles. Remove it; keys of your own go into [mission_options].",
+        "router, security, network, flight, fence, keep_out, mocap, radio, plant, motors, mujoco, world, collision, "
+        "control, roles. Remove it; keys of your own go into [mission_options].",
     ),
     "misspelt key of a drone": (
         "",
@@ -189,8 +189,14 @@ CASES = {
     "no port for the world": (
         "base_port = 1024\nworld.owned = true",
         "",
-        "x.toml: base_port = 1024: owners of worlds and radios listen down to base_port - 1; ports begin at 1024. "
-        "Raise it.",
+        "x.toml: base_port = 1024: routers, owners of worlds and radios listen down to base_port - 1; ports begin at "
+        "1024. Raise it.",
+    ),
+    "a router nowhere": (
+        'router = "desk"',
+        "",
+        'x.toml: router = "desk": there is no such host; [hosts] has none, there is no [hosts]. Mend the name, or '
+        "leave router out: hosts then reach each other directly.",
     ),
     "outside the fence": (
         "fence.max = [4, 0.9, 3]",

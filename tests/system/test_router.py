@@ -1,0 +1,105 @@
+"""Hosts that do not reach each other, and a third one whose router passes on what they say: network namespaces."""
+
+import asyncio
+import contextlib
+import json
+import secrets
+import signal
+import subprocess
+from dataclasses import dataclass
+
+import pytest
+from system.agents import BRISK, CRAZYCHOIR, Program, flying, results
+from system.namespaces import ip
+
+from crazychoir.guidance.mission import load
+from crazychoir.security import authority
+
+pytestmark = pytest.mark.system
+MISSION = load("pickup_delivery")
+ADDRESSES = {"a": "10.78.1.1", "b": "10.78.2.1", "r": "10.78.1.254"}
+GATES = {"a": "10.78.1.254", "b": "10.78.2.254"}
+
+
+@dataclass
+class Apart:
+    """Namespaces a, b, r: a and b have a link to r each, which forwards no packets."""
+
+    names: dict[str, str]
+
+    def command(self, host):
+        return ["ip", "netns", "exec", self.names[host]]
+
+
+@contextlib.contextmanager
+def apart():
+    token = secrets.token_hex(3)
+    hosts = Apart({name: f"cc-{token}-{name}" for name in "abr"})
+    with contextlib.ExitStack() as stack:
+        for name in hosts.names.values():
+            ip("netns", "add", name)
+            stack.callback(ip, "netns", "delete", name)
+            ip("-n", name, "link", "set", "lo", "up")
+        router = hosts.names["r"]
+        subprocess.run([*hosts.command("r"), "sysctl", "-qw", "net.ipv4.ip_forward=0"], check=True)
+        for name, gate in GATES.items():
+            there = hosts.names[name]
+            ip("link", "add", "veth0", "netns", there, "type", "veth", "peer", "name", f"veth{name}", "netns", router)
+            ip("-n", there, "address", "add", f"{ADDRESSES[name]}/24", "dev", "veth0")
+            ip("-n", router, "address", "add", f"{gate}/24", "dev", f"veth{name}")
+            ip("-n", there, "link", "set", "veth0", "up")
+            ip("-n", router, "link", "set", f"veth{name}", "up")
+            ip("-n", there, "route", "add", "default", "via", gate)
+        yield hosts
+
+
+def demo(folder, secured):
+    """The demo's six drones, three on a, three on b, the router on r."""
+    keys = folder / "keys"
+    authority.init(keys)
+    for name in "abr":
+        authority.add(keys, name)
+    config = MISSION.swarm(None)
+    raw = json.loads(config.dumps())
+    security = {"operators": ["a"], "keys": str(keys)} if secured else {"insecure": True}
+    return config.replace(
+        hosts=ADDRESSES,
+        router="r",
+        security=security,
+        drones=[{"id": d["id"], "home": d["home"], "host": "ab"[d["id"] // 3]} for d in raw["drones"]],
+        processes=[[0, 1, 2], [3, 4, 5]],
+        mission_options={**raw["mission_options"], "service_time": 0.2},
+        flight=BRISK,
+    )
+
+
+@pytest.mark.timeout(300)  # the first test of a fresh clone waits for the compiler
+@pytest.mark.parametrize("secured", [True, False])
+async def test_the_demo_flies_on_hosts_that_reach_the_router_alone(tmp_path, compiled, secured):
+    config = demo(tmp_path, secured)
+    file = tmp_path / "router.json"
+    file.write_text(config.dumps())
+    with apart() as hosts:
+        router = await Program.start(*hosts.command("r"), *CRAZYCHOIR, "router", "--swarm", file)
+        try:
+            await router.says("router at")
+            async with flying(config, tmp_path / "team", lambda i: hosts.command("ab"[i // 3])) as team:
+                ended = await team.end(120)
+            report = MISSION.report(config, results(ended))
+            assert report["success"], (report, team.text)
+            assert report["tasks"] == {"total": 10, "served": 10}
+            router.signal(signal.SIGINT)
+            assert (await router.end(10))["code"] == 0, router.text
+        finally:
+            await router.kill()
+
+
+@pytest.mark.timeout(300)
+async def test_without_a_router_they_do_not_find_each_other(tmp_path, compiled):
+    """The hosts of the test above are apart: nobody else passes anything on."""
+    config = demo(tmp_path, secured=False).replace(start_deadline=4.0)
+    with apart() as hosts:
+        async with flying(config, tmp_path / "team", lambda i: hosts.command("ab"[i // 3])) as team:
+            await asyncio.sleep(0)
+            ended = await team.end(120)
+    assert not MISSION.report(config, results(ended))["success"]
