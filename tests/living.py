@@ -52,7 +52,7 @@ class Team:
     def kill(self, i: int) -> None:
         for task in self.members.pop(i).tasks:
             task.cancel()
-        del self.bus.ports[i]
+        self.bus.ports.pop(i).send = lambda *message: None  # what it has yet to repeat dies with it
 
     def rosters(self) -> dict[int, Roster | None]:
         return {i: member.barrier.roster for i, member in self.members.items()}

@@ -17,7 +17,7 @@ def router(
 ) -> None:
     """Run a Zenoh router for a swarm whose hosts do not reach each other, until Ctrl-C."""
     set_up_logging()
-    signal.pthread_sigmask(signal.SIG_BLOCK, ENDS)  # for the threads of Zenoh, too: sigwait takes them
+    unmasked = signal.pthread_sigmask(signal.SIG_BLOCK, ENDS)  # for the threads of Zenoh, too: sigwait takes them
     from crazychoir.bus.zenoh import routing
     from crazychoir.swarm.config import find_swarm
 
@@ -34,3 +34,5 @@ def router(
             signal.sigwait(ENDS)
     except CrazyChoirError as error:
         fail(error, as_json=False)
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, unmasked)

@@ -3,6 +3,7 @@
 import configparser
 import re
 import shlex
+import signal
 import subprocess
 import sys
 
@@ -216,3 +217,10 @@ def test_the_guide_names_what_there_is(repository):
         assert (repository / "deploy" / path).is_file(), path
     for name in re.findall(r"deploy/([\w.]+)", text):
         assert (repository / "deploy" / name).exists(), name
+
+
+def test_a_router_that_does_not_start_leaves_signals_as_they_were():
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, [])
+    ended = CliRunner().invoke(app, ["router", "--swarm", "nowhere.toml"])
+    assert ended.exit_code == 2
+    assert signal.pthread_sigmask(signal.SIG_BLOCK, []) == before
