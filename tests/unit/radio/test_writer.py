@@ -130,11 +130,11 @@ def test_a_link_without_room_gets_what_is_newest_and_most_urgent_when_it_has_som
 
 def test_what_finds_no_room_is_sent_again_unless_it_is_forgotten_meanwhile() -> None:
     tried: list[int] = []
-    full, free = threading.Event(), threading.Event()
+    full, next_one, free = threading.Event(), threading.Event(), threading.Event()
 
     def send(one: Packet) -> bool:
         tried.append(one.data[0])
-        full.set()
+        (next_one if one.data[0] == 8 else full).set()
         return free.wait(0.005)
 
     writer = Writer("test", send)
@@ -142,7 +142,7 @@ def test_what_finds_no_room_is_sent_again_unless_it_is_forgotten_meanwhile() -> 
     assert full.wait(5.0)
     writer.forget("command")
     writer.put(packet(8))
-    threading.Event().wait(0.05)
+    assert next_one.wait(5.0)
     before = len(tried)
     free.set()
     writer.end()
