@@ -9,7 +9,7 @@ from crazychoir.safety.collision.barrier import approach, barrier, part
 from crazychoir.safety.collision.cells import cell
 from crazychoir.safety.collision.deadlock import Side, turned
 from crazychoir.safety.collision.hearsay import Hearsay
-from crazychoir.safety.collision.motion import late, length, scaled, shrunk
+from crazychoir.safety.collision.motion import late, length, resting, scaled, shrunk
 from crazychoir.safety.collision.projection import nearest
 from crazychoir.safety.collision.traffic import (
     BORN,
@@ -39,6 +39,8 @@ LASTS = 0.15
 """s, for which a drone is taken to go on commanding what it did: two that foresee more of each other flee for ever."""
 HIDES = 2.0
 """s, for which one that is not heard flies on at most, before it brakes for want of the others' states."""
+BRAKES = 4.0
+"""1/s, of its speed that one that brakes takes away."""
 HOLDS = 0.2
 """m/s, below which one that brakes stays where it is."""
 FLOOR_GAP = 0.2
@@ -63,15 +65,15 @@ def _wanted(x: Vec, ref: Vec, gains: Vec, follow: float) -> Triple:
 
 @kernel()
 def _braking(x: Vec, v: Triple, limit: float, out: Vec) -> Triple:
-    """What brings it to rest, and lets it stay there, whatever the wind does, m/s2: -2 v - (p - p_0)."""
+    """What brings it to rest, and lets it stay there, whatever the wind does, m/s2: -k v - (k / 2)^2 (p - p_0)."""
     if out[5] == 0.0 and length((x[3], x[4], x[5])) < HOLDS:
         out[5], out[6], out[7], out[8] = 1.0, x[0], x[1], x[2]
-    stays = out[5]
+    k, stiff = BRAKES, 0.25 * BRAKES * BRAKES * out[5]
     return shrunk(
         (
-            -2.0 * v[0] - stays * (x[0] - out[6]),
-            -2.0 * v[1] - stays * (x[1] - out[7]),
-            -2.0 * v[2] - stays * (x[2] - out[8]),
+            -k * v[0] - stiff * (x[0] - out[6]),
+            -k * v[1] - stiff * (x[1] - out[7]),
+            -k * v[2] - stiff * (x[2] - out[8]),
         ),
         limit,
     )
@@ -164,15 +166,18 @@ def _filtered(
         scale = (1.0, 1.0, 1.0) if stands else (f[SX], f[SY], f[SZ])
         width = f[WIDTH] if not stands else BODY if f[WAITS] > 0.0 else BESIDE
         q, w = late(other, other[13:16], f[LAG], min(age, USABLE) + f[DELAY], LASTS)
+        d = max(length(scaled(p, q, scale)), 1e-3)
+        if age > USABLE and not stands:
+            if f[WAITS] == 0.0 or d > width + f[V_MAX] * (min(age, HIDES) - USABLE) + NEAR:
+                continue
+            blind = True
+            q, w = resting(q, w, BRAKES, age - USABLE)  # as a rule it does not hear this one either
         r, w = scaled(p, q, scale), scaled(v, w, scale)
         d = max(length(r), 1e-3)
-        if age > USABLE and not stands:
-            blind = blind or (f[WAITS] > 0.0 and d < width + f[V_MAX] * (min(age, HIDES) - USABLE) + NEAR)
-            continue
         n = (r[0] / d, r[1] / d, r[2] / d)
         side = (scale[0] * n[0], scale[1] * n[1], scale[2] * n[2])
         reach = length(side)
-        old = 0.0 if stands else age  # who stands does not run away while it is not heard
+        old = 0.0 if stands else min(age, USABLE)  # who stands does not run away while it is not heard
         gap = d - width - 0.5 * f[UNSURE] * old * old * reach
         unsure, brake = f[UNSURE] * old * reach, f[BRAKE] * reach
         if f[CELLS] > 0.0 and other[SHARE] < 1.0:  # who gives way to nobody keeps to no side
@@ -215,7 +220,7 @@ class CollisionFilter:
     that the lag of the drones counts. What cannot be had all is relaxed by least violation: the fence first, the
     nearest drone last, the floor never. Drones that stand on the floor are balls of BODY m; who takes off does not see
     them. If one that may be near has not been heard for USABLE s, or half of those that flew for SILENT s, it brakes,
-    unless it lands.
+    unless it lands, and keeps clear of where that one is if it brakes too.
     settings: [collision];  fence: from the floor upwards;  a_max: m/s2, with which it brakes;  v_max: m/s, at which
     others fly at most;  ground: m.
     """

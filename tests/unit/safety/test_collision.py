@@ -87,7 +87,6 @@ def test_without_a_usable_state_of_who_may_be_near_it_brakes_until_that_has_come
     me = State.at((0.0, 0.0, 1.0), (0.5, 0.0, 0.0))
     sky.hears(1, (0.9, 0.0, 1.0))
     assert sky.wants(me, (1.0, 0.0, 1.0), now=0.8)[0] < -0.5
-    assert sky.filter.gives_way_to is None
     sky.hears(1, (2.9, 0.0, 1.0))
     assert sky.wants(me, (0.2, 0.0, 1.0), now=0.8) is None, "too far away to be here by now"
     sky.hears(1, (0.9, 0.0, 1.0))
@@ -114,10 +113,20 @@ def test_who_hears_no_more_than_half_of_those_that_fly_brakes_wherever_they_are(
 
 def test_who_brakes_stays_where_it_came_to_rest():
     sky = Sky()
-    sky.hears(1, (0.9, 0.0, 1.0))
+    sky.hears(1, (3.9, 3.9, 1.0), age=1.6)
     for x, v in ((0.0, 0.5), (0.1, 0.1), (0.2, 0.1)):
-        a = sky.wants(State.at((x, 0.0, 1.0), (v, 0.0, 0.0)), (1.0, 0.0, 1.0), now=0.8)
-    assert a[0] == pytest.approx(-2.0 * 0.1 - 0.1)
+        a = sky.wants(State.at((x, 0.0, 1.0), (v, 0.0, 0.0)), (1.0, 0.0, 1.0))
+    assert sky.filter.gives_way_to is None
+    assert a[0] == pytest.approx(-4.0 * 0.1 - 4.0 * 0.1)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_who_flies_at_one_that_it_does_not_hear_any_more_turns_aside_as_it_brakes(method):
+    sky = Sky(method)
+    sky.hears(1, (1.5, 0.0, 1.0), (-1.0, 0.0, 0.0))
+    a = sky.wants(State.at((0.0, 0.0, 1.0), (1.0, 0.0, 0.0)), (3.0, 0.0, 1.0), now=0.7)
+    assert a[0] < -1.0
+    assert a[1] < -0.1, "to the side to which it turns for who is heard"
 
 
 def test_a_state_that_is_not_finite_is_not_heard():
