@@ -103,7 +103,8 @@ class Barrier:
         if self.roster is None:
             live = [j for j in self._others if self._present(j)]
             return min([j for j in live if self.beats[j].epoch] or [self.id, *live])
-        known = self.roster.members
+        settling = self.port.bus.clock.now_ns() < self._settled_ns
+        known = self.roster.members if settling else {}  # who has not adopted it by then never will
         lower = (j for j in self._others if j < self.id and self._present(j))
         return next((j for j in lower if self.beats[j].epoch or self.beats[j].incarnation == known.get(j)), self.id)
 
@@ -216,7 +217,8 @@ class Barrier:
         if self.roster is None:
             return
         first = self.roster.ids[0]
-        calm = first != self.id and self.monitor.state(first) is Presence.ALIVE
+        alive = self.monitor.state(first) is Presence.ALIVE
+        calm = first != self.id and alive and self.coordinator() == first  # it may have come back without a team
         near = {*self.graph.neighbors(self.id), first} - {self.id}
         self.monitor.watched = tuple(sorted(near)) if calm else self._others
 
@@ -248,9 +250,11 @@ class Barrier:
                 return
             self._refusals.pop(source, None)
             known = self.beats.get(source)
+            self.beats[source] = beat
             if known is None or known.incarnation != beat.incarnation:
                 self._came[source] = self.port.bus.clock.now()
-            self.beats[source] = beat
+                if self.roster is not None and source == self.roster.ids[0]:
+                    self._watch()
             if source not in self.monitor.watched and self.port.bus.clock.now_ns() > self._settled_ns:
                 self.monitor.watched += (source,)  # who watches us shall hear us
             theirs = bool(beat.epoch) and source < self.id
