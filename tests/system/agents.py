@@ -19,6 +19,7 @@ AGENT = (sys.executable, "-m", "crazychoir.cli.agent")
 CRAZYCHOIR = (sys.executable, "-m", "crazychoir.cli.crazychoir")
 WORLD = (sys.executable, "-m", "crazychoir.cli.world")
 MOCAP = (sys.executable, "-m", "crazychoir.cli.mocap")
+RADIO = (sys.executable, "-m", "crazychoir.cli.radios")
 OBSERVER = (sys.executable, str(Path(__file__).with_name("observer.py")))
 BRISK = {"takeoff_height": 0.5, "speed_limit": 2.0, "acceleration_limit": 4.0, "landing_speed": 0.6}
 
@@ -174,6 +175,14 @@ async def flying(config: SwarmConfig, folder: Path, place: Place = lambda i: [])
         yield team
     finally:
         await asyncio.gather(*(program.kill() for program in [team.observer, *team.agents.values()]))
+
+
+def seen(ended: dict[int, dict[str, Any]], i: int, j: int, state: str, after: float) -> float:
+    """s after `after` at which drone i began to hold j for `state`."""
+    history = ended[i]["presence"][str(i)]
+    times = [t for t, who, what in history if (who, what) == (j, state) and t > after]
+    assert times, f"drone {i} never saw drone {j} {state}: {history}"
+    return times[0] - after
 
 
 def results(ended: dict[int, dict[str, Any]]) -> dict[int, dict[str, Any]]:

@@ -1,12 +1,12 @@
-"""Two hosts on this machine: network namespaces joined by a veth pair; needs root and iproute2."""
+"""Two hosts on this machine, whose clocks may differ: network namespaces; needs root and iproute2."""
 
 import contextlib
 import secrets
-import subprocess
 from collections.abc import Iterator
 
+from crazychoir.launch.namespaces import DEVICE, cable, ip, namespace
+
 ADDRESSES = ("10.77.0.1", "10.77.0.2")
-DEVICE = "veth0"
 
 
 class Hosts:
@@ -41,19 +41,9 @@ def two_hosts(skew: float = 0.0) -> Iterator[Hosts]:
     hosts = Hosts(skew)
     with contextlib.ExitStack() as stack:
         for name in hosts.names:
-            ip("netns", "add", name)
-            stack.callback(ip, "netns", "delete", name)
+            stack.enter_context(namespace(name))
         one, other = hosts.names
-        ip("link", "add", DEVICE, "netns", one, "type", "veth", "peer", "name", DEVICE, "netns", other)
+        cable((one, DEVICE), (other, DEVICE))
         for name, address in zip(hosts.names, ADDRESSES, strict=True):
             ip("-n", name, "address", "add", f"{address}/24", "dev", DEVICE)
-            for device in ("lo", DEVICE):
-                ip("-n", name, "link", "set", device, "up")
         yield hosts
-
-
-def ip(*arguments: str) -> None:
-    """Raises RuntimeError with what iproute2 says: without namespaces these tests fail, they are not skipped."""
-    done = subprocess.run(["ip", *arguments], capture_output=True, text=True, check=False)
-    if done.returncode:
-        raise RuntimeError(f"ip {' '.join(arguments)}: {done.stderr.strip()} (root and iproute2 are needed)")

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 import zenoh
-from system.agents import BRISK, CRAZYCHOIR, Program, Team, flying, results, until
+from system.agents import BRISK, CRAZYCHOIR, Program, Team, flying, results, seen, until
 
 from crazychoir.bus.codec import encode
 from crazychoir.bus.frames import Envelope, Frame, encode_frame
@@ -103,14 +103,6 @@ def standing(folder: Path, drones: int = 4, **options: object) -> SwarmConfig:
             "lease": LEASE,
         }
     )
-
-
-def seen(ended: dict[int, dict[str, Any]], i: int, j: int, state: str, after: float) -> float:
-    """s after `after` at which drone i began to hold j for `state`."""
-    history = ended[i]["presence"][str(i)]
-    times = [t for t, who, what in history if (who, what) == (j, state) and t > after]
-    assert times, f"drone {i} never saw drone {j} {state}: {history}"
-    return times[0] - after
 
 
 # A killed process ---------------------------------------------------------------------------------------------

@@ -5,12 +5,11 @@ import json
 import math
 import os
 import signal
-import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
-from system.agents import Program
+from system.agents import RADIO, Program
 from system.hall import Hall, processes, reached
 
 from crazychoir.guidance.mission import load
@@ -23,7 +22,6 @@ pytestmark = [
     pytest.mark.usefixtures("compiled"),
 ]
 FIGURE = {"mission": "figure", "mission_options": {"size": 0.25, "laps": 1.0, "period": 8.0}}
-RADIO = (sys.executable, "-m", "crazychoir.cli.radios")
 TILTS, STAYS = "it does not tilt as its body does, but as", "its body does not rise as it takes off: another drone's"
 """What is said of a drone with a wrong body; the other of two that are exchanged may see that one landed before."""
 UP = 0.4

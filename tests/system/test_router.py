@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 import pytest
 from system.agents import BRISK, CRAZYCHOIR, Program, flying, results
-from system.namespaces import ip
 
 from crazychoir.guidance.mission import load
+from crazychoir.launch.namespaces import DEVICE, cable, ip, namespace
 from crazychoir.security import authority
 
 pytestmark = pytest.mark.system
@@ -37,18 +37,14 @@ def apart():
     hosts = Apart({name: f"cc-{token}-{name}" for name in "abr"})
     with contextlib.ExitStack() as stack:
         for name in hosts.names.values():
-            ip("netns", "add", name)
-            stack.callback(ip, "netns", "delete", name)
-            ip("-n", name, "link", "set", "lo", "up")
+            stack.enter_context(namespace(name))
         router = hosts.names["r"]
         subprocess.run([*hosts.command("r"), "sysctl", "-qw", "net.ipv4.ip_forward=0"], check=True)
         for name, gate in GATES.items():
             there = hosts.names[name]
-            ip("link", "add", "veth0", "netns", there, "type", "veth", "peer", "name", f"veth{name}", "netns", router)
-            ip("-n", there, "address", "add", f"{ADDRESSES[name]}/24", "dev", "veth0")
+            cable((there, DEVICE), (router, f"veth{name}"))
+            ip("-n", there, "address", "add", f"{ADDRESSES[name]}/24", "dev", DEVICE)
             ip("-n", router, "address", "add", f"{gate}/24", "dev", f"veth{name}")
-            ip("-n", there, "link", "set", "veth0", "up")
-            ip("-n", router, "link", "set", f"veth{name}", "up")
             ip("-n", there, "route", "add", "default", "via", gate)
         yield hosts
 
@@ -103,3 +99,33 @@ async def test_without_a_router_they_do_not_find_each_other(tmp_path, compiled):
             await asyncio.sleep(0)
             ended = await team.end(120)
     assert not MISSION.report(config, results(ended))["success"]
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(300)
+@pytest.mark.parametrize("secured", [True, False])
+async def test_a_router_that_is_killed_and_started_again_is_found_again(tmp_path, compiled, secured):
+    """The six are in the middle of planning."""
+    config = demo(tmp_path, secured).replace(network={"loss": 0.3, "delay": 0.02})
+    file = tmp_path / "router.json"
+    file.write_text(config.dumps())
+    routers = []
+    with apart() as hosts:
+
+        async def route():
+            routers.append(await Program.start(*hosts.command("r"), *CRAZYCHOIR, "router", "--swarm", file))
+            await routers[-1].says("router at")
+
+        try:
+            await route()
+            async with flying(config, tmp_path / "team", lambda i: hosts.command("ab"[i // 3])) as team:
+                await team.in_planning(10)
+                await routers[0].kill()
+                await asyncio.sleep(1.0)
+                await route()
+                ended = await team.end(120)
+            report = MISSION.report(config, results(ended))
+            assert report["success"], (report, team.text)
+            assert report["tasks"] == {"total": 10, "served": 10}
+        finally:
+            await asyncio.gather(*(router.kill() for router in routers))

@@ -60,6 +60,13 @@ def test_six_drones_on_three_dongles_of_three_hosts(repository):
     ]  # fmt: skip
 
 
+def test_six_virtual_drones_behind_dongles_of_two_hosts(repository):
+    config = SwarmConfig.load(repository / "deploy/virtual_dongles.toml")
+    assert [config.dongle_host(k) for k in config.dongles] == ["left", "right"]
+    assert config.mocap.host == "physics"
+    assert {drone.uri.split(":")[1] for drone in config.drones} == {"//" + config.hosts["physics"]}
+
+
 def test_one_dongle_has_one_number_on_its_host(repository):
     text = (repository / "deploy/three_dongles.toml").read_text()
     with pytest.raises(ConfigError, match="other drones of dongle 2 say 0"):
