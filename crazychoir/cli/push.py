@@ -46,6 +46,8 @@ def push(
     from crazychoir.swarm.config import SwarmConfig
 
     try:
+        if swarm.suffix != ".toml":
+            raise ConfigError("--swarm", str(swarm), "a TOML file", f"The units there read ~/{FOLDER}/swarm.toml.")
         config = SwarmConfig.load(swarm)
         for name in chosen(config, swarm, host):
             at = f"{user}@{config.hosts[name]}" if user else config.hosts[name]
@@ -87,7 +89,7 @@ def steps(
             raise ConfigError("security.keys", str(own), "the keys of this host", f"crazychoir keys add {host}")
         folders.append(keys)
     yield Step("folders", (*SSH, at, f"mkdir -p -m 700 {shlex.join(folders)} {UNITS}"))
-    yield Step("swarm file", (*SCP, str(swarm), f"{at}:{FOLDER}/swarm{swarm.suffix}"))
+    yield Step("swarm file", (*SCP, str(swarm), f"{at}:{FOLDER}/swarm.toml"))
     for path, place in files.items():
         yield Step(f"{place}", (*SCP, str(path), f"{at}:{FOLDER}/{place}"))
     if config.secured:

@@ -192,6 +192,13 @@ def test_a_push_puts_all_in_its_place(lab, repository, tmp_path, monkeypatch):
     assert (there / "said").read_text().splitlines()[-1].startswith("choir/venv/bin/pip install --quiet crazychoir==")
 
 
+def test_a_push_of_what_units_do_not_read_is_refused(lab):
+    lab.with_suffix(".json").write_text("{}")
+    done = CliRunner().invoke(app, ["push", "--swarm", str(lab.with_suffix(".json")), "--dry-run"])
+    assert done.exit_code == 2
+    assert "allowed: a TOML file" in done.output
+
+
 def test_a_push_without_keys_or_beside_its_folder_is_refused(lab):
     done = CliRunner().invoke(app, ["push", "--swarm", str(lab), "--host", "b", "--dry-run"])
     assert done.exit_code == 2
