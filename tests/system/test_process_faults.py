@@ -14,6 +14,7 @@ from system.agents import WORLD, Program, flying, results, seen, until
 from system.lossy_link import wired
 
 from crazychoir.guidance.mission import load
+from crazychoir.safety.pilot import DEAF
 from crazychoir.security import authority
 
 pytestmark = [
@@ -130,7 +131,7 @@ async def test_one_that_is_killed_and_started_again_takes_part_again(tmp_path, r
 
 @pytest.mark.parametrize("length", [2.0, 5.0, 15.0])
 async def test_a_partition_that_heals(tmp_path, repository, length):
-    """Who has no cameras any more is landed; who has them goes on."""
+    """Who has no cameras any more is landed; who has them goes on, as long as the team is more than half of it."""
     async with in_flight(tmp_path) as (world, team, cable):
         cut = time.monotonic()
         cable.change(cut=1)
@@ -141,7 +142,9 @@ async def test_a_partition_that_heals(tmp_path, repository, length):
     found = results(ended)
     named = {i: seen(ended, i, VICTIM, "suspect", cut) for i in FIRST}
     line = score(repository, f"partition of {length:g} s", world, found, named_s=max(named.values()))
-    assert all(found[i]["success"] for i in FIRST), line
+    assert max(named.values()) <= 2 * LEASE
+    deaf = DEAF if length > 10.0 else "-"  # by then half of the team lands, wherever it is
+    assert all(found[i]["success"] or deaf in found[i]["reason"] for i in FIRST), line
 
 
 async def test_one_that_is_stopped_for_a_while(tmp_path, repository):
