@@ -439,7 +439,8 @@ async def test_an_alarm_is_heard_while_the_loop_hangs(ground: Ground) -> None:
 async def test_processes_that_vanish_leave_threads_that_receive(ground: Ground) -> None:
     """Each may block one for 10 s; what then becomes of the others needs a cut cable: see test_process_faults.py."""
     await ground.link([0])
-    assert sum(name.startswith("rx-") for name in threads()) >= 32
+    await ground.child([1])
+    await until(lambda: sum(name.startswith("rx-") for name in threads()) >= 32)
 
 
 def threads() -> list[str]:
