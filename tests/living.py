@@ -5,6 +5,8 @@ from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field
 from typing import Any
 
+from campaign.hosts import hosts
+
 from crazychoir.bus.impairment import Impairment
 from crazychoir.bus.local import Bus
 from crazychoir.bus.rules import Partition, Rule
@@ -25,17 +27,18 @@ class Member:
 
 
 class Team:
-    """Drones of one process; each can be killed and started again."""
+    """Drones that can be killed and started again; on several hosts, drone i is on `buses[i % len(buses)]`."""
 
-    def __init__(
-        self, clock: Clock, graph: Graph, impairment: Impairment, sequence: GraphSequence | None = None
-    ) -> None:
+    def __init__(self, clock: Clock, graph: Graph, buses: list[Bus], sequence: GraphSequence | None = None) -> None:
         self.clock, self.graph, self.sequence = clock, graph, sequence
-        self.bus = Bus(clock, impairment)
+        self.buses, self.bus = buses, buses[0]
         self.members: dict[int, Member] = {}
 
+    def bus_of(self, i: int) -> Bus:
+        return self.buses[i % len(self.buses)]
+
     def start(self, i: int, incarnation: int = 1, mission: str = "abc", **options: Any) -> Barrier:
-        port = self.bus.port(i, incarnation)
+        port = self.bus_of(i).port(i, incarnation)
         barrier = Barrier(port, self.graph, mission_hash=mission, version="1", **options)
         communicator = Communicator(port, self.sequence or self.graph)
         communicator.follow(barrier)
@@ -52,7 +55,7 @@ class Team:
     def kill(self, i: int) -> None:
         for task in self.members.pop(i).tasks:
             task.cancel()
-        self.bus.ports.pop(i).send = lambda *message: None  # what it has yet to repeat dies with it
+        self.bus_of(i).ports.pop(i).send = lambda *message: None  # what it has yet to repeat dies with it
 
     def rosters(self) -> dict[int, Roster | None]:
         return {i: member.barrier.roster for i, member in self.members.items()}
@@ -67,9 +70,19 @@ async def formed(barriers: list[Barrier]) -> Roster:
 def team(
     graph: Graph, story: Callable[[Team], Awaitable[Any]], rules: list[Rule] | None = None,
     partitions: list[Partition] | None = None, seed: int = 1, sequence: GraphSequence | None = None,
+    ahead: tuple[float, ...] = (),
 ) -> Any:  # fmt: skip
+    """Run a story of them.
+
+    ahead: s that the clock of each host is ahead; none: all are in one process.
+    """
+
+    def impairment() -> Impairment:
+        return Impairment(seed, rules or [], partitions or [])
+
     async def main(clock: Clock) -> Any:
-        it = Team(clock, graph, Impairment(seed, rules or [], partitions or []), sequence)
+        buses = hosts(clock, ahead, impairment) if ahead else [Bus(clock, impairment())]
+        it = Team(clock, graph, buses, sequence)
         try:
             return await story(it)
         finally:

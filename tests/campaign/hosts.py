@@ -1,0 +1,61 @@
+"""Hosts in virtual time: a bus each, whose clock is ahead of the others', and what one says to another's drones."""
+
+from collections.abc import Callable, Sequence
+from typing import Any, TypeVar
+
+from crazychoir.bus.impairment import Impairment
+from crazychoir.bus.local import Bus
+from crazychoir.bus.topics import Topic
+from crazychoir.runtime.clock import SECOND, Alarm, Clock
+
+T = TypeVar("T")
+
+
+class Skewed(Clock):
+    """The time of another clock, so many seconds ahead."""
+
+    virtual = True
+
+    def __init__(self, clock: Clock, ahead: float) -> None:
+        super().__init__()
+        self._clock, self._loop, self._ahead_ns = clock, clock._loop, round(ahead * SECOND)
+
+    def now_ns(self) -> int:
+        return self._clock.now_ns() + self._ahead_ns
+
+    def push(self, when_ns: int, alarm: Alarm, priority: int, drone: int) -> None:
+        self._clock.push(when_ns - self._ahead_ns, alarm, priority, drone)
+
+    async def compute(self, function: Callable[..., T], *args: Any) -> T:
+        return await self._clock.compute(function, *args)
+
+
+class Way:
+    """From one host to all others, at once."""
+
+    def __init__(self, own: Bus, hosts: list[Bus]) -> None:
+        self.own, self.hosts = own, hosts
+
+    def forward(
+        self, topic: Topic, source: int, to: list[int], payload: bytes, number: int, channel: str, flags: int, age: float
+    ) -> None:
+        for j in to:
+            ports = [bus.ports[j] for bus in self.hosts if bus is not self.own and j in bus.ports]
+            for port in ports:
+                port.deliver(topic.number, source, payload, number, channel, flags, age)
+            self.own.unroutable += not ports
+
+    def then(self, work: Callable[[], None]) -> None:
+        self.own.clock.soon(work)
+
+    def interested(self) -> None:
+        """Nobody reads topics of others here."""
+
+
+def hosts(clock: Clock, ahead: Sequence[float], impairment: Callable[[], Impairment]) -> list[Bus]:
+    """A bus for each number of seconds that its clock is ahead."""
+    made: list[Bus] = []
+    for k, seconds in enumerate(ahead):
+        made.append(Bus(Skewed(clock, seconds), impairment(), process=f"p{k}", host=f"h{k}"))
+        made[-1].forwarder = Way(made[-1], made)
+    return made
