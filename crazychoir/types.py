@@ -203,7 +203,7 @@ class Status(Wire, frozen=True, array_like=True, gc=False):
     before;  relaxed: value of the program's relaxation, as far as it is known, else NaN;  sent, lost, resent, dropped:
     messages between drones since the start;  suspect, gone: ids of silent members;  process, host: where it runs;
     note: the last trouble;  stopped: an emergency stop of the swarm is in force for it;  grave: somebody should
-    act upon the note.
+    act upon the note;  hosts, offsets, offset_errors: s that others' clocks are ahead of its own, within how much.
     """
 
     phase: str
@@ -222,6 +222,9 @@ class Status(Wire, frozen=True, array_like=True, gc=False):
     note: str = ""
     stopped: bool = False
     grave: bool = False
+    hosts: list[str] = []
+    offsets: list[float] = []
+    offset_errors: list[float] = []
 
 
 class Body(Wire, frozen=True, array_like=True, gc=False):

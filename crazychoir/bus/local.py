@@ -11,6 +11,7 @@ from typing import Any, Protocol
 
 from crazychoir.bus.codec import decode, encode
 from crazychoir.bus.impairment import Impairment
+from crazychoir.bus.offset import Estimate
 from crazychoir.bus.topics import BY_NAME, BY_NUMBER, OBSERVABLE, Class, Topic
 from crazychoir.errors import CodecError
 from crazychoir.runtime.clock import MESSAGE, SECOND, Clock
@@ -163,7 +164,7 @@ class Interest:
 
 
 class Bus:
-    """All ports of one process."""
+    """All ports of one process.  offsets: of the clocks of other hosts, to be shown."""
 
     def __init__(
         self, clock: Clock, impairment: Impairment | None = None, process: str = "local", host: str = "local"
@@ -173,6 +174,7 @@ class Bus:
         self.process, self.host = process, host
         self.ports: dict[int, Port] = {}
         self.forwarder: Forwarder | None = None
+        self.offsets: dict[str, Estimate] = {}
         self.interests: list[Interest] = []
         self.unroutable = 0
         self.stopped = False

@@ -11,6 +11,7 @@ from typing import Any
 from crazychoir.bus.access import Access
 from crazychoir.bus.hello import Hello
 from crazychoir.bus.local import BODIES, EYES, OBSERVER, Bus
+from crazychoir.bus.offset import Estimate, Offset
 from crazychoir.bus.topics import Class
 from crazychoir.errors import CodecError, Refused
 from crazychoir.runtime.clock import SECOND
@@ -31,7 +32,7 @@ class Peer:
     """Another process, of which a liveliness token is there; without `hello` it is not yet, or not, talked to.
 
     tokens: their keys;  since_ns: when it began, by our clock;  said: its last HELLO as it came;  refusal: why it was
-    not taken;  forbidden: whether it was said that it may not command;  lanes: of the link.
+    not taken;  forbidden: whether it was said that it may not command;  offset: of its clock;  lanes: of the link.
     """
 
     process: str
@@ -42,6 +43,7 @@ class Peer:
     said: bytes | None = None
     refusal: str = ""
     forbidden: bool = False
+    offset: Offset = field(default_factory=Offset)
     lanes: dict[Class, Any] = field(default_factory=dict)
 
 
@@ -132,6 +134,20 @@ class Peers:
         self._take_in(peer, hello)
         return not self.mutual(peer)
 
+    @property
+    def on_other_hosts(self) -> list[Peer]:
+        """Those whose clock is not ours, of whom HELLO has gone both ways."""
+        return [peer for peer in self.by_name.values() if peer.host != self.bus.host and self.mutual(peer)]
+
+    def offsets(self) -> dict[str, Estimate]:
+        """Of the clock of each other host, the best that any of its processes tells."""
+        now_ns, best = self.bus.clock.now_ns(), dict[str, Estimate]()
+        for peer in self.on_other_hosts:
+            found = peer.offset.estimate(now_ns)
+            if found is not None and (peer.host not in best or found.error < best[peer.host].error):
+                best[peer.host] = found
+        return dict(sorted(best.items()))
+
     def _uptime(self) -> float:
         return self.bus.clock.now() - self._born
 
@@ -185,6 +201,8 @@ class Peers:
     def _take_in(self, peer: Peer, hello: Hello) -> None:
         was_mutual = self.mutual(peer)
         previous, peer.hello = peer.hello, hello
+        if previous is None or previous.incarnation != hello.incarnation:
+            peer.offset = Offset()
         if previous is None:
             self.bus.stopped = self.bus.stopped or hello.stopped
         if previous is None or previous.addresses != hello.addresses:

@@ -93,10 +93,11 @@ SOUGHT = Topic(13, "sought", None, 0, NEVER_STALE, 0, Class.CONTROL, wire="edge"
 HEARSAY = Topic(14, "hearsay", None, 0, NEVER_STALE, 0, Class.CONTROL, wire="edge")
 # Between processes.
 HELLO = Topic(32, "hello", None, 1, NEVER_STALE, 0, Class.ROUNDS, impaired=False, wire="process")
+CLOCK = Topic(33, "clock", None, 1, NEVER_STALE, 0, Class.ROUNDS, impaired=False, wire="process")
 
 TOPICS = (
     POSE, STATE, REFERENCE, COMMAND, TRUTH, STATUS, RESULT, LOG, BODY, LINK, TELEMETRY, CUT, PLAN,
-    ROUND, HEARTBEAT, ROSTER, ACK, REQUEST, ANSWER, ESTOP, SOUGHT, HEARSAY, HELLO,
+    ROUND, HEARTBEAT, ROSTER, ACK, REQUEST, ANSWER, ESTOP, SOUGHT, HEARSAY, HELLO, CLOCK,
 )  # fmt: skip
 BY_NAME = {topic.name: topic for topic in TOPICS}
 BY_NUMBER = {topic.number: topic for topic in TOPICS}

@@ -39,7 +39,7 @@ from crazychoir.bus.frames import (
 from crazychoir.bus.hello import Hello
 from crazychoir.bus.local import ANY, Bus
 from crazychoir.bus.peers import OnRefused, OnToken, Peer, Peers
-from crazychoir.bus.topics import HELLO, LOG, Class, Topic
+from crazychoir.bus.topics import CLOCK, HELLO, LOG, Class, Topic
 from crazychoir.errors import CodecError, ConfigError
 from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import SECOND
@@ -185,7 +185,9 @@ class ZenohLink(Actor):
         self.bus.forwarder = self
 
     async def run(self) -> None:
-        """Repeat HELLO: often to those who have not heard it or whom we have not, seldom when all know all."""
+        """Repeat HELLO: often to those who have not heard it or whom we have not, seldom when all know all; ask other
+        hosts for their clocks.
+        """
         tick = 0
         async for _ in self.bus.clock.ticks(ASKING * HELLO.rate):
             tick += 1
@@ -198,6 +200,8 @@ class ZenohLink(Actor):
                 if not peer.refusal and not self.table.mutual(peer):
                     self._greet(peer)
             self._greet_estranged(gone_too=tick % ASKING == 0)
+            if tick % ASKING == 0:
+                self._ask_clocks()
 
     async def on_stop(self) -> None:
         """Send what is waiting and close the session, in a thread: it may take its time."""
@@ -277,6 +281,14 @@ class ZenohLink(Actor):
     def _greet(self, peer: Peer) -> None:
         self._to_greet[peer.process] = None
         self._schedule_flush()
+
+    def _ask_clocks(self) -> None:
+        self.bus.offsets = self.table.offsets()
+        for peer in self.table.on_other_hosts:
+            self._say_time(peer, peer.offset.ask(self._now_ns()))
+
+    def _say_time(self, peer: Peer, payload: bytes) -> None:
+        self._add(peer, CLOCK.klass, Envelope(CLOCK.number, 0, (), 0, 0, 0.0, "", payload))
 
     def _greet_estranged(self, gone_too: bool) -> None:
         session, processes = self._session, self._estranged.due(gone_too)
@@ -474,7 +486,7 @@ class ZenohLink(Actor):
             self._stranger(key, frame)
             return
         counters.frames_received += 1
-        self._distribute(peer, frame.envelopes, (self._now_ns() - arrived_ns) / SECOND)
+        self._distribute(peer, frame.envelopes, arrived_ns)
 
     def _sender(self, key: str, frame: Frame) -> Peer | None:
         """The peer whose frame it is: key, token and frame must agree, since certificates guard only keys."""
@@ -506,11 +518,13 @@ class ZenohLink(Actor):
         if self._estranged.greeted(process, knows_us):
             self._declare_another_token(process)
 
-    def _distribute(self, peer: Peer, messages: list[Envelope], waited: float) -> None:
-        directory, ports = self.directory, self.bus.ports
+    def _distribute(self, peer: Peer, messages: list[Envelope], arrived_ns: int) -> None:
+        directory, ports, waited = self.directory, self.bus.ports, (self._now_ns() - arrived_ns) / SECOND
         for message in messages:
             if message.topic == HELLO.number:
                 self._greeted(peer, message.payload, message.age + waited)
+            elif message.topic == CLOCK.number:
+                self._asked(peer, message.payload, arrived_ns)
             elif directory.get(message.source) is not peer:
                 self.counters.strangers += 1
             elif self.access is not None and not self.access.may_say(peer.host, message.topic):
@@ -531,6 +545,18 @@ class ZenohLink(Actor):
         if not peer.forbidden:
             peer.forbidden = True
             log.warning("host %s (process %s) commands and is no operator: not obeyed", peer.host, peer.process)
+
+    def _asked(self, peer: Peer, payload: bytes, arrived_ns: int) -> None:
+        """A question for our clock, or the answer to ours; of those that are talked to."""
+        if peer.hello is None:
+            return
+        try:
+            answer = peer.offset.hear(payload, arrived_ns, self._now_ns())
+        except CodecError:
+            self.counters.malformed += 1
+            return
+        if answer is not None:
+            self._say_time(peer, answer)
 
     def _greeted(self, peer: Peer, payload: bytes, age: float) -> None:
         try:

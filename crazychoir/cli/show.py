@@ -7,7 +7,7 @@ import os
 import sys
 import time
 import traceback
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, NoReturn, Self, TypeVar
 
@@ -182,6 +182,7 @@ def status_table(score: "Score") -> Group:
         table.add_row(str(i), *(_line(text) for text in (status.phase, status.task, *numbers, silent)))
         if status.note:
             below.append(_line(f"drone {i}: {status.note}"))
+    below += [_line(text) for text in _clocks(score.statuses.values())]
     if marked:
         below.append(_line("silent: those that it does not hear; ? for a second or more, ! given up"))
     return Group(table, *below)
@@ -194,6 +195,16 @@ def _silent(status: "Status", statuses: Mapping[int, "Status"]) -> str:
     ended = [j for j, s in statuses.items() if s.phase == "on ground" and s.task != WAITING]
     marks = [*((j, "?") for j in status.suspect), *((j, "!") for j in status.gone)]
     return ", ".join(f"{j}{mark}" for j, mark in marks if j not in ended)
+
+
+def _clocks(statuses: Iterable["Status"]) -> list[str]:
+    """How far the clocks of hosts are apart, a line a pair."""
+    said: dict[frozenset[str], str] = {}
+    for status in statuses:
+        for host, offset, error in zip(status.hosts, status.offsets, status.offset_errors, strict=False):
+            how = f"{abs(offset):.6f} s {'ahead of' if offset > 0.0 else 'behind'} that of {status.host}"
+            said.setdefault(frozenset((host, status.host)), f"the clock of host {host} is {how}, within {error:.6f} s")
+    return list(said.values())
 
 
 def _line(text: str) -> Text:

@@ -50,7 +50,7 @@ class Drone:
 
     def status(self) -> Status:
         """What others see of it."""
-        counters, monitor = self.port.counters, self.barrier.monitor
+        counters, monitor, offsets = self.port.counters, self.barrier.monitor, self.port.bus.offsets
         news = self.guidance.member.report() if hasattr(self.guidance, "member") else {}
         cost, relaxed = (float("nan") if (x := news.get(name)) is None else float(x) for name in ("cost", "relaxed"))
         return Status(
@@ -70,4 +70,7 @@ class Drone:
             note=self.waits or "; ".join(text for text in (HELD if self.pilot.held else "", self.pilot.note) if text),
             stopped=self.port.bus.stopped,
             grave=self.pilot.grave and not self.waits,
+            hosts=list(offsets),
+            offsets=[found.offset for found in offsets.values()],
+            offset_errors=[found.error for found in offsets.values()],
         )

@@ -101,7 +101,10 @@ string process
 string host
 string note
 bool stopped  # an emergency stop of the swarm is in force
-bool grave  # somebody should act upon the note""",
+bool grave  # somebody should act upon the note
+string[] hosts  # others
+float64[] offsets  # s, how far their clocks are ahead
+float64[] offset_errors  # s""",
     "crazychoir_msgs/Value": """\
 std_msgs/Header header
 string json  # null for what is not finite""",

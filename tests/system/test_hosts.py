@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from system.agents import BRISK, flying, results
+from system.agents import BRISK, Team, flying, results
 from system.namespaces import ADDRESSES, Hosts, two_hosts
 
 from crazychoir.guidance.mission import load
@@ -52,6 +52,17 @@ def states(ended: dict[int, dict[str, Any]]) -> list[str]:
     return [state for one in ended.values() for history in one["presence"].values() for _, _, state in history]
 
 
+def check_clocks(team: Team) -> None:
+    """What each drone says of the other host's clock, until that has ended."""
+    for i in team.config.ids:
+        said = [status for status in team.statuses(i) if status["hosts"]]
+        assert said, f"drone {i} knows nothing of the other clock"
+        assert {host for status in said for host in status["hosts"]} == {"ba"[i // 3]}
+        for status in said:
+            assert abs(status["offsets"][0] - (SKEW if i < 3 else -SKEW)) <= status["offset_errors"][0]
+        assert said[-1]["offset_errors"][0] < 0.01
+
+
 def clock_of(hosts: Hosts, host: int) -> float:
     program = [sys.executable, "-c", "import time; print(time.monotonic())"]
     return float(subprocess.run([*hosts.command(host), *program], check=True, capture_output=True).stdout)
@@ -67,6 +78,7 @@ async def cut_in_planning(hosts: Hosts, folder: Path, groups: list[list[int]]) -
         assert team.planning_round() >= 10, "the outage was not in the middle of planning"
         hosts.mend()
         ended = await team.end(90)
+        check_clocks(team)
     check_served(config, ended)
     assert "suspect" in states(ended), "nobody noticed the outage"
 

@@ -341,9 +341,24 @@ async def test_a_peer_that_sends_nonsense_is_counted(ground: Ground) -> None:
     frame = encode_frame(Frame("z-1", 7, 2, messages))
     Communicator(link.bus.ports[0], Graph.from_edges([0, 1], [[0, 1]]))
     outsider.put(f"choir/{ground.swarm}/f/a-1/there/z-1/rounds", frame)
-    await until(lambda: link.bus.ports[0].counters.received >= 252)
+    await until(lambda: link.bus.ports[0].counters.received >= 248)
     assert link.counters.failed == 0
+    assert link.counters.malformed == 4 + 8, "of HELLO and of the clock"
     token.undeclare()
+
+
+async def test_the_clock_of_another_host_is_asked_for_and_no_other(ground: Ground) -> None:
+    """It is this machine's own."""
+    link = await ground.link([0])
+    await ground.child([1], host="there")
+    await until(lambda: "there" in link.bus.offsets)
+    offset, error = link.bus.offsets["there"]
+    assert abs(offset) <= error < 0.05
+    other = await ground.link([2], "c-1", listen=[])
+    await until(ground.knows(link, "c-1"))
+    await until(lambda: "there" in other.bus.offsets)
+    assert [peer.process for peer in link.table.on_other_hosts] == ["b-1"]
+    assert list(other.bus.offsets) == list(link.bus.offsets) == ["there"]
 
 
 def lose(link: ZenohLink, process: str) -> None:

@@ -12,6 +12,7 @@ from crazychoir.bus import endpoints
 from crazychoir.bus.codec import encode
 from crazychoir.bus.hello import TIE, Hello
 from crazychoir.bus.local import BODIES, EYES, Bus, Interest
+from crazychoir.bus.offset import Offset
 from crazychoir.bus.peers import MAX_PEERS, Peer, Peers
 from crazychoir.bus.public import as_json
 from crazychoir.bus.topics import STATUS
@@ -77,6 +78,41 @@ def test_a_peer_is_there_while_one_of_its_tokens_is(here: Here) -> None:
     assert here.peers.directory[1].process == "b"
     assert here.peers.went("there", "b", "another") is not None
     assert here.tokens == [([1], True), ([1], False)]
+
+
+def measure(here: Here, process: str, ahead: int, way: int) -> None:
+    """A clock is asked for, which is `ahead` ns; the answer comes after 2 `way`."""
+    sent = here.clock.ns
+    answer = Offset().hear(here.peers.by_name[process].offset.ask(sent), sent + ahead + way, sent + ahead + way)
+    here.clock.ns += 2 * way
+    here.peers.by_name[process].offset.hear(answer, here.clock.ns, here.clock.ns)
+
+
+def test_of_a_host_the_process_with_the_shortest_way_tells_its_clock(here: Here) -> None:
+    for name, host in (("b", "there"), ("c", "there"), ("d", "afar"), ("e", "here"), ("f", "afar")):
+        peer = here.peers.came(host, name, name)
+        here.peers.greeted(peer, hello(name, (), host=host, heard=["a"] if name != "f" else []).payload(), 0.0)
+    assert [peer.process for peer in here.peers.on_other_hosts] == ["b", "c", "d"], "e is of our host, f knows us not"
+    assert here.peers.offsets() == {}
+    for name, ahead, way in (("b", 1100, 200), ("c", 1000, 100), ("d", 5000, 300)):
+        measure(here, name, ahead, way)
+    found = here.peers.offsets()
+    assert list(found) == ["afar", "there"]
+    assert found["afar"] == pytest.approx((5e-6, 3e-7), abs=1e-12)
+    assert found["there"] == pytest.approx((1e-6, 1e-7), abs=1e-10)
+
+
+def test_a_process_that_is_started_anew_has_another_clock(here: Here) -> None:
+    here.hear(hello())
+    measure(here, "b", 1000, 100)
+    here.hear(hello(uptime=1.5))
+    assert here.peers.offsets() != {}
+    here.hear(hello(incarnation=3))
+    assert here.peers.offsets() == {}
+    measure(here, "b", 1000, 100)
+    here.peers.went("there", "b", "token")
+    here.hear(hello())
+    assert here.peers.offsets() == {}
 
 
 def test_hello_of_somebody_else_is_refused(here: Here) -> None:

@@ -109,6 +109,17 @@ def test_a_drone_that_is_back_on_the_ground_is_not_missed():
     assert "silent:" not in printed(show.status_table(quiet)), "nothing to explain"
 
 
+def test_a_line_a_pair_of_hosts_says_how_far_their_clocks_are_apart():
+    there = {"hosts": ["a"], "offsets": [-1000.00012], "offset_errors": [0.0004]}
+    here = {"hosts": ["b", "c"], "offsets": [1000.0001, -2.0], "offset_errors": [0.0003, 0.01]}
+    statuses = {0: Status("x", host="a", **here), 1: Status("x", host="a", **here), 2: Status("x", host="b", **there)}
+    lines = printed(show.status_table(SimpleNamespace(ids=(0, 1, 2), statuses=statuses))).splitlines()
+    assert [line.rstrip() for line in lines if "clock" in line] == [
+        "the clock of host b is 1000.000100 s ahead of that of a, within 0.000300 s",
+        "the clock of host c is 2.000000 s behind that of a, within 0.010000 s",
+    ]
+
+
 def test_a_run_says_which_drones_it_started_when_not_all():
     assert "started here" not in printed(show.summary_table(RUN))
     rows = printed(show.summary_table(RUN | {"here": [2, 3]})).splitlines()

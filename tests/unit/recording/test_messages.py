@@ -4,6 +4,7 @@ import json
 import math
 from typing import get_args
 
+import msgspec
 import numpy as np
 import pytest
 from ros2_decoders import decoded
@@ -110,6 +111,7 @@ def test_commands_to_more_on_board():
 @pytest.mark.parametrize("suspect", [[], [5], [5, 6]])
 def test_status(suspect):
     status = Status("hovering", "größe", 1 << 40, 2.5, 2.25, 1, 2, 3, 4, suspect, [7], "p0", "host", "note")
+    status = msgspec.structs.replace(status, hosts=["b", "größe"], offsets=[1e3, -0.25], offset_errors=[1e-4, 2e-3])
     found = sent(status)
     assert found.pop("header") == HEADER
     assert list(found) == list(Status.__struct_fields__)

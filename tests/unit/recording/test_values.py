@@ -36,6 +36,7 @@ SAID = [
     Vel(np.arange(4.0)), Velocity(np.arange(3.0), 0.5), Acc(np.arange(3.0)), Drive(np.arange(2.0)),
     XYZ("go_to", np.arange(5.0)), LinkStatus("up", 0.1, 0.2, 0.9, -40.0, 3.9, 3, True, ["a", "b"], "r", 1, 2, "x"),
     Body("crashed", True), Status("mission", "at 1/2 stops", 3, 4.5, 4.2, 1, 2, 3, 4, [1], [2, 3], "p", "h", "note"),
+    Status("mission", hosts=["b"], offsets=[1000.5], offset_errors=[0.001]),
     "a line", {"success": True, "place": [1.0, 2.0]},
     Plan(np.ones((1, 25)), 0.5, np.zeros((0, 25)), 0.0, 3, {0: 2}, np.zeros(0)),
 ]  # fmt: skip
