@@ -10,6 +10,10 @@ from crazychoir.bus.offset import DRIFT, SAMPLES, Estimate, Offset
 from crazychoir.errors import CodecError
 
 SECOND = 1_000_000_000
+NONSENSE = [
+    None, [], [1, 2], [1, 2, 3, 4], [1.5], [True], ["1"], [-1], [1 << 62], [(1 << 64) - 1], [1000, 5, 4],
+    [1000, 5, 5000], {"t": 1},
+]  # fmt: skip
 
 
 @dataclass
@@ -105,13 +109,7 @@ def test_a_late_answer_a_second_one_and_one_to_nobody_do_not_count():
     assert pair.offset.estimate(1200) == Estimate(0.0, 1e-7)
 
 
-@pytest.mark.parametrize(
-    "said",
-    [
-        None, [], [1, 2], [1, 2, 3, 4], [1.5], [True], ["1"], [-1], [1 << 62], [(1 << 64) - 1], [1000, 5, 4],
-        [1000, 5, 5000], {"t": 1},
-    ],  # fmt: skip
-)
+@pytest.mark.parametrize("said", NONSENSE)
 def test_what_is_neither_question_nor_answer_is_refused_and_changes_nothing(said):
     offset = Offset()
     question = offset.ask(1000)
