@@ -36,13 +36,11 @@ class Way:
     def __init__(self, own: Bus, hosts: list[Bus]) -> None:
         self.own, self.hosts = own, hosts
 
-    def forward(
-        self, topic: Topic, source: int, to: list[int], payload: bytes, number: int, channel: str, flags: int, age: float
-    ) -> None:
+    def forward(self, topic: Topic, source: int, to: list[int], *message: Any) -> None:
         for j in to:
             ports = [bus.ports[j] for bus in self.hosts if bus is not self.own and j in bus.ports]
             for port in ports:
-                port.deliver(topic.number, source, payload, number, channel, flags, age)
+                port.deliver(topic.number, source, *message)
             self.own.unroutable += not ports
 
     def then(self, work: Callable[[], None]) -> None:
