@@ -50,6 +50,7 @@ from crazychoir.swarm.config import SwarmConfig
 from crazychoir.swarm.console import WATCHED, DeadMan
 from crazychoir.swarm.impairment import impairment_of
 from crazychoir.swarm.link_loss import TILTED, crowded, inset
+from crazychoir.swarm.members import Roster
 from crazychoir.swarm.roster import Barrier
 from crazychoir.worlds import owners
 
@@ -148,6 +149,7 @@ class Agent:
         )  # fmt: skip
         communicator = Communicator(port, self._graph)
         communicator.follow(barrier)
+        barrier.listeners.append(partial(self._tell_apart, barrier))
         fence = self._fence(i)
         own_pose = i in config.reached and i not in config.seen
         chosen, rate = self._controls(i), config.radio.log_rate if own_pose else config.mocap.rate
@@ -326,6 +328,14 @@ class Agent:
         """Without the world or the pacemaker nobody flies on: the drones land, or are cut by who still ticks them."""
         if actor in self.owners or actor is self.pacemaker:
             self.land_all(f"{actor.name} failed: {type(error).__name__}: {error}")
+
+    def _tell_apart(self, barrier: Barrier, roster: Roster) -> None:
+        """Who coordinates says it for all."""
+        if barrier.apart and roster.ids[0] == barrier.id:
+            gone = " ".join(map(str, barrier.absent))
+            text = f"drone {barrier.id}: {barrier.apart}: no message of one reaches another; without drone(s) {gone}"
+            log.warning("%s. Start what is gone again, or add edges to the swarm file.", text)
+            barrier.port.publish(LOG, text)
 
     def _failed(self, i: int, actor: Actor, error: Exception, again: bool) -> None:
         drone = self.drones[i]

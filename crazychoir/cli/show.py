@@ -257,6 +257,7 @@ def summary_table(run: dict[str, Any]) -> Table:
         ("drones", "{}"), ("tasks", "{}"), ("cost", "{:.4f} m"), ("plan_digest", "{:.16}"), ("simulated_s", "{:.2f} s"),
         ("startup_s", "{:.2f} s"), ("wall_s", "{:.2f} s"), ("real_time_factor", "{:.1f}"), ("rounds", "{}"),
         ("messages", "{}"), ("min_separation_m", "{:.3f} m"), ("kept_clear_s", "{}"), ("at_fence_s", "{}"),
+        ("apart", "{}"),
         ("formation_error_m", "{:.4f} m"), ("settling_s", "{:.2f} s"),
         ("planned_m", "{}"), ("flown_m", "{}"), ("digest", "{}"), ("picture", "{}"),
     ]  # fmt: skip

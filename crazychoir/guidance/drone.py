@@ -53,6 +53,7 @@ class Drone:
         counters, monitor, offsets = self.port.counters, self.barrier.monitor, self.port.bus.offsets
         news = self.guidance.member.report() if hasattr(self.guidance, "member") else {}
         cost, relaxed = (float("nan") if (x := news.get(name)) is None else float(x) for name in ("cost", "relaxed"))
+        notes = (HELD if self.pilot.held else "", self.pilot.note, self.barrier.apart)
         return Status(
             phase=self.pilot.mode.value,
             task=str(news.get("task", self._task_before)),
@@ -67,7 +68,7 @@ class Drone:
             gone=monitor.those(Presence.LOST),
             process=self.port.bus.process,
             host=self.port.bus.host,
-            note=self.waits or "; ".join(text for text in (HELD if self.pilot.held else "", self.pilot.note) if text),
+            note=self.waits or "; ".join(text for text in notes if text),
             stopped=self.port.bus.stopped,
             grave=self.pilot.grave and not self.waits,
             hosts=list(offsets),

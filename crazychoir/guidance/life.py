@@ -58,6 +58,8 @@ class GuidanceActor(Actor):
             if not life.done():
                 await self._last_words(life)
             drone.result = self._outcome(life)
+            if drone.barrier.apart:
+                drone.result = {**drone.result, "apart": drone.barrier.apart}
             if not drone.result["success"]:
                 telling.append(asyncio.create_task(drone.communicator.fail(self._last_word(life))))
         except asyncio.CancelledError:

@@ -30,6 +30,7 @@ NO_REASONS = "the mission's report returned success = False, without reasons"
 HELD = {
     "kept_clear_s": "the collision filter has flown it for {:g} s",
     "at_fence_s": "held at the fence for {:g} s",
+    "apart": "at its end the {}",
 }
 """What has kept a drone from where it wanted to be, by the key of its result."""
 NO_REASON = "its mission returned success = False, without a reason"

@@ -97,6 +97,14 @@ class Graph(Wire, frozen=True, array_like=True, gc=True, dict=True):
         first = self.ids[0]
         return all(len(_distances(first, step)) == len(self.ids) for step in (self._in, self._out))
 
+    def parts(self) -> tuple[tuple[int, ...], ...]:
+        """Drones that are joined, whatever the direction, by their lowest one: one part, if nobody is by itself."""
+        found: dict[int, tuple[int, ...]] = {}
+        for i in self.ids:
+            if not any(i in part for part in found.values()):
+                found[i] = tuple(sorted(_distances(i, self._both)))
+        return tuple(found.values())
+
     def diameter(self) -> int:
         """The most hops that a message needs from one drone to another: rounds of a flood."""
         if not self.is_connected:

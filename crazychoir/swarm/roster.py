@@ -42,7 +42,8 @@ class Barrier:
     start: "all", or how many suffice at the deadline;  hold: holds the rounds until the next epoch and returns the
     first round that is held (set by `Communicator.follow`; 0 where nobody exchanges);  listeners: called
     with each new roster;  history: (s, id, presence) of the newest changes;  refused: why this drone cannot fly: the
-    others hear it and do not wait for it.
+    others hear it and do not wait for it;  apart: the parts that have no way to each other, where all of the swarm
+    have one; else empty.
     """
 
     def __init__(
@@ -67,6 +68,7 @@ class Barrier:
         self.listeners: list[Callable[[Roster], None]] = []
         self.history: list[tuple[float, int, str]] = []
         self.refused = ""
+        self.apart = ""
         self._refusals: dict[int, str] = {}
         self._others = tuple(j for j in graph.ids if j != self.id)
         self._known = frozenset(self._others)
@@ -205,6 +207,9 @@ class Barrier:
             elif roster.members[j] != before.get(j) or j not in self.graph.neighbors(self.id):
                 self._lost.pop(j, None)  # the coordinator knows better
         self.roster, self._checksum = roster, roster.checksum
+        parts = roster.graph.parts()
+        said = " | ".join(" ".join(map(str, part)) for part in parts)
+        self.apart = f"graph in {len(parts)} parts: {said}" if len(parts) > len(self.graph.parts()) else ""
         self._next, self._held, self._halves, self._target = {}, {}, {}, 0
         self._settled_ns = self.port.bus.clock.now_ns() + int(SILENCE * SECOND)  # others adopt it, and watch fewer
         for listener in self.listeners:

@@ -9,7 +9,7 @@ import pytest
 
 from crazychoir.agent import Agent
 from crazychoir.bus.local import OBSERVER
-from crazychoir.bus.topics import LOG, RESULT
+from crazychoir.bus.topics import LOG, RESULT, STATUS
 from crazychoir.errors import Refused
 from crazychoir.guidance.base import CFGuidance
 from crazychoir.guidance.feedback import CFDistributedFeedback
@@ -640,6 +640,34 @@ def test_a_restarted_agent_is_a_new_incarnation_and_the_joinable_channel_goes_on
         assert list(counts.rounds) == sorted(counts.rounds), "no round twice"
         if i != 3:
             assert len(counts.rounds) == max(counts.rounds) + 1, "nor left out"
+
+
+def test_a_team_that_comes_apart_says_so_in_log_status_and_result(caplog):
+    async def hovers(guidance):
+        await guidance.take_off()
+        await guidance.member.clock.sleep(8.0)
+        return {"success": True}
+
+    async def main(clock):
+        agent = Agent(clock, swarm(3, graph="path", lost_after=1.0), mission_of(hovers), (0, 1, 2))
+        said, statuses = await observe(agent, LOG), await observe(agent, STATUS)
+
+        def crash():
+            agent.bus.close(1)
+            port = agent.drones[1].port
+            port.send = port.publish = lambda *message, **named: None
+            agent._guidances[1].abort("killed")
+
+        clock.call_at(4 * SECOND, crash)
+        return await agent.run(), said, statuses
+
+    found, said, statuses = run_virtual(main)
+    apart = "graph in 2 parts: 0 | 2"
+    told = f"drone 0: {apart}: no message of one reaches another; without drone(s) 1"
+    assert [text for text in said if "parts" in text] == [told]
+    assert caplog.text.count(apart) == 1
+    assert any(apart in status.note for status in statuses)
+    assert (found[0]["apart"], found[2]["apart"]) == (apart, apart)
 
 
 def test_a_drone_that_a_radio_reaches_is_watched_by_the_figures_of_its_platform():

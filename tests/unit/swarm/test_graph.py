@@ -95,6 +95,12 @@ def test_shapes(graph: Graph, edges: tuple[tuple[int, int], ...], diameter: int)
     assert (graph.edges(), graph.diameter(), graph.is_undirected) == (edges, diameter, True)
 
 
+def test_parts_are_what_is_joined_whatever_the_direction() -> None:
+    assert shapes.ring(4).parts() == ((0, 1, 2, 3),)
+    assert Graph.from_edges((0, 1, 3, 4, 7), [(4, 3), (1, 0)], directed=True).parts() == ((0, 1), (3, 4), (7,))
+    assert shapes.empty(2).parts() == ((0,), (1,))
+
+
 def test_a_directed_ring_sends_to_the_next() -> None:
     ring = shapes.ring(4, directed=True)
     assert [ring.out_neighbors(i) for i in ring.ids] == [(1,), (2,), (3,), (0,)]

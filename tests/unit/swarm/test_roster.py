@@ -543,6 +543,22 @@ def test_another_half_comes_whole_or_without_those_who_never_answer():
     alone(0, {0: 1}, story)
 
 
+def test_a_graph_that_comes_apart_is_told_until_it_is_mended():
+    async def story(t: Team) -> None:
+        for i in range(5):
+            t.start(i, lost_after=1.0)
+        await formed([member.barrier for member in t.members.values()])
+        assert [member.barrier.apart for member in t.members.values()] == [""] * 5
+        t.kill(2)
+        await settled(t, 2)
+        assert {member.barrier.apart for member in t.members.values()} == {"graph in 2 parts: 0 1 | 3 4"}
+        t.start(2, incarnation=2)
+        await settled(t, 3)
+        assert {member.barrier.apart for member in t.members.values()} == {""}
+
+    team(graphs.path(5), story)
+
+
 def test_rosters_of_two_coordinators_are_replaced():
     async def story(it: Alone) -> None:
         it.beat(1, 1, it.roster.checksum)
