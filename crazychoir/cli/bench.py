@@ -32,6 +32,19 @@ def exchange(as_json: JsonOption = False, quick: QuickOption = False) -> None:
 
 
 @app.command()
+def scale(
+    as_json: JsonOption = False,
+    quick: QuickOption = False,
+    namespaces: Annotated[bool, typer.Option(help="A network of its own for each process; root, iproute2.")] = False,
+    repeats: Annotated[int, typer.Option(min=1, help="Medians of so many.")] = 3,
+) -> None:
+    """What 10 to 1000 agents in 1 to 8 processes cost, and a model of it: what 10 000 on 100 hosts need."""
+    from crazychoir.cli import bench_scale
+
+    _show(lambda say: bench_scale.run(quick, namespaces, repeats, say), bench_scale.table, as_json)
+
+
+@app.command()
 def flight(as_json: JsonOption = False, quick: QuickOption = False) -> None:
     """How much faster than real time one core flies 10 to 1000 drones, where the time goes, and worlds alone."""
     from crazychoir.cli import bench_flight
