@@ -103,6 +103,8 @@ def status(
     """How the drones are."""
 
     async def work(window: "Window") -> "Score":
+        if watch and window.patience:  # its agents may be starting just now, on other hosts
+            window.patience = max(window.patience, window.config.start_deadline)
         there, score = await window.find(), window.score()
         ends = window.clock.now() + LONGEST
         while any(i not in score.statuses for i in there) and window.clock.now() < ends:

@@ -153,6 +153,9 @@ async def test_from_empty_workstations_to_a_flying_swarm(repository, tmp_path):
     async with lab(tmp_path, repository) as made:
         once = typed[1].replace("REPOSITORY", str(made.origin))
         await made.type(once + typed[2] + typed[3])
-        await made.type(typed[4].replace("status --watch", "status --json"))
+        watch = "venv/bin/crazychoir status --watch"
+        assert watch in typed[4]
+        said = await made.type(typed[4].replace(watch, f"timeout --preserve-status -s INT 90 {watch}"))
+        assert "taking off" in said or "mission" in said, said
         codes = [await ended(made, host, range(first, first + 15)) for host, first in (("left", 0), ("right", 15))]
         assert codes == [[0] * 15] * 2
