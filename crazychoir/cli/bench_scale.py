@@ -3,10 +3,12 @@
 Each agent exchanges with four neighbours, scattered over all processes, as fast as it goes. A model is fitted to
 the cells by non-negative least squares of relative errors:
 
-    processor    s a second = steps/s * step + messages/s to the own process * near + to others * far + frames/s * frame
+    processor    s a second = steps/s * step + messages/s to others * far + frames/s * frame
     memory       B of all = processes * process + agents * agent + ends of links * link
     start        s = once + processes * process + ends of links * link
     bytes        B/s over the network = messages/s to others * message + frames/s * head
+
+A step has four messages; `far` is what one to another process costs beyond one to the own.
 """
 
 import json
@@ -41,7 +43,7 @@ HOSTS, EACH, RATE = 100, 100, 10.0
 CORES, NETWORK = 8, 125e6
 """Of each host: cores, B/s of its network."""
 TERMS = {
-    "processor": ("step", "near", "far", "frame"),
+    "processor": ("step", "far", "frame"),
     "memory": ("process", "agent", "link"),
     "start": ("once", "process", "link"),
     "bytes": ("message", "head"),
@@ -165,7 +167,7 @@ def features(name: str, cell: Cell) -> list[float]:
     """What the terms of a model count in a cell."""
     match name:
         case "processor":
-            return [cell.steps, cell.near, cell.far, cell.frames]
+            return [cell.steps, cell.far, cell.frames]
         case "memory":
             return [cell.processes, cell.agents, cell.ends()]
         case "start":
@@ -238,7 +240,7 @@ def needs(fits: dict[str, Fit]) -> list[dict[str, float]]:
 
 def table(result: dict[str, Any]) -> RenderableType:
     """Cells, model, and what it says of more."""
-    columns = ("agents", "proc.", "rounds/s", "us CPU/msg", "B/msg", "msg/frame", "MiB", "start, s", "threads")
+    columns = ("agents", "proc", "rounds/s", "us/msg", "B/msg", "msg/frame", "MiB", "start s", "threads")
     cells = Table(*columns, title="Exchange with four neighbours each, scattered over the processes")
     for row in result["cells"]:
         cell = Cell(**row)

@@ -110,6 +110,8 @@ def steps(
     if package is not None:  # pip leaves what is there of the same version
         again = f"{install} --force-reinstall --no-deps {shlex.quote(what)}"
         yield Step("installed anew", (*SSH, at, again), INSTALL)
+    laws = f"{FOLDER}/venv/bin/python -c 'import crazychoir.cli.process'"  # else its agents, who start at once, wait
+    yield Step("laws compiled", (*SSH, at, laws), INSTALL)
 
 
 def named(config: "SwarmConfig") -> list[Path]:

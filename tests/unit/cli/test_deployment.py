@@ -160,7 +160,8 @@ def test_a_dry_push_prints_each_step_and_does_nothing(lab, repository, monkeypat
     assert any(line.endswith("keys/a me@10.0.0.1:choir/keys/") for line in lines)
     assert not any("keys/authority" in line for line in lines), "that stays on one machine"
     assert sum(".service" in line for line in lines) == len(UNITS)
-    assert re.search(r"pip install --quiet crazychoir==\d", lines[-1])
+    assert re.search(r"pip install --quiet crazychoir==\d", lines[-2])
+    assert "import crazychoir.cli.process" in lines[-1]
 
 
 def test_a_push_puts_all_in_its_place(lab, repository, tmp_path, monkeypatch):
@@ -189,7 +190,9 @@ def test_a_push_puts_all_in_its_place(lab, repository, tmp_path, monkeypatch):
     assert sorted(path.name for path in (there / "choir/keys").iterdir()) == ["a"]
     assert (there / "choir/keys/a/key.pem").stat().st_mode & 0o777 == 0o600
     assert len(list((there / ".config/systemd/user").iterdir())) == len(UNITS)
-    assert (there / "said").read_text().splitlines()[-1].startswith("choir/venv/bin/pip install --quiet crazychoir==")
+    *_, installed, compiled = (there / "said").read_text().splitlines()
+    assert installed.startswith("choir/venv/bin/pip install --quiet crazychoir==")
+    assert compiled.startswith("choir/venv/bin/python -c")
 
 
 def test_a_push_of_what_units_do_not_read_is_refused(lab):
