@@ -59,9 +59,9 @@ async def main(clock: Clock) -> None:
         say({"ready": True})
         await asyncio.to_thread(wait_for_go)
         running = [group.create_task(agent(member, rounds)) for member in members]
-        await asyncio.sleep(spec["warm"])
+        await clock.sleep(spec["warm"])
         first = looked_at(bus, link, rounds)
-        await asyncio.sleep(spec["seconds"])
+        await clock.sleep(spec["seconds"])
         last = looked_at(bus, link, rounds)
         seconds = last["t"] - first["t"]
         figures = {key: (last[key] - first[key]) / seconds for key in last if key != "t"}

@@ -281,6 +281,8 @@ class Barrier:
         elif members.get(source) != beat.incarnation:
             self._lost.pop(source, None)
             self._propose({**members, source: beat.incarnation}, roster)
+        elif self._next and beat.epoch >= self._target:
+            self._propose(dict(self._next), roster)  # it has gone on with another, while we did not hear it
         elif self._next and source not in self._held and beat.epoch:
             self.reliable.send(ROSTER, source, encode([self._target]))
         elif self._next:
@@ -312,7 +314,9 @@ class Barrier:
         self._calm.clear()
         self._next = dict(sorted(members.items()))
         epochs = [self.beats[j].epoch for j in members if j in self.beats]
-        self._target = max([self._target, *(epoch + 1 for epoch in (roster.epoch, *epochs))])
+        before, self._target = self._target, max([self._target, *(epoch + 1 for epoch in (roster.epoch, *epochs))])
+        if self._target > before:
+            self._held = {}  # who held for a lower one may have gone on since
         self._held[self.id] = self.hold()
         self._give_up_ns = self.port.bus.clock.now_ns() + int(self.monitor.lost_after * SECOND)
         for j in self._running(roster):
