@@ -155,7 +155,7 @@ async def test_from_empty_workstations_to_a_flying_swarm(repository, tmp_path):
         await made.type(once + typed[2] + typed[3])
         watch = "venv/bin/crazychoir status --watch"
         assert watch in typed[4]
-        said = await made.type(typed[4].replace(watch, f"timeout -s INT 60 {watch} || true"))
-        assert "waiting for the others" in said or "mission" in said, said
+        said = await made.type(typed[4].replace(watch, f"timeout -s INT 100 {watch} || true"))
+        assert "on ground" in said or "mission" in said, said
         codes = [await ended(made, host, range(first, first + 15)) for host, first in (("left", 0), ("right", 15))]
         assert codes == [[0] * 15] * 2
