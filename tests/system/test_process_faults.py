@@ -7,10 +7,11 @@ import asyncio
 import contextlib
 import json
 import signal
+import subprocess
 import time
 
 import pytest
-from system.agents import WORLD, Program, flying, results, seen, until
+from system.agents import CRAZYCHOIR, WORLD, Program, flying, results, seen, until
 from system.lossy_link import wired
 
 from crazychoir.guidance.mission import load
@@ -160,3 +161,22 @@ async def test_one_that_is_stopped_for_a_while(tmp_path, repository):
     line = score(repository, "SIGSTOP of 3 s", world, found, named_s=named)
     assert named <= 2 * LEASE
     assert all(found[i]["success"] for i in others), line
+
+
+async def test_a_full_disk_ends_the_recording_and_not_the_flight(small_disk):
+    flown = await Program.start(*CRAZYCHOIR, "run", "pickup_delivery", "--record", small_disk / "flight.mcap", "--json")
+    result = await flown.end(150.0)
+    told = result["recording"]
+    assert (result["success"], result["code"]) == (True, 0), flown.text
+    assert "No space left" in told["error"]
+    assert told["lost"] > 0
+
+
+@pytest.fixture
+def small_disk(tmp_path):
+    """A folder that half a megabyte fills."""
+    folder = tmp_path / "small"
+    folder.mkdir()
+    subprocess.run(["mount", "-t", "tmpfs", "-o", "size=512k", "tmpfs", folder], check=True)
+    yield folder
+    subprocess.run(["umount", folder], check=True)
