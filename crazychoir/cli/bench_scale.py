@@ -107,7 +107,9 @@ def run(quick: bool, namespaces: bool, repeats: int, say: Callable[[str], None])
                 say(f"{n} agents in {p} process(es), {k + 1} of {count}")
                 turns.append(measure(n, p, 1.0 if quick else 3.0, namespaces))
             rows = [asdict(turn) for turn in turns]
-            cells.append(Cell(**{key: statistics.median(row[key] for row in rows) for key in rows[0]}))
+            cells.append(Cell(**{key: statistics.median(row[key] for row in rows) for key in rows[0]} | {
+                "agents": n, "processes": p, "threads": rows[0]["threads"],
+            }))  # fmt: skip
     fits = {name: fit(name, cells) for name in TERMS}
     return {
         "cells": [asdict(cell) for cell in cells], "fits": {name: asdict(one) for name, one in fits.items()},
