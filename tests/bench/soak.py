@@ -50,6 +50,8 @@ def swarm(minutes: float, each: int) -> SwarmConfig:
 
 async def soak(minutes: float, each: int, progress: Progress) -> dict[str, object]:
     config = swarm(minutes, each)
+    compiled = await Program.start(sys.executable, "-c", "import crazychoir.cli.process")
+    await compiled.end(300.0)  # who compiles the laws itself has twice the memory
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "swarm.json"
         file.write_text(config.dumps())
