@@ -161,7 +161,8 @@ class Agent:
         reached: Reached = "no" if i not in config.reached else "own" if own_pose else "seen"
         pilot = Pilot(port, link, config.flight, fence, rate, chosen, seen, seen_at, collision, limit, reached)
         if i in self._remotes:
-            self._remotes[i].found_flying = pilot.take_over
+            remote = self._remotes[i]
+            remote.found_flying, pilot.turning, pilot.unheard = pilot.take_over, remote.flying, remote.unheard
         if reached != "no":
             firmware = platform(config.drone(i).platform).firmware
             watch = RadioWatch(port, config.source(LINK, i), pilot.guard, firmware)

@@ -194,7 +194,9 @@ class Pilot(Actor):
         self.unguided = ""
         """Why its guidance is gone, in flight; empty while it is there."""
         self.turning: Callable[[], bool] = lambda: False
-        """Whether its firmware says that its motors turn, which lands it."""
+        """Whether its motors turn, or its body flies, as its firmware or its world's owner says that lands it."""
+        self.unheard: Callable[[], bool] = lambda: False
+        """Whether the owner of its body is silent: no command arrives there, and it is landed without."""
         self.unfit: Callable[[], list[str]] = list
         """Says why its drone may not take off, beside what is known here."""
         self.astray: Callable[[], str] = str
@@ -541,8 +543,18 @@ class Pilot(Actor):
         )
 
     def take_over(self) -> None:
-        """The drone is in the air, and another agent has brought it there: land it from where it is first seen."""
+        """The drone is in the air, and others fly it: land it from where it is first seen, and until then leave it."""
         self._takes_over = True
+
+    def _found(self) -> None:
+        """It is seen where others have flown it."""
+        self._takes_over = False
+        if self.mode is GROUND:
+            self._change(Event.FOUND)
+            self.land("found in the air, where others have flown it: landing")
+        elif self.mode is LAND:
+            self.flights.clear()
+            self._descend()
 
     def cut(self, reason: str) -> None:
         """Stop the motors, for good."""
@@ -630,14 +642,14 @@ class Pilot(Actor):
     # The chain ------------------------------------------------------------------------------------------------
 
     def _command(self, state: State, now: float) -> Command | None:
-        if self._takes_over and self.mode is GROUND:
-            self._takes_over = False
-            self._change(Event.FOUND)
-            self.land("found in the air, where another agent has flown it: landing")
+        if self._takes_over and state.age <= SEEN:
+            self._found()
         mode = self.mode
         if mode in DOWN:
             self.clearance.rest(now)
-            return self._idle
+            return None if self._takes_over and mode is GROUND else self._idle
+        if self.unheard():
+            self.guard.bear_unseen(state.age + TOUCHDOWN_LATE)
         if self._reference is not None:
             verdict = self.guard.check(now, state, state.age, (self._ticked_ns - self._reference_ns) / SECOND)
         else:
@@ -670,6 +682,8 @@ class Pilot(Actor):
             return self._idle
         if self._down_at < math.inf:
             self._tell_owner(now)
+            return None
+        if self._takes_over:
             return None
         if self.unreached and self.mode is LAND:
             return self._land_unheard(state, now)
@@ -731,6 +745,8 @@ class Pilot(Actor):
             return self.flights.done(now) and bool(np.linalg.norm(state.v) < AT_REST)
         low = seen and state.flat[2] < self.limits.ground + ON_THE_FLOOR
         landing = isinstance(self.flights.plan, Landing)
+        if not seen and (self.turning() or self.unheard()):
+            return not self.turning()  # its owner has seen it land, or does not come back
         late = TOUCHDOWN_LATE if seen else TOUCHDOWN_UNSEEN
         over = landing and self.flights.done(now, late) and now > self.clearance.gave_way + late
         planned = self.clearance.planned

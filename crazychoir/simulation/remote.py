@@ -28,7 +28,8 @@ SIZES: dict[type[Any], int] = {FPQR: 4, FRPY: 4, Vel: 4, XYZ: 5, FullState: 14, 
 THRUST = ("fpqr", "frpy")
 """Kinds of commands that carry a drone."""
 GONE = 3.0
-"""s of silence after which a world's owner does not come back: all its drones have stopped their motors by then."""
+"""s of silence after which a world's owner does not come back: all its drones have stopped their motors by then, or
+are landed by their firmware."""
 HANDS_OVER = 0.4
 """s without a command after which a drone that is streamed commands is told to land by itself, if its firmware can:
 before that would level it out (0.5 s), and let it fall (2 s)."""
@@ -47,7 +48,8 @@ class RemoteLink:
     """The way to a drone whose body is in the process of an owner, of the world or of its dongle.
 
     The newest command counts, and each tick of the pilot brings one, so none is resent. From a cut on the cut itself is
-    what goes out with each tick, so that a lost message delays it by a tick.
+    what goes out with each tick, so that a lost message delays it by a tick. An owner that falls silent may land the
+    drone meanwhile: no command leaves until it is heard again.
 
     gone: s of silence after which the owner does not come back.
     """
@@ -57,7 +59,8 @@ class RemoteLink:
         self._cut = self._heard = False
         self._commander, self._asking = Commander(port), list[asyncio.Task[None]]()
         self.found_flying: Callable[[], None] = lambda: None
-        """Called once if the body is in the air before this link has sent anything: an agent before us flew it."""
+        """Called if the body is in the air when it is heard first, or again after a silence: an agent before us flew
+        it, or its firmware is landing it."""
         self._condition: Latest[Body] = Latest(port.bus.clock, f"drone {port.address} body", BODY.max_age)
         port.bus.subscribe(BODY, self._body, port.address, self._condition)
         port.bus.subscribe(BODY, self._body, port.address, Call(port.bus.clock, self._begin, "body"))
@@ -73,8 +76,19 @@ class RemoteLink:
         """On its way; not before it is known whether the body flies already: the first command stops its motors."""
         if self._cut:
             self.cut()
-        elif self._heard:
+        elif self._heard and not self.unheard():
             self.port.send(COMMAND, (self._body,), encode(command))
+        else:
+            self._heard = False
+
+    def unheard(self) -> bool:
+        """Whether nobody says how the body is: commands may not arrive either."""
+        return self.silence > BODY.max_age
+
+    def flying(self) -> bool:
+        """Whether the body is in the air, as far as is known."""
+        body = self._condition.peek()
+        return body is not None and body.flying and self.silence < self.gone
 
     def ask(self, names: tuple[str, ...], period: float) -> None:
         """Let the body say these log variables; what it does not have is said in the log."""

@@ -72,11 +72,14 @@ class Hops(CFGuidance):
 
 
 class Stays(CFGuidance):
-    """Up, for a long time."""
+    """Up, for a long time: so many seconds."""
+
+    def __init__(self, seconds=600.0):
+        self.seconds = seconds
 
     async def mission(self):
         await self.take_off()
-        await self.sleep(600.0)
+        await self.sleep(self.seconds)
 
 
 MISSION = SimpleNamespace(guidance=lambda i, config: Hops())
@@ -97,11 +100,11 @@ async def two_processes(clock, config, meanwhile, mission=MISSION):
     return results, world
 
 
-def fly(config, meanwhile=None):
+def fly(config, meanwhile=None, mission=MISSION):
     async def nothing(clock, *parts):
         await clock.sleep(0.0)
 
-    return run_virtual(lambda clock: two_processes(clock, config, meanwhile or nothing))
+    return run_virtual(lambda clock: two_processes(clock, config, meanwhile or nothing, mission))
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.02, 0.013])
@@ -262,9 +265,32 @@ def test_an_agent_that_is_started_again_lands_a_drone_that_is_in_the_air(sender)
 
     height, notes, sinks, report = run_virtual(main)
     assert height > 0.4
-    assert notes == ["found in the air, where another agent has flown it: landing"] * 2
+    assert notes == ["found in the air, where others have flown it: landing"] * 2
     assert sinks > -1.3, "it falls"
     assert report["crashed"] == []
+
+
+@pytest.mark.parametrize("length", [0.6, 1.2, 1.8, 2.4, 3.6])
+def test_who_is_cut_off_from_its_body_lets_its_firmware_land_it_and_does_so_where_it_sees_it_again(length):
+    drones = [{"id": i, "home": [float(i), 0.0, 0.0], "uri": MOTORS} for i in range(2)]
+    config = swarm(drones=drones, flight=BRISK | {"takeoff_height": 1.2, "landing_speed": 0.4})
+    seen = {"sinks": []}
+
+    async def meanwhile(clock, world, agent, wires):
+        await clock.sleep(6.0)
+        for torn in (True, False):
+            for wire in wires:
+                wire.torn = torn
+            ends = clock.now() + (length if torn else 6.0)
+            while clock.now() < ends:
+                await clock.sleep(0.05)
+                seen["sinks"].append(world.owners[0].world.state(0).v[2])
+        seen["down"] = [world.owners[0].world.state(i).p[2] for i in (0, 1)]
+
+    _, world = fly(config, meanwhile, SimpleNamespace(guidance=lambda i, config: Stays(20.0)))
+    assert min(seen["sinks"]) > -1.0, "it falls"
+    assert max(seen["down"]) < 0.05
+    assert world.report()["crashed"] == []
 
 
 def test_a_pose_is_as_old_as_its_way_was_long():

@@ -149,6 +149,7 @@ async def test_a_drone_that_nobody_commands_has_no_thrust(clock):
     await clock.sleep(10.0)
     pair.body.look()
     assert pair.thrust == PAPER.weight, "nobody has ever flown it"
+    pair.there.publish(BODY, Body())
     pair.link.send(HOVER)
     await clock.sleep(0.9 * SILENCE)
     pair.body.look()
@@ -162,6 +163,24 @@ async def test_a_drone_that_nobody_commands_has_no_thrust(clock):
     ]
     pair.link.send(HOVER)
     assert pair.thrust == PAPER.weight, "somebody does again"
+
+
+@virtual
+async def test_nothing_is_sent_to_a_body_that_is_silent_until_it_is_heard_again(clock):
+    pair, found = Pair(clock), []
+    pair.link.found_flying = lambda: found.append(clock.now())
+    pair.there.publish(BODY, Body(flying=True))
+    pair.link.send(HOVER)
+    assert (pair.link.unheard(), pair.link.flying(), pair.obeyed) == (False, True, [0.0])
+    await clock.sleep(BODY.max_age + 0.1)
+    pair.link.send(HOVER)
+    assert (pair.link.unheard(), pair.link.flying(), pair.obeyed) == (True, True, [0.0])
+    pair.there.publish(BODY, Body(flying=True))
+    pair.link.send(HOVER)
+    assert (pair.link.unheard(), found) == (False, [clock.now()]), "its firmware lands it, say"
+    assert pair.obeyed == [0.0, clock.now()]
+    await clock.sleep(GONE)
+    assert not pair.link.flying(), "it does not come back"
 
 
 @virtual
@@ -225,6 +244,7 @@ async def test_a_drone_whose_planner_would_fly_on_for_good_is_landed(clock):
     async def live(seconds, command=None):
         for k in range(round(seconds / world.dt)):
             await clock.sleep(world.dt)
+            there.publish(BODY, Body(flying=body.flying))
             if command is not None and k % 10 == 0:
                 link.send(command)
             world.step()
