@@ -22,7 +22,7 @@ from typing import Any, Self
 
 import zenoh
 
-from crazychoir.bus import endpoints
+from crazychoir.bus import endpoints, handshakes
 from crazychoir.bus.access import Access
 from crazychoir.bus.budget import Budgets
 from crazychoir.bus.codec import encode
@@ -168,6 +168,7 @@ class ZenohLink(Actor):
     def open(self) -> None:
         """Listen, connect, subscribe, and only then declare the token; raises ConfigError for a busy endpoint."""
         os.environ.setdefault("ZENOH_RUNTIME", RUNTIME)
+        _tell_of_handshakes(self.access)
         if self.access is None and not endpoints.are_local(self.listen + self.connect):
             log.warning("%s", OPEN)
         try:
@@ -576,6 +577,7 @@ def routing(listen: list[str], lease: float, access: Access | None) -> Iterator[
     lease: s without a sign of a host before its tokens go. Raises ConfigError where it cannot be opened.
     """
     os.environ.setdefault("ZENOH_RUNTIME", RUNTIME)
+    _tell_of_handshakes(access)
     if access is None and not endpoints.are_local(listen):
         log.warning("%s", OPEN)
     secured = access.settings() if access is not None else {}
@@ -587,6 +589,11 @@ def routing(listen: list[str], lease: float, access: Access | None) -> Iterator[
         yield
     finally:
         session.close()
+
+
+def _tell_of_handshakes(access: Access | None) -> None:
+    if access is not None and handshakes.overhears():
+        zenoh.init_log_from_env_or(handshakes.WANTED)
 
 
 class Outside:

@@ -17,6 +17,7 @@ from rich.console import Console, Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
+from crazychoir.bus import handshakes
 from crazychoir.bus.plain import plain
 from crazychoir.errors import ConfigError, CrazyChoirError, Refused
 
@@ -57,7 +58,8 @@ class TracesOnce(logging.Formatter):
 
 
 def set_up_logging(level: int = logging.WARNING) -> None:
-    """Logs go to standard error."""
+    """Logs go to standard error, those of the network too."""
+    handshakes.overhear()
     if sys.stderr.isatty():
         from rich.logging import RichHandler
 
@@ -73,11 +75,16 @@ def prints_aside() -> Iterator[None]:
     """Standard output is for what a command answers: what missions, and programs that they start, print goes aside,
     to standard error.
     """
+    with contextlib.redirect_stdout(sys.stderr), contextlib.nullcontext() if handshakes.overhears() else _aside():
+        yield
+
+
+@contextlib.contextmanager
+def _aside() -> Iterator[None]:
     output = os.dup(1)
     os.dup2(2, 1)
     try:
-        with contextlib.redirect_stdout(sys.stderr):
-            yield
+        yield
     finally:
         os.dup2(output, 1)
         os.close(output)

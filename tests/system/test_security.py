@@ -4,10 +4,12 @@ import asyncio
 import contextlib
 import datetime
 import json
+import signal
 from pathlib import Path
 
 import pytest
 import zenoh
+from system.agents import CRAZYCHOIR, Program
 from system.link_process import linked, wall_clock
 
 from crazychoir.bus.codec import encode
@@ -22,6 +24,7 @@ from crazychoir.types import Status
 pytestmark = [pytest.mark.system, pytest.mark.real_time]
 OBSERVER = 10_001
 HEARD = 1.0  # s within which a frame would have come
+SECURED = {"insecure": False, "operators": ["console"]}
 
 
 class Lab:
@@ -34,7 +37,7 @@ class Lab:
             authority.add(self.keys, name)
         self.config = SwarmConfig.of({
             "name": "closed", "hosts": {"a": "127.0.0.1", "b": "127.0.0.1"}, "base_port": free_ports([0, 1]),
-            "security": {"insecure": False, "operators": ["console"], "keys": str(self.keys)},
+            "security": SECURED | {"keys": str(self.keys)},
             "drones": [{"id": i, "home": [1.0 * i, 0, 0], "host": "ab"[i]} for i in range(2)],
         })  # fmt: skip
 
@@ -170,6 +173,37 @@ async def test_only_operators_are_obeyed_and_the_others_are_named_once(lab, capl
             port.send(REQUEST, (0,), encode(["land", {}, 5.0]), number, "1", 0, 0)
     await until(lambda: len(commanded) == 3 and link.counters.forbidden == 3)
     assert caplog.text.count("host b (process observer-2) commands and is no operator: not obeyed") == 1
+
+
+async def test_who_is_turned_away_is_said_once_by_the_programs_of_the_swarm(lab):
+    """A router with the certificate of a, and one that is started with that of another swarm and calls it."""
+    file = lab.folder / "swarm.json"
+    file.write_text(lab.config.replace(router="a").dumps())
+    at = lab.config.endpoint(0)
+    router = await Program.start(*CRAZYCHOIR, "router", "--swarm", file, "--listen", at)
+    try:
+        await router.says("router at")
+        for keys in (None, pretender(lab), expired(lab)):
+            for _ in range(2):
+                lab.intruder(keys)
+                await asyncio.sleep(0.3)
+        refused = "somebody connected and was turned away: "
+        await asyncio.sleep(1.5)  # they call again each second
+        assert router.text.count(refused) == 3, router.text
+        assert f"{refused}peer sent no certificates. Nothing of it was read" in router.text
+        elsewhere = lab.folder / "elsewhere"
+        authority.init(elsewhere)
+        authority.add(elsewhere, "console")
+        other = lab.config.replace(security=SECURED | {"keys": str(elsewhere)})
+        (lab.folder / "other.json").write_text(other.dumps())
+        status = await Program.start(*CRAZYCHOIR, "status", "--swarm", lab.folder / "other.json", "--json")
+        ended = await status.end(30.0)
+        assert f"{at} and we do not accept each other's certificate: invalid peer certificate" in status.text
+        assert json.loads(ended["answer"]), "and nothing else on standard output"
+        router.signal(signal.SIGINT)
+        assert (await router.end(10.0))["answer"] == ""
+    finally:
+        await router.kill()
 
 
 async def test_who_is_revoked_is_out_from_the_next_session_on(lab):
