@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from crazychoir.filters.motion import STANDING, Commanded, fly, stands
-from crazychoir.filters.velocity import ROUNDING, lateness, readable
+from crazychoir.filters.velocity import ROUNDING, SOONEST, lateness, readable
 from crazychoir.math3d import (
     Mat,
     Triple,
@@ -283,6 +283,8 @@ class KalmanFilter:
         if self.period > 0.0:  # their rate tells it better than a clock
             late = lateness(h, self.period)
             age, h = age + late, h - late
+            if h < SOONEST * self.period:
+                last, h = now - age - self.period, self.period
         out, t = np.empty(13), age if age < horizon else horizon
         speed = _measure(pose.flat, self._memory, self._history, self._figures, self.commanded, last, h, t, now, out)
         if speed < 0.0:

@@ -52,6 +52,12 @@ def lateness(h: float, period: float) -> float:
     return (1.0 - TRUST) * late if whole and abs(late) > ROUNDING else 0.0
 
 
+SOONEST = 0.2
+"""Of a period: sooner after each other come only poses that were late, together, as after a program that stood still.
+How late nobody knows, but for that they were seen a period apart; by the clock, a drone at 1 m/s would fly at 50.
+"""
+
+
 class VelocityFilter:
     """Derivative and first-order low-pass of position and attitude, right at any rate.
 
@@ -94,6 +100,8 @@ class VelocityFilter:
         if self.period > 0.0:  # their rate tells it better than a clock
             late = lateness(h, self.period)
             age, h = age + late, h - late
+            if h < SOONEST * self.period:
+                h = self.period
         out, t = np.empty(13), age if age < self.horizon else self.horizon
         speed = _measure(pose.flat, self._memory, h, self.cutoff, t, out)
         if speed >= 0.0:

@@ -240,6 +240,20 @@ def test_the_rate_of_the_cameras_tells_when_a_pose_was_measured():
     assert np.diff(instants).std() < 1e-6
 
 
+@pytest.mark.parametrize("spread", [0.0002, 0.001])
+@pytest.mark.parametrize("gap", [0.1, 0.3, 1.0])
+def test_poses_that_were_late_come_together_and_nothing_seems_fast(gap, spread):
+    """A program that stood still reads in a moment what came meanwhile; none of it says that it is old."""
+    f, speeds, n, read = KalmanFilter(horizon=2.0, period=0.01), [], round(100 * gap), 0.0
+    for k in range(300 + n):
+        seen, age = 0.01 * k, 0.002
+        read = max(seen + age, read + spread, 2.0 + gap + age if k >= 200 else 0.0)
+        f.update(pose(seen, age), read)
+        speeds.append(f.speed)
+    assert max(speeds[150:]) < 2.0
+    assert speeds[-1] == pytest.approx(1.0, abs=0.05)
+
+
 @pytest.mark.parametrize("rate", [50, 100, 240])
 def test_whatever_comes_the_covariances_stay_positive_and_bounded_and_the_state_finite(rate):
     draw, f, at_rest = np.random.default_rng(rate), told(), STILL.copy()
