@@ -71,7 +71,7 @@ class Access:
             here = [f"{top}/f/{start}-$*/**" for start in (*processes, OBSERVERS)]
             drones = [f"{top}/drone/{i}/**" for i, of in self.holders.items() if of == host and i < OBSERVER]
             own = [
-                _rule(f"{host} says", "ingress", ["put", "delete"], [f"{top}/f/*/{host}/**", *drones]),
+                _rule(f"{host} says", "ingress", ["put", "delete"], [f"{top}/f/*/{host}/*/*", *drones]),
                 _rule(f"{host} hears", "ingress", ["declare_subscriber"], [*here, f"{top}/drone/**"]),
                 _rule(f"{host} is there", "ingress", ["liveliness_token"], [f"{top}/live/{host}/**"]),
                 _rule(f"{host} looks", "ingress", _TOKENS[1:], [f"{top}/live/**"]),

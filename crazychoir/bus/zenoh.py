@@ -63,6 +63,8 @@ ASKING = 4
 """HELLOs a second to a peer that is not yet talked to."""
 TOKENS = 8
 """Of ours beyond the first, the newest."""
+KEY_PARTS = 7
+"""Of the key of a frame."""
 OPEN = "the network is neither encrypted nor closed (security.insecure): whoever is on it reads, and commands"
 _PRIORITY = {
     Class.ESTOP: zenoh.Priority.REAL_TIME,
@@ -413,7 +415,7 @@ class ZenohLink(Actor):
     def _received(self, sample: zenoh.Sample) -> None:
         """In Zenoh's thread: never blocks, runs no code of ours beyond the queue."""
         key = str(sample.key_expr)
-        host = key.rsplit("/", 3)[1]
+        host, _ = _speaker(key)
         budget = self._budgets.of(host, now := self._now_ns())
         if budget.take(now):
             self._enqueue(self._frame, key, sample.payload.to_bytes())
@@ -490,13 +492,13 @@ class ZenohLink(Actor):
 
     def _sender(self, key: str, frame: Frame) -> Peer | None:
         """The peer whose frame it is: key, token and frame must agree, since certificates guard only keys."""
-        _, host, process, _ = key.rsplit("/", 3)
+        host, process = _speaker(key)
         peer = self.peers.get(process)
         return peer if peer is not None and peer.host == host and frame.process == process else None
 
     def _stranger(self, key: str, frame: Frame) -> None:
         """A frame without a token: its process is answered, unless its name is forged, known, ours, or none."""
-        _, host, process, _ = key.rsplit("/", 3)
+        host, process = _speaker(key)
         known = process == self.bus.process or process in self.peers
         if known or process != frame.process or not endpoints.is_name(process):
             return
@@ -634,6 +636,12 @@ def _config(settings: Mapping[str, Any]) -> zenoh.Config:
         except zenoh.ZError as error:
             raise ConfigError(f"Zenoh setting {key}", value, str(error).split(" at /", 1)[0]) from error
     return config
+
+
+def _speaker(key: str) -> tuple[str, str]:
+    """Host and process in the key of a frame: where access control looks for the host. Nobody, if it has more parts."""
+    parts = key.split("/")
+    return (parts[4], parts[5]) if len(parts) == KEY_PARTS else ("", "")
 
 
 def _readers(peer: Peer, topic: Topic, drone: int) -> tuple[int, ...]:

@@ -78,7 +78,7 @@ def test_zenoh_holds_each_host_to_its_own_keys():
     control = access.settings()["access_control"]
     assert (control["enabled"], control["default_permission"]) == (True, "deny")
     rules = {rule["id"]: rule for rule in control["rules"]}
-    assert rules["b says"]["key_exprs"] == ["choir/s/f/*/b/**", "choir/s/drone/2/**"]
+    assert rules["b says"]["key_exprs"] == ["choir/s/f/*/b/*/*", "choir/s/drone/2/**"]
     heard = ["choir/s/f/0-$*/**", "choir/s/f/world-$*/**", "choir/s/f/observer-$*/**"]
     assert rules["a hears"]["key_exprs"][:3] == heard
     assert rules["b is there"]["key_exprs"] == ["choir/s/live/b/**"]
