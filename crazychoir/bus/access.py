@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from crazychoir.bus.frames import Envelope
 from crazychoir.bus.local import BODIES, OBSERVER
 from crazychoir.bus.topics import ESTOP, REQUEST
 
@@ -42,9 +43,10 @@ class Access:
             return True
         return self.holders.get(address) == host
 
-    def may_say(self, host: str, topic: int) -> bool:
-        """Whether messages of a topic count from this host."""
-        return topic not in COMMANDS or host in self.operators
+    def may_say(self, host: str, message: Envelope) -> bool:
+        """Whether a message counts from this host. A drone asks its own body what it needs, wherever that is."""
+        own_body = message.topic == REQUEST.number and message.to == (BODIES + message.source,)
+        return message.topic not in COMMANDS or host in self.operators or own_body
 
     def settings(self) -> dict[str, Any]:
         """Zenoh's, by path."""

@@ -529,7 +529,7 @@ class ZenohLink(Actor):
                 self._asked(peer, message.payload, arrived_ns)
             elif directory.get(message.source) is not peer:
                 self.counters.strangers += 1
-            elif self.access is not None and not self.access.may_say(peer.host, message.topic):
+            elif self.access is not None and not self.access.may_say(peer.host, message):
                 self._forbid(peer)
             else:
                 age = message.age + waited

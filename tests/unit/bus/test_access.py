@@ -4,6 +4,7 @@ import pytest
 
 from crazychoir.bus import endpoints
 from crazychoir.bus.access import Access
+from crazychoir.bus.frames import Envelope
 from crazychoir.bus.local import BODIES, EYES, OBSERVER
 from crazychoir.bus.topics import ESTOP, REQUEST, STATE
 from crazychoir.errors import ConfigError
@@ -20,6 +21,11 @@ RAW = {
         {"id": 1, "home": [1, 0, 0], "host": "desktop", "uri": "sim://motors"},
     ],
 }
+
+
+def said(topic, *to):
+    """A message of drone 1."""
+    return Envelope(topic.number, 1, to, 1, 0, 0.0, "1", b"")
 
 
 @pytest.fixture
@@ -43,9 +49,17 @@ def test_a_host_holds_the_drones_bodies_and_eyes_that_the_swarm_file_gives_it(co
 
 def test_only_operators_command(config):
     access = config.access("desktop")
-    assert [access.may_say(name, REQUEST.number) for name in ("console", "laptop", "desktop")] == [True, True, False]
-    assert not access.may_say("desktop", ESTOP.number)
-    assert access.may_say("desktop", STATE.number)
+    asks = [access.may_say(name, said(REQUEST)) for name in ("console", "laptop", "desktop")]
+    assert asks == [True, True, False]
+    assert not access.may_say("desktop", said(ESTOP))
+    assert access.may_say("desktop", said(STATE))
+
+
+def test_a_drone_asks_its_own_body_on_another_host_and_no_other(config):
+    access = config.access("laptop")
+    assert access.may_say("desktop", said(REQUEST, BODIES + 1)), "to arm it"
+    for topic, to in ((REQUEST, (BODIES,)), (REQUEST, (BODIES + 1, 0)), (REQUEST, ()), (ESTOP, (BODIES + 1,))):
+        assert not access.may_say("desktop", said(topic, *to))
 
 
 def test_a_swarm_of_several_hosts_is_closed_unless_it_says_that_it_is_not(config):
