@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from crazychoir.bus.access import Access
+from crazychoir.bus.endpoints import is_name
 from crazychoir.bus.hello import Hello
 from crazychoir.bus.local import BODIES, EYES, OBSERVER, Bus
 from crazychoir.bus.offset import Estimate, Offset
@@ -69,10 +70,19 @@ class Peers:
         known = self.by_name.get(process)
         if known is not None and known.host == host and len(known.tokens) < MAX_TOKENS:
             known.tokens.add(token)
-        if known is not None or process == self.bus.process or len(self.by_name) >= MAX_PEERS:
+        if known is not None or process == self.bus.process or not (self.may_be(host, process) and self._room(host)):
             return None
         peer = self.by_name[process] = Peer(process, host, {token})
         return peer
+
+    def may_be(self, host: str, process: str) -> bool:
+        """Whether it is a name, and one of its host's."""
+        return is_name(process) and (self.access is None or self.access.may_be(host, process))
+
+    def _room(self, host: str) -> bool:
+        """Whether there is room for one more process of a host."""
+        there = sum(peer.host == host for peer in self.by_name.values())
+        return len(self.by_name) < MAX_PEERS and (self.access is None or there < self.access.most(host))
 
     def went(self, host: str, process: str, token: str) -> Peer | None:
         """A token has gone; returns the peer whose last one it was. A drone that another process flies is not gone."""

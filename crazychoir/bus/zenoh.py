@@ -500,7 +500,7 @@ class ZenohLink(Actor):
         """A frame without a token: its process is answered, unless its name is forged, known, ours, or none."""
         host, process = _speaker(key)
         known = process == self.bus.process or process in self.peers
-        if known or process != frame.process or not endpoints.is_name(process):
+        if known or process != frame.process or not self.table.may_be(host, process):
             return
         self._estranged.heard(process)
         for message in frame.envelopes:

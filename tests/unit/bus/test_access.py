@@ -5,9 +5,11 @@ import pytest
 from crazychoir.bus import endpoints
 from crazychoir.bus.access import Access
 from crazychoir.bus.frames import Envelope
-from crazychoir.bus.local import BODIES, EYES, OBSERVER
+from crazychoir.bus.local import BODIES, EYES, OBSERVER, Bus
+from crazychoir.bus.peers import Peers
 from crazychoir.bus.topics import ESTOP, REQUEST, STATE
 from crazychoir.errors import ConfigError
+from crazychoir.runtime.clock import Clock
 from crazychoir.security.authority import add, init
 from crazychoir.swarm.config import SwarmConfig
 
@@ -21,6 +23,11 @@ RAW = {
         {"id": 1, "home": [1, 0, 0], "host": "desktop", "uri": "sim://motors"},
     ],
 }
+
+
+class Still(Clock):
+    def now_ns(self):
+        return 0
 
 
 def said(topic, *to):
@@ -62,6 +69,20 @@ def test_a_drone_asks_its_own_body_on_another_host_and_no_other(config):
         assert not access.may_say("desktop", said(topic, *to))
 
 
+def test_nobody_takes_the_name_of_another_s_process_nor_all_the_room(config):
+    access, bus = config.access("laptop"), Bus(Still(), process="0-1", host="laptop")
+    peers = Peers(bus, "lab", 1, "1", access, lambda drones, there: None, lambda refused: None)
+    for host, process in (
+        ("desktop", "0-1"), ("desktop", "world-1"), ("desktop", "observer-console.1"), ("desktop", "observer-1"),
+        ("desktop", "1"), ("desktop", "1-*"), ("desktop", "1-\n"), ("tower", "1-1"), ("console", "1-1"),
+    ):  # fmt: skip
+        assert peers.came(host, process, "token") is None, process
+    assert peers.came("console", "observer-console.1", "token")
+    assert peers.came("desktop", "1-1", "token")
+    assert sum(peers.came("desktop", f"1-{k}", "token") is not None for k in range(1000)) < 64
+    assert peers.came("laptop", "world-1", "token"), "there is room for the others"
+
+
 def test_a_swarm_of_several_hosts_is_closed_unless_it_says_that_it_is_not(config):
     assert config.endpoint(1) == "tls/192.168.1.11:7461"
     plain = config.replace(security={"insecure": True})
@@ -93,7 +114,7 @@ def test_zenoh_holds_each_host_to_its_own_keys():
     assert (control["enabled"], control["default_permission"]) == (True, "deny")
     rules = {rule["id"]: rule for rule in control["rules"]}
     assert rules["b says"]["key_exprs"] == ["choir/s/f/*/b/*/*", "choir/s/drone/2/**"]
-    heard = ["choir/s/f/0-$*/**", "choir/s/f/world-$*/**", "choir/s/f/observer-$*/**"]
+    heard = ["choir/s/f/0-$*/**", "choir/s/f/world-$*/**", "choir/s/f/observer-a.$*/**"]
     assert rules["a hears"]["key_exprs"][:3] == heard
     assert rules["b is there"]["key_exprs"] == ["choir/s/live/b/**"]
     assert {policy["subjects"][0]: policy["rules"] for policy in control["policies"]} == {
