@@ -168,7 +168,14 @@ class Peers:
         self._offered = self._ports
         for peer in self.by_name.values():
             if peer.hello is not None and self.mutual(peer):
-                self.bus.add_remote_interests(peer.hello.wants())
+                self._serve(peer, peer.hello)
+
+    def _serve(self, peer: Peer, hello: Hello) -> None:
+        self.bus.add_remote_interests([one for one in hello.wants() if self._reads(peer, one.reader)])
+
+    def _reads(self, peer: Peer, address: int) -> bool:
+        """Whether an address that a peer claims reads what it asks for: not if it is another host's."""
+        return self.access is None or self.directory.get(address, peer).host == peer.host
 
     def _forbids(self, peer: Peer, hello: Hello) -> bool:
         """Whether it claims what the swarm file gives to another host; said once."""
@@ -219,15 +226,16 @@ class Peers:
             self._route()
         # Not before it knows us: it would take a latched value for a stranger's.
         if self.mutual(peer) and not (was_mutual and previous is not None and previous.interests == hello.interests):
-            self.bus.drop_readers(previous.addresses if previous else [])
-            self.bus.add_remote_interests(hello.wants())
+            self.bus.drop_readers([j for j in previous.addresses if self._reads(peer, j)] if previous else [])
+            self._serve(peer, hello)
         if previous is None or previous.drones != hello.drones:
             self.on_token(hello.drones, True)
 
     def _route(self) -> None:
-        """Who holds which address: of two that claim one, the process that has been up for longer."""
+        """Who holds which address: of two that claim one, an operator, then the process that has been up for longer."""
+        operators = self.access.operators if self.access is not None else ()
         self.directory.clear()
-        for peer in sorted(self.by_name.values(), key=lambda peer: peer.since_ns):
+        for peer in sorted(self.by_name.values(), key=lambda peer: (peer.host not in operators, peer.since_ns)):
             for address in peer.hello.addresses if peer.hello is not None else ():
                 self.directory.setdefault(address, peer)
 
