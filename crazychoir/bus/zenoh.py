@@ -48,7 +48,9 @@ log = logging.getLogger(__name__)
 BACKLOG = 10_000
 """Frames that wait for the event loop; the oldest go when it hangs."""
 SLICE = 64
-"""Frames that are read in one pass of the event loop: ticks wait for no more."""
+"""Frames that are read in one pass of the event loop: ticks wait for no more,"""
+SLICE_NS = SECOND // 500
+"""nor, beyond the frame that is being read, for longer."""
 CLOSE_DEADLINE = 1.5
 """s; within what a supervisor grants."""
 CLOSING = "zenoh close"
@@ -442,7 +444,7 @@ class ZenohLink(Actor):
 
     def _drain(self) -> None:
         self._armed = False  # before the queue is read, else a wake-up is lost
-        queue = self._queue
+        queue, ends_ns = self._queue, self._now_ns() + SLICE_NS
         for _ in range(min(len(queue), SLICE)):
             handler, key, data, arrived_ns = queue.popleft()
             try:
@@ -450,6 +452,8 @@ class ZenohLink(Actor):
             except Exception as error:
                 self.counters.failed += 1  # whatever one frame breaks, the next one is read
                 log.error("a frame at %s was not taken: %s", key, error, exc_info=error)
+            if self._now_ns() > ends_ns:
+                break
         if queue and not self._armed:
             self._armed = True
             self._loop.call_soon(self._drain)
@@ -533,7 +537,7 @@ class ZenohLink(Actor):
                 self._forbid(peer)
             else:
                 age = message.age + waited
-                for j in message.to:
+                for j in message.to if len(message.to) == 1 else dict.fromkeys(message.to):
                     port = ports.get(j)
                     if port is not None:
                         port.deliver(
