@@ -24,7 +24,7 @@ import zenoh
 
 from crazychoir.bus import endpoints
 from crazychoir.bus.access import Access
-from crazychoir.bus.budget import Budgets
+from crazychoir.bus.budget import Budget, Budgets
 from crazychoir.bus.codec import encode
 from crazychoir.bus.estranged import Estranged
 from crazychoir.bus.frames import (
@@ -95,8 +95,8 @@ class LinkCounters:
     malformed, other_version: frames that could not be read;  strangers: frames and messages from those that have no
     token (or whose HELLO overtook it), or speak for others;  forbidden: commands of who is no operator;
     unsendable: messages that no frame takes;  dropped: messages for a peer that went away;  overflowed: frames that a
-    hung event loop did not take;  flooded: frames of hosts that send too many;  failed: frames whose handler raised;
-    tokens: that were declared once more, since another process lost ours;  worst_put_s: s, the longest put.
+    hung event loop did not take;  flooded: frames and tokens of hosts that send too many;  failed: frames whose handler
+    raised;  tokens: that were declared once more, since another process lost ours;  worst_put_s: s, the longest put.
     """
 
     frames_sent: int = 0
@@ -156,7 +156,7 @@ class ZenohLink(Actor):
         self._loop = asyncio.get_running_loop()
         self._now_ns = bus.clock.now_ns
         self._queue: deque[tuple[Handler, str, bytes, int]] = deque(maxlen=BACKLOG)
-        self._budgets = Budgets()
+        self._budgets, self._token_budgets = Budgets(), Budgets()
         self._armed = False
         self._flushing = False
         self._full: list[Lane] = []
@@ -419,18 +419,27 @@ class ZenohLink(Actor):
         key = str(sample.key_expr)
         host, _ = _speaker(key)
         budget = self._budgets.of(host, now := self._now_ns())
-        if budget.take(now):
+        if budget.take(now, len(sample.payload)):
             self._enqueue(self._frame, key, sample.payload.to_bytes())
-            return
+        else:
+            self._flooded(budget, host)
+
+    def _token(self, sample: zenoh.Sample) -> None:
+        """In Zenoh's other thread."""
+        there, key = sample.kind == zenoh.SampleKind.PUT, str(sample.key_expr)
+        host = key.split("/")[3]
+        budget = self._token_budgets.of(host, now := self._now_ns())
+        if budget.take(now):
+            self._enqueue(self._token_came if there else self._token_went, key, b"")
+        else:
+            self._flooded(budget, host)
+
+    def _flooded(self, budget: Budget, host: str) -> None:
+        """Something is not read; it is said once."""
         self.counters.flooded += 1
         if not budget.said:
             budget.said = True
             self._on_loop(partial(log.warning, "host %s floods us: of what it says beyond that nothing is read", host))
-
-    def _token(self, sample: zenoh.Sample) -> None:
-        """In Zenoh's other thread."""
-        there = sample.kind == zenoh.SampleKind.PUT
-        self._enqueue(self._token_came if there else self._token_went, str(sample.key_expr), b"")
 
     def _enqueue(self, handler: Handler, key: str, data: bytes) -> None:
         queue = self._queue
@@ -451,7 +460,8 @@ class ZenohLink(Actor):
                 handler(key, data, arrived_ns)
             except Exception as error:
                 self.counters.failed += 1  # whatever one frame breaks, the next one is read
-                log.error("a frame at %s was not taken: %s", key, error, exc_info=error)
+                if self.counters.failed.bit_count() == 1:  # the first, the second, the fourth, ...
+                    log.error("a frame at %s was not taken: %s", key, error, exc_info=error)
             if self._now_ns() > ends_ns:
                 break
         if queue and not self._armed:

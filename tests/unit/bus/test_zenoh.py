@@ -1,13 +1,16 @@
 """What a link does with what comes, without a network."""
 
+import asyncio
+
 import pytest
+import zenoh
 
 from crazychoir.bus.codec import encode
 from crazychoir.bus.frames import Envelope, Frame, encode_frame
 from crazychoir.bus.hello import Hello
 from crazychoir.bus.local import Bus
 from crazychoir.bus.topics import LOG, STATE
-from crazychoir.bus.zenoh import SLICE, SLICE_NS, ZenohLink, _speaker
+from crazychoir.bus.zenoh import BACKLOG, SLICE, SLICE_NS, ZenohLink, _speaker
 from crazychoir.runtime.clock import Clock
 
 OF_B = "choir/s/f/0-1/b/1-1/control"
@@ -69,3 +72,39 @@ def test_who_speaks_is_read_where_access_control_looks():
 )
 def test_a_key_of_more_or_fewer_parts_is_nobody_s(key):
     assert _speaker(key) == ("", "")
+
+
+class Sample:
+    """As Zenoh gives it."""
+
+    kind, payload = zenoh.SampleKind.PUT, zenoh.ZBytes(b"")
+
+    def __init__(self, key):
+        self.key_expr = key
+
+
+async def test_a_flood_of_tokens_is_cut_off_and_leaves_the_queue_to_the_others(caplog):
+    link = await link_of_a()
+    for k in range(3 * BACKLOG):
+        link._token(Sample(f"choir/s/live/b/1-{k}"))
+    link._received(Sample("choir/s/f/0-1/c/2-1/control"))
+    assert link.counters.overflowed == 0
+    assert link.counters.flooded > BACKLOG
+    assert link._queue[-1][1] == "choir/s/f/0-1/c/2-1/control"
+    await asyncio.sleep(0)
+    assert caplog.text.count("host b floods us") == 1
+    link._queue.clear()
+
+
+async def test_handlers_that_fail_again_and_again_fill_no_disk(caplog):
+    link = await link_of_a()
+
+    def fails(key, data, arrived_ns):
+        raise ValueError(key)
+
+    for _ in range(1000):
+        link._enqueue(fails, "k", b"")
+    while link._queue:
+        link._drain()
+    assert link.counters.failed == 1000
+    assert caplog.text.count("was not taken") == 10
