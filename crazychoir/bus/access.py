@@ -9,12 +9,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from crazychoir.bus.frames import Envelope
 from crazychoir.bus.local import BODIES, OBSERVER
 from crazychoir.bus.topics import ESTOP, REQUEST
 
 COMMANDS = (REQUEST.number, ESTOP.number)
 OBSERVERS = "observer"
-"""How the processes of those begin who look on."""
+"""How the processes of those begin who look on, before their host."""
+LOOKING = 32
+"""Processes of a host that look on at once."""
 _TALK = ["put", "delete", "declare_subscriber"]
 _TOKENS = ["liveliness_token", "liveliness_query", "declare_liveliness_subscriber"]
 
@@ -42,9 +45,22 @@ class Access:
             return True
         return self.holders.get(address) == host
 
-    def may_say(self, host: str, topic: int) -> bool:
-        """Whether messages of a topic count from this host."""
-        return topic not in COMMANDS or host in self.operators
+    def may_be(self, host: str, process: str) -> bool:
+        """Whether a process of this name may be on a host: nobody takes the names of others."""
+        return process.startswith(self._begins(host))
+
+    def most(self, host: str) -> int:
+        """Processes of a host at once, where each is started again before it is seen that it has gone."""
+        return 2 * len(self.processes.get(host, ())) + LOOKING
+
+    def _begins(self, host: str) -> tuple[str, ...]:
+        """How the names of its processes begin. No name of a host has a dot."""
+        return (*(f"{start}-" for start in self.processes.get(host, ())), f"{OBSERVERS}-{host}.")
+
+    def may_say(self, host: str, message: Envelope) -> bool:
+        """Whether a message counts from this host. A drone asks its own body what it needs, wherever that is."""
+        own_body = message.topic == REQUEST.number and message.to == (BODIES + message.source,)
+        return message.topic not in COMMANDS or host in self.operators or own_body
 
     def settings(self) -> dict[str, Any]:
         """Zenoh's, by path."""
@@ -67,11 +83,11 @@ class Access:
         top = f"choir/{self.swarm}"
         rules = [_rule("out", "egress", _TALK + _TOKENS, [f"{top}/**"])]
         policies: list[dict[str, Any]] = []
-        for host, processes in self.processes.items():
-            here = [f"{top}/f/{start}-$*/**" for start in (*processes, OBSERVERS)]
+        for host in self.processes:
+            here = [f"{top}/f/{begin}$*/**" for begin in self._begins(host)]
             drones = [f"{top}/drone/{i}/**" for i, of in self.holders.items() if of == host and i < OBSERVER]
             own = [
-                _rule(f"{host} says", "ingress", ["put", "delete"], [f"{top}/f/*/{host}/**", *drones]),
+                _rule(f"{host} says", "ingress", ["put", "delete"], [f"{top}/f/*/{host}/*/*", *drones]),
                 _rule(f"{host} hears", "ingress", ["declare_subscriber"], [*here, f"{top}/drone/**"]),
                 _rule(f"{host} is there", "ingress", ["liveliness_token"], [f"{top}/live/{host}/**"]),
                 _rule(f"{host} looks", "ingress", _TOKENS[1:], [f"{top}/live/**"]),

@@ -1,4 +1,4 @@
-"""How many frames a host may send: who sends more is cut off before the event loop hears of it."""
+"""How much a host may send: who sends more is cut off before the event loop hears of it."""
 
 from dataclasses import dataclass
 
@@ -8,6 +8,8 @@ RATE = 20_000.0
 """Frames/s of a host; a team that exchanges as fast as two processes can sends some 8000."""
 BURST = 5_000.0
 """Frames that a host may send at once."""
+PART = 16_384
+"""Bytes; a larger frame counts as several. So a burst that waits for a loop takes 80 MB, and 320 MB/s pass."""
 MAX_HOSTS = 512
 """With a budget of their own; all beyond share one."""
 
@@ -20,13 +22,14 @@ class Budget:
     left: float = BURST
     said: bool = False
 
-    def take(self, now_ns: int) -> bool:
-        """Whether one more frame is within it."""
+    def take(self, now_ns: int, size: int = 0) -> bool:
+        """Whether one more frame, of so many bytes, is within it."""
         self.left = min(BURST, self.left + (now_ns - self.at_ns) * RATE / SECOND)
         self.at_ns = now_ns
-        if self.left < 1.0:
+        cost = 1 + size // PART
+        if self.left < cost:
             return False
-        self.left -= 1.0
+        self.left -= cost
         return True
 
 

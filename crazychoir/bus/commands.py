@@ -49,7 +49,7 @@ class Commander:
     def __init__(self, port: Port) -> None:
         self.port = port
         self._count = 0
-        self._waiting: dict[int, asyncio.Future[Answer]] = {}
+        self._waiting: dict[int, tuple[int, asyncio.Future[Answer]]] = {}  # with who was asked
         self._accepted: dict[int, None] = {}
         self._on_accepted: dict[int, Callable[[], None]] = {}
         self._acknowledged: dict[int, dict[int, None]] = {}
@@ -66,7 +66,7 @@ class Commander:
         self._count += 1
         number = self._count
         future: asyncio.Future[Answer] = asyncio.get_running_loop().create_future()
-        self._waiting[number] = future
+        self._waiting[number] = target, future
         self._on_accepted[number] = on_accepted
         clock = self.port.bus.clock
         ends = clock.now() + deadline
@@ -119,13 +119,13 @@ class Commander:
             return
         if number in self._acknowledged:
             self._acknowledged[number][source] = None
-        future = self._waiting.get(number)
+        target, future = self._waiting.get(number, (source, None))
         try:
             kind, detail = decode(payload)
         except (CodecError, TypeError, ValueError):
             self.port.counters.malformed += 1
             return
-        if future is None or future.done():
+        if future is None or future.done() or source != target:  # nobody answers for another
             return
         if kind == ACCEPTED:
             if number not in self._accepted:

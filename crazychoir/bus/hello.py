@@ -8,11 +8,13 @@ from msgspec import Meta
 
 from crazychoir.bus.codec import decode, encode
 from crazychoir.bus.frames import MAX_NAME
-from crazychoir.bus.local import Interest
+from crazychoir.bus.local import BODIES, OBSERVER, Interest
 from crazychoir.errors import CodecError
 
 VERSION = version("crazychoir")
 MAX_ADDRESSES = 4096
+MAX_OBSERVERS = 16
+"""Of a process, that look on; beside the bodies and eyes of drones."""
 MAX_INTERESTS = 16_384
 MIN_RATE, MAX_RATE = 1e-3, 1e6
 """Hz, of an interest; 0 asks for everything."""
@@ -20,8 +22,8 @@ TIE = 0.05
 """s: more than a HELLO is on its way, so that two processes agree on who was there first."""
 
 _Name = Annotated[str, Meta(max_length=MAX_NAME)]
-_Address = Annotated[int, Meta(ge=0, lt=1 << 32)]
-_Addresses = Annotated[list[_Address], Meta(max_length=MAX_ADDRESSES)]
+_Drones = Annotated[list[Annotated[int, Meta(ge=0, lt=OBSERVER)]], Meta(max_length=MAX_ADDRESSES)]
+_Observers = Annotated[list[Annotated[int, Meta(ge=OBSERVER, lt=1 << 32)]], Meta(max_length=MAX_ADDRESSES)]
 
 
 class Hello(msgspec.Struct, frozen=True):
@@ -36,8 +38,8 @@ class Hello(msgspec.Struct, frozen=True):
     incarnation: Annotated[int, Meta(ge=0)]
     version: _Name
     uptime: Annotated[float, Meta(ge=0.0, le=1e9)]
-    drones: _Addresses
-    observers: _Addresses
+    drones: _Drones
+    observers: _Observers
     interests: Annotated[list[Interest], Meta(max_length=MAX_INTERESTS)]
     heard: Annotated[list[_Name], Meta(max_length=MAX_ADDRESSES)]
     stopped: bool
@@ -47,9 +49,13 @@ class Hello(msgspec.Struct, frozen=True):
         """From the wire; raises CodecError."""
         value: Any = decode(payload)
         try:
-            return msgspec.convert(value, cls)
+            hello = msgspec.convert(value, cls)
         except Exception as error:
             raise CodecError(f"HELLO: {type(error).__name__}: {error}") from error
+        looking = sum(j < BODIES for j in hello.observers)
+        if looking > MAX_OBSERVERS:
+            raise CodecError(f"HELLO: {looking} observers; allowed: {MAX_OBSERVERS} of a process.")
+        return hello
 
     def payload(self) -> bytes:
         """For the wire."""

@@ -283,7 +283,7 @@ class Port:
             if far:
                 self._forward(topic, far, payload, number, channel, flags, age)
                 sent += sum(j < OBSERVER for j in far)
-                to = [j for j in to if j not in far]
+                to = [j for j in to if j in ports or (impaired and j < OBSERVER)]
                 if to and topic.klass is Class.ROUNDS:  # those elsewhere wait for it, and then we for them
                     here = partial(self.send, topic, to, payload, number, channel, flags, attempt, age)
                     bus.forwarder.then(here)

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from crazychoir.bus.access import Access
+from crazychoir.bus.endpoints import is_name
 from crazychoir.bus.hello import Hello
 from crazychoir.bus.local import BODIES, EYES, OBSERVER, Bus
 from crazychoir.bus.offset import Estimate, Offset
@@ -69,10 +70,19 @@ class Peers:
         known = self.by_name.get(process)
         if known is not None and known.host == host and len(known.tokens) < MAX_TOKENS:
             known.tokens.add(token)
-        if known is not None or process == self.bus.process or len(self.by_name) >= MAX_PEERS:
+        if known is not None or process == self.bus.process or not (self.may_be(host, process) and self._room(host)):
             return None
         peer = self.by_name[process] = Peer(process, host, {token})
         return peer
+
+    def may_be(self, host: str, process: str) -> bool:
+        """Whether it is a name, and one of its host's."""
+        return is_name(process) and (self.access is None or self.access.may_be(host, process))
+
+    def _room(self, host: str) -> bool:
+        """Whether there is room for one more process of a host."""
+        there = sum(peer.host == host for peer in self.by_name.values())
+        return len(self.by_name) < MAX_PEERS and (self.access is None or there < self.access.most(host))
 
     def went(self, host: str, process: str, token: str) -> Peer | None:
         """A token has gone; returns the peer whose last one it was. A drone that another process flies is not gone."""
@@ -158,7 +168,14 @@ class Peers:
         self._offered = self._ports
         for peer in self.by_name.values():
             if peer.hello is not None and self.mutual(peer):
-                self.bus.add_remote_interests(peer.hello.wants())
+                self._serve(peer, peer.hello)
+
+    def _serve(self, peer: Peer, hello: Hello) -> None:
+        self.bus.add_remote_interests([one for one in hello.wants() if self._reads(peer, one.reader)])
+
+    def _reads(self, peer: Peer, address: int) -> bool:
+        """Whether an address that a peer claims reads what it asks for: not if it is another host's."""
+        return self.access is None or self.directory.get(address, peer).host == peer.host
 
     def _forbids(self, peer: Peer, hello: Hello) -> bool:
         """Whether it claims what the swarm file gives to another host; said once."""
@@ -209,15 +226,16 @@ class Peers:
             self._route()
         # Not before it knows us: it would take a latched value for a stranger's.
         if self.mutual(peer) and not (was_mutual and previous is not None and previous.interests == hello.interests):
-            self.bus.drop_readers(previous.addresses if previous else [])
-            self.bus.add_remote_interests(hello.wants())
+            self.bus.drop_readers([j for j in previous.addresses if self._reads(peer, j)] if previous else [])
+            self._serve(peer, hello)
         if previous is None or previous.drones != hello.drones:
             self.on_token(hello.drones, True)
 
     def _route(self) -> None:
-        """Who holds which address: of two that claim one, the process that has been up for longer."""
+        """Who holds which address: of two that claim one, an operator, then the process that has been up for longer."""
+        operators = self.access.operators if self.access is not None else ()
         self.directory.clear()
-        for peer in sorted(self.by_name.values(), key=lambda peer: peer.since_ns):
+        for peer in sorted(self.by_name.values(), key=lambda peer: (peer.host not in operators, peer.since_ns)):
             for address in peer.hello.addresses if peer.hello is not None else ():
                 self.directory.setdefault(address, peer)
 

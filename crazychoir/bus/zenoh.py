@@ -24,7 +24,7 @@ import zenoh
 
 from crazychoir.bus import endpoints, handshakes
 from crazychoir.bus.access import Access
-from crazychoir.bus.budget import Budgets
+from crazychoir.bus.budget import Budget, Budgets
 from crazychoir.bus.codec import encode
 from crazychoir.bus.estranged import Estranged
 from crazychoir.bus.frames import (
@@ -48,7 +48,9 @@ log = logging.getLogger(__name__)
 BACKLOG = 10_000
 """Frames that wait for the event loop; the oldest go when it hangs."""
 SLICE = 64
-"""Frames that are read in one pass of the event loop: ticks wait for no more."""
+"""Frames that are read in one pass of the event loop: ticks wait for no more,"""
+SLICE_NS = SECOND // 500
+"""nor, beyond the frame that is being read, for longer."""
 CLOSE_DEADLINE = 1.5
 """s; within what a supervisor grants."""
 CLOSING = "zenoh close"
@@ -63,6 +65,8 @@ ASKING = 4
 """HELLOs a second to a peer that is not yet talked to."""
 TOKENS = 8
 """Of ours beyond the first, the newest."""
+KEY_PARTS = 7
+"""Of the key of a frame."""
 OPEN = "the network is neither encrypted nor closed (security.insecure): whoever is on it reads, and commands"
 _PRIORITY = {
     Class.ESTOP: zenoh.Priority.REAL_TIME,
@@ -91,8 +95,8 @@ class LinkCounters:
     malformed, other_version: frames that could not be read;  strangers: frames and messages from those that have no
     token (or whose HELLO overtook it), or speak for others;  forbidden: commands of who is no operator;
     unsendable: messages that no frame takes;  dropped: messages for a peer that went away;  overflowed: frames that a
-    hung event loop did not take;  flooded: frames of hosts that send too many;  failed: frames whose handler raised;
-    tokens: that were declared once more, since another process lost ours;  worst_put_s: s, the longest put.
+    hung event loop did not take;  flooded: frames and tokens of hosts that send too many;  failed: frames whose handler
+    raised;  tokens: that were declared once more, since another process lost ours;  worst_put_s: s, the longest put.
     """
 
     frames_sent: int = 0
@@ -152,7 +156,7 @@ class ZenohLink(Actor):
         self._loop = asyncio.get_running_loop()
         self._now_ns = bus.clock.now_ns
         self._queue: deque[tuple[Handler, str, bytes, int]] = deque(maxlen=BACKLOG)
-        self._budgets = Budgets()
+        self._budgets, self._token_budgets = Budgets(), Budgets()
         self._armed = False
         self._flushing = False
         self._full: list[Lane] = []
@@ -414,20 +418,29 @@ class ZenohLink(Actor):
     def _received(self, sample: zenoh.Sample) -> None:
         """In Zenoh's thread: never blocks, runs no code of ours beyond the queue."""
         key = str(sample.key_expr)
-        host = key.rsplit("/", 3)[1]
+        host, _ = _speaker(key)
         budget = self._budgets.of(host, now := self._now_ns())
-        if budget.take(now):
+        if budget.take(now, len(sample.payload)):
             self._enqueue(self._frame, key, sample.payload.to_bytes())
-            return
+        else:
+            self._flooded(budget, host)
+
+    def _token(self, sample: zenoh.Sample) -> None:
+        """In Zenoh's other thread."""
+        there, key = sample.kind == zenoh.SampleKind.PUT, str(sample.key_expr)
+        host = key.split("/")[3]
+        budget = self._token_budgets.of(host, now := self._now_ns())
+        if budget.take(now):
+            self._enqueue(self._token_came if there else self._token_went, key, b"")
+        else:
+            self._flooded(budget, host)
+
+    def _flooded(self, budget: Budget, host: str) -> None:
+        """Something is not read; it is said once."""
         self.counters.flooded += 1
         if not budget.said:
             budget.said = True
             self._on_loop(partial(log.warning, "host %s floods us: of what it says beyond that nothing is read", host))
-
-    def _token(self, sample: zenoh.Sample) -> None:
-        """In Zenoh's other thread."""
-        there = sample.kind == zenoh.SampleKind.PUT
-        self._enqueue(self._token_came if there else self._token_went, str(sample.key_expr), b"")
 
     def _enqueue(self, handler: Handler, key: str, data: bytes) -> None:
         queue = self._queue
@@ -441,14 +454,17 @@ class ZenohLink(Actor):
 
     def _drain(self) -> None:
         self._armed = False  # before the queue is read, else a wake-up is lost
-        queue = self._queue
+        queue, ends_ns = self._queue, self._now_ns() + SLICE_NS
         for _ in range(min(len(queue), SLICE)):
             handler, key, data, arrived_ns = queue.popleft()
             try:
                 handler(key, data, arrived_ns)
             except Exception as error:
                 self.counters.failed += 1  # whatever one frame breaks, the next one is read
-                log.error("a frame at %s was not taken: %s", key, error, exc_info=error)
+                if self.counters.failed.bit_count() == 1:  # the first, the second, the fourth, ...
+                    log.error("a frame at %s was not taken: %s", key, error, exc_info=error)
+            if self._now_ns() > ends_ns:
+                break
         if queue and not self._armed:
             self._armed = True
             self._loop.call_soon(self._drain)
@@ -491,15 +507,15 @@ class ZenohLink(Actor):
 
     def _sender(self, key: str, frame: Frame) -> Peer | None:
         """The peer whose frame it is: key, token and frame must agree, since certificates guard only keys."""
-        _, host, process, _ = key.rsplit("/", 3)
+        host, process = _speaker(key)
         peer = self.peers.get(process)
         return peer if peer is not None and peer.host == host and frame.process == process else None
 
     def _stranger(self, key: str, frame: Frame) -> None:
         """A frame without a token: its process is answered, unless its name is forged, known, ours, or none."""
-        _, host, process, _ = key.rsplit("/", 3)
+        host, process = _speaker(key)
         known = process == self.bus.process or process in self.peers
-        if known or process != frame.process or not endpoints.is_name(process):
+        if known or process != frame.process or not self.table.may_be(host, process):
             return
         self._estranged.heard(process)
         for message in frame.envelopes:
@@ -528,11 +544,11 @@ class ZenohLink(Actor):
                 self._asked(peer, message.payload, arrived_ns)
             elif directory.get(message.source) is not peer:
                 self.counters.strangers += 1
-            elif self.access is not None and not self.access.may_say(peer.host, message.topic):
+            elif self.access is not None and not self.access.may_say(peer.host, message):
                 self._forbid(peer)
             else:
                 age = message.age + waited
-                for j in message.to:
+                for j in message.to if len(message.to) == 1 else dict.fromkeys(message.to):
                     port = ports.get(j)
                     if port is not None:
                         port.deliver(
@@ -641,6 +657,12 @@ def _config(settings: Mapping[str, Any]) -> zenoh.Config:
         except zenoh.ZError as error:
             raise ConfigError(f"Zenoh setting {key}", value, str(error).split(" at /", 1)[0]) from error
     return config
+
+
+def _speaker(key: str) -> tuple[str, str]:
+    """Host and process in the key of a frame: where access control looks for the host. Nobody, if it has more parts."""
+    parts = key.split("/")
+    return (parts[4], parts[5]) if len(parts) == KEY_PARTS else ("", "")
 
 
 def _readers(peer: Peer, topic: Topic, drone: int) -> tuple[int, ...]:

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from crazychoir.bus.access import OBSERVERS
 from crazychoir.bus.hello import VERSION
 from crazychoir.bus.local import OBSERVER, Bus
 from crazychoir.bus.zenoh import ZenohLink
@@ -29,7 +30,8 @@ LOWEST = 10_000
 def observer(clock: Clock, config: SwarmConfig) -> ZenohLink:
     """The link of an observer under a name and an address of its own: many may look on at once, from many hosts."""
     draw = random.SystemRandom()
-    bus = Bus(clock, process=f"observer-{draw.getrandbits(32):08x}", host=own_name(config))
+    host = own_name(config)
+    bus = Bus(clock, process=f"{OBSERVERS}-{host}.{draw.getrandbits(32):08x}", host=host)
     bus.port(OBSERVER + 1 + draw.getrandbits(24), draw.getrandbits(32))
     return observer_link(bus, config)
 

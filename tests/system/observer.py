@@ -10,6 +10,7 @@ from typing import Any
 
 import msgspec
 
+from crazychoir.bus.access import OBSERVERS
 from crazychoir.bus.local import OBSERVER, Bus
 from crazychoir.bus.topics import LOG, STATUS
 from crazychoir.launch.network import observer_link, own_name
@@ -26,7 +27,8 @@ def say(clock: Clock, drone: int, topic: str, value: Any) -> None:
 
 async def look(clock: Clock) -> None:
     config = SwarmConfig.load(sys.argv[1])
-    bus = Bus(clock, process=f"observer-{secrets.token_hex(4)}", host=own_name(config))
+    host = own_name(config)
+    bus = Bus(clock, process=f"{OBSERVERS}-{host}.{secrets.token_hex(4)}", host=host)
     bus.port(OBSERVER + 1)
     for i in config.ids:
         for topic in (STATUS, LOG):

@@ -81,10 +81,10 @@ async def until(condition, seconds=10.0):
             await asyncio.sleep(0.01)
 
 
-async def speaks(lab, of, link, host="b", process="1-f", seconds=HEARD):
+async def speaks(lab, of, link, host="b", process="1-f", seconds=HEARD, asks="**"):
     """What an intruder hears, though drone 0 speaks, and whether anything of it has come; it says it is `process`."""
     heard, before = [], link.counters.frames_received + link.counters.strangers + link.counters.malformed
-    subscriber = of.declare_subscriber("**", lambda sample: heard.append(str(sample.key_expr)))
+    subscriber = of.declare_subscriber(asks, lambda sample: heard.append(str(sample.key_expr)))
     token = of.liveliness().declare_token(f"choir/closed/live/{host}/{process}")
     frame = encode_frame(Frame(process, 1, STATUS.klass, [Envelope(STATUS.number, 1, (0,), 1, 0, 0.0, "", b"x")]))
     for _ in range(round(seconds / 0.05)):
@@ -136,14 +136,15 @@ async def test_with_the_certificate_of_a_host_its_own_name_is_heard(lab):
     assert heard == []
 
 
-async def test_a_host_is_held_to_its_own_name_and_reads_nothing_of_others(lab):
+@pytest.mark.parametrize("asks", ["**", "choir/closed/f/**", "choir/closed/f/observer-$*/**", "choir/closed/f/*/a/**"])
+async def test_a_host_is_held_to_its_own_name_and_reads_nothing_of_others(lab, asks):
     """The certificate of b, in a program of its own that asks for everything and says it is a."""
     link = await lab.link("a", "0-1", [0])
-    friend = await lab.link("console", "observer-1", [OBSERVER])
-    await until(lambda: "observer-1" in link.peers and link.table.mutual(link.peers["observer-1"]))
+    friend = await lab.link("console", "observer-console.1", [OBSERVER])
+    await until(lambda: "observer-console.1" in link.peers and link.table.mutual(link.peers["observer-console.1"]))
     intruder = lab.intruder(lab.keys / "b")
-    heard, _ = await speaks(lab, intruder, link, host="a", process="0-2")
-    assert [key for key in heard if "/observer-1/" in key] == [], "what a says to the console is theirs"
+    heard, _ = await speaks(lab, intruder, link, host="a", process="0-2", asks=asks)
+    assert [key for key in heard if "/observer-console.1/" in key] == [], "what a says to the console is theirs"
     assert "0-2" not in link.peers
     assert "0-2" not in friend.peers
     assert link.counters.malformed == 0
@@ -163,8 +164,8 @@ async def test_only_operators_are_obeyed_and_the_others_are_named_once(lab, capl
     link = await lab.link("a", "0-1", [0])
     commanded = []
     link.bus.ports[0].handlers[REQUEST.number] = lambda *message: commanded.append(message)
-    others = {"b": await lab.link("b", "observer-2", [OBSERVER + 1])}
-    others["console"] = await lab.link("console", "observer-1", [OBSERVER])
+    others = {"b": await lab.link("b", "observer-b.2", [OBSERVER + 1])}
+    others["console"] = await lab.link("console", "observer-console.1", [OBSERVER])
     await until(lambda: len([peer for peer in link.peers.values() if link.table.mutual(peer)]) == 2)
     await until(lambda: all(0 in other.directory for other in others.values()))
     for other in others.values():
@@ -172,7 +173,7 @@ async def test_only_operators_are_obeyed_and_the_others_are_named_once(lab, capl
         for number in range(3):
             port.send(REQUEST, (0,), encode(["land", {}, 5.0]), number, "1", 0, 0)
     await until(lambda: len(commanded) == 3 and link.counters.forbidden == 3)
-    assert caplog.text.count("host b (process observer-2) commands and is no operator: not obeyed") == 1
+    assert caplog.text.count("host b (process observer-b.2) commands and is no operator: not obeyed") == 1
 
 
 async def test_who_is_turned_away_is_said_once_by_the_programs_of_the_swarm(lab):
@@ -217,8 +218,8 @@ async def test_who_is_revoked_is_out_from_the_next_session_on(lab):
 
 async def test_a_flood_is_cut_off_and_named_once_and_others_are_heard(lab, caplog):
     link = await lab.link("a", "0-1", [0])
-    friend = await lab.link("console", "observer-1", [OBSERVER])
-    await until(lambda: "observer-1" in link.peers and link.table.mutual(link.peers["observer-1"]))
+    friend = await lab.link("console", "observer-console.1", [OBSERVER])
+    await until(lambda: "observer-console.1" in link.peers and link.table.mutual(link.peers["observer-console.1"]))
     intruder = lab.intruder(lab.keys / "b")
     heard = []
     link.bus.ports[0].handlers[REQUEST.number] = lambda *message: heard.append(message)
@@ -238,6 +239,24 @@ async def test_a_flood_is_cut_off_and_named_once_and_others_are_heard(lab, caplo
     await flooding
     await until(lambda: len(heard) == asked)
     assert asked > 5
-    assert link.counters.flooded > 10_000
+    assert link.counters.flooded > 1_000  # of 60 000, as fast as this machine sends them
     assert link.counters.overflowed == 0
     assert caplog.text.count("host b floods us") == 1
+
+
+async def test_a_host_cannot_put_another_s_name_behind_its_own_in_a_key(lab):
+    """Access control looks at the beginning of a key; who speaks is read at the same place."""
+    link = await lab.link("a", "0-1", [0])
+    friend = await lab.link("console", "observer-console.1", [OBSERVER])
+    await until(lambda: "observer-console.1" in link.peers and link.table.mutual(link.peers["observer-console.1"]))
+    commanded = []
+    link.bus.ports[0].handlers[REQUEST.number] = lambda *message: commanded.append(message)
+    order = Envelope(REQUEST.number, OBSERVER, (0,), 99, 0, 0.0, "1", encode(["land", {}, 5.0]))
+    frame = encode_frame(Frame("observer-console.1", 7, REQUEST.klass, [order]))
+    intruder = lab.intruder(lab.keys / "b")
+    for _ in range(round(HEARD / 0.05)):
+        for middle in ("b", "b/1-f", "b/1-f/x", "*", "**/b", "b/**"):
+            intruder.put(f"choir/closed/f/0-1/{middle}/console/observer-console.1/rounds", frame)
+        await asyncio.sleep(0.05)
+    assert commanded == []
+    assert friend.peers["0-1"].hello is not None

@@ -4,9 +4,12 @@ import pytest
 
 from crazychoir.bus import endpoints
 from crazychoir.bus.access import Access
-from crazychoir.bus.local import BODIES, EYES, OBSERVER
+from crazychoir.bus.frames import Envelope
+from crazychoir.bus.local import BODIES, EYES, OBSERVER, Bus
+from crazychoir.bus.peers import Peers
 from crazychoir.bus.topics import ESTOP, REQUEST, STATE
 from crazychoir.errors import ConfigError
+from crazychoir.runtime.clock import Clock
 from crazychoir.security.authority import add, init
 from crazychoir.swarm.config import SwarmConfig
 
@@ -20,6 +23,16 @@ RAW = {
         {"id": 1, "home": [1, 0, 0], "host": "desktop", "uri": "sim://motors"},
     ],
 }
+
+
+class Still(Clock):
+    def now_ns(self):
+        return 0
+
+
+def said(topic, *to):
+    """A message of drone 1."""
+    return Envelope(topic.number, 1, to, 1, 0, 0.0, "1", b"")
 
 
 @pytest.fixture
@@ -43,9 +56,31 @@ def test_a_host_holds_the_drones_bodies_and_eyes_that_the_swarm_file_gives_it(co
 
 def test_only_operators_command(config):
     access = config.access("desktop")
-    assert [access.may_say(name, REQUEST.number) for name in ("console", "laptop", "desktop")] == [True, True, False]
-    assert not access.may_say("desktop", ESTOP.number)
-    assert access.may_say("desktop", STATE.number)
+    asks = [access.may_say(name, said(REQUEST)) for name in ("console", "laptop", "desktop")]
+    assert asks == [True, True, False]
+    assert not access.may_say("desktop", said(ESTOP))
+    assert access.may_say("desktop", said(STATE))
+
+
+def test_a_drone_asks_its_own_body_on_another_host_and_no_other(config):
+    access = config.access("laptop")
+    assert access.may_say("desktop", said(REQUEST, BODIES + 1)), "to arm it"
+    for topic, to in ((REQUEST, (BODIES,)), (REQUEST, (BODIES + 1, 0)), (REQUEST, ()), (ESTOP, (BODIES + 1,))):
+        assert not access.may_say("desktop", said(topic, *to))
+
+
+def test_nobody_takes_the_name_of_another_s_process_nor_all_the_room(config):
+    access, bus = config.access("laptop"), Bus(Still(), process="0-1", host="laptop")
+    peers = Peers(bus, "lab", 1, "1", access, lambda drones, there: None, lambda refused: None)
+    for host, process in (
+        ("desktop", "0-1"), ("desktop", "world-1"), ("desktop", "observer-console.1"), ("desktop", "observer-1"),
+        ("desktop", "1"), ("desktop", "1-*"), ("desktop", "1-\n"), ("tower", "1-1"), ("console", "1-1"),
+    ):  # fmt: skip
+        assert peers.came(host, process, "token") is None, process
+    assert peers.came("console", "observer-console.1", "token")
+    assert peers.came("desktop", "1-1", "token")
+    assert sum(peers.came("desktop", f"1-{k}", "token") is not None for k in range(1000)) < 64
+    assert peers.came("laptop", "world-1", "token"), "there is room for the others"
 
 
 def test_a_swarm_of_several_hosts_is_closed_unless_it_says_that_it_is_not(config):
@@ -78,8 +113,8 @@ def test_zenoh_holds_each_host_to_its_own_keys():
     control = access.settings()["access_control"]
     assert (control["enabled"], control["default_permission"]) == (True, "deny")
     rules = {rule["id"]: rule for rule in control["rules"]}
-    assert rules["b says"]["key_exprs"] == ["choir/s/f/*/b/**", "choir/s/drone/2/**"]
-    heard = ["choir/s/f/0-$*/**", "choir/s/f/world-$*/**", "choir/s/f/observer-$*/**"]
+    assert rules["b says"]["key_exprs"] == ["choir/s/f/*/b/*/*", "choir/s/drone/2/**"]
+    heard = ["choir/s/f/0-$*/**", "choir/s/f/world-$*/**", "choir/s/f/observer-a.$*/**"]
     assert rules["a hears"]["key_exprs"][:3] == heard
     assert rules["b is there"]["key_exprs"] == ["choir/s/live/b/**"]
     assert {policy["subjects"][0]: policy["rules"] for policy in control["policies"]} == {

@@ -1,4 +1,5 @@
-from crazychoir.bus.budget import BURST, MAX_HOSTS, RATE, Budget, Budgets
+from crazychoir.bus.budget import BURST, MAX_HOSTS, PART, RATE, Budget, Budgets
+from crazychoir.bus.frames import MAX_FRAME
 from crazychoir.runtime.clock import SECOND
 
 
@@ -10,6 +11,13 @@ def test_a_burst_is_let_through_and_then_so_many_a_second():
     assert abs(passed - RATE) <= 1
     assert budget.take(10 * SECOND)
     assert budget.left == BURST - 1, "it does not grow beyond a burst"
+
+
+def test_large_frames_count_as_several():
+    budget = Budget(0)
+    passed = sum(budget.take(0, 8 << 20) for _ in range(int(BURST)))
+    assert passed * (8 << 20) <= BURST * PART
+    assert Budget(0).take(0, MAX_FRAME)
 
 
 def test_who_sends_as_much_as_he_may_loses_nothing():

@@ -230,6 +230,17 @@ async def test_answers_to_a_former_life_of_the_operator_are_not_taken(clock):
     assert await request == Answer(1, DONE, "now")
 
 
+@virtual
+async def test_nobody_answers_for_another(clock):
+    swarm = Swarm(clock)
+    request = asyncio.create_task(swarm.operator.request(1, "land", deadline=1.0))
+    await clock.sleep(0.1)
+    for kind in (ACCEPTED, DONE, REFUSED):
+        swarm.operator.port.deliver(ANSWER.number, 2, encode([kind, None]), 1, "f1", 0, 0.0)
+    with pytest.raises(TimeoutError, match="drone 1: no answer to 'land'"):
+        await request
+
+
 # Emergency stop -----------------------------------------------------------------------------------------------
 
 

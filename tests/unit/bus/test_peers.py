@@ -1,6 +1,7 @@
 """Peers, HELLO, endpoints and public copies, without a network."""
 
 import json
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -9,13 +10,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from crazychoir.bus import endpoints
+from crazychoir.bus.access import Access
 from crazychoir.bus.codec import encode
 from crazychoir.bus.hello import TIE, Hello
-from crazychoir.bus.local import BODIES, EYES, Bus, Interest
+from crazychoir.bus.local import BODIES, EYES, OBSERVER, Bus, Interest
 from crazychoir.bus.offset import Offset
 from crazychoir.bus.peers import MAX_PEERS, Peer, Peers
 from crazychoir.bus.public import as_json
-from crazychoir.bus.topics import STATUS
+from crazychoir.bus.topics import STATE, STATUS
 from crazychoir.errors import CodecError, ConfigError, Refused
 from crazychoir.runtime.clock import Clock
 from crazychoir.types import FPQR, FullState, State, Status
@@ -120,6 +122,33 @@ def test_hello_of_somebody_else_is_refused(here: Here) -> None:
     with pytest.raises(CodecError, match="sent by b on there"):
         here.peers.greeted(peer, hello("c").payload(), 0.0)
     assert peer.hello is None
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"drones": (OBSERVER,)}, {"observers": [3]}, {"observers": list(range(OBSERVER, OBSERVER + 17))}],
+)
+def test_a_hello_claims_no_drones_among_observers_nor_more_than_look_on(here: Here, wrong: Any) -> None:
+    with pytest.raises(CodecError, match="HELLO"):
+        here.hear(hello(**wrong))
+    assert here.peers.directory == {}
+
+
+def test_nobody_takes_the_address_of_an_operator(here: Here) -> None:
+    """b says that it is there for longer, and at the console's address; the console is heard, and reads on."""
+    processes, looks = {"here": ("a",), "desk": (), "there": ("b",)}, OBSERVER + 5
+    here.peers.access = Access("s", "here", Path("k"), processes, {0: "here", 1: "there"}, ("desk",))
+    wants = [Interest("status", 0, looks)]
+    console = here.peers.came("desk", "observer-desk.1", "token")
+    said = hello("observer-desk.1", (), host="desk", observers=[looks], interests=wants)
+    here.peers.greeted(console, said.payload(), 0.0)
+    liar = here.peers.came("there", "b-1", "token")
+    for observers, interests in (([looks], [Interest("state", 0, looks)]), ([looks], []), ([], [])):
+        claims = hello("b-1", observers=observers, interests=interests, uptime=1e8)
+        here.peers.greeted(liar, claims.payload(), 0.0)
+        assert here.peers.directory[looks] is console
+    readers = here.bus.ports[0]._readers
+    assert (readers[STATUS.number].every, STATE.number in readers) == ([looks], False)
 
 
 def test_we_repeat_the_same_bytes_until_something_changes(here: Here) -> None:

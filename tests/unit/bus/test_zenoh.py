@@ -1,0 +1,110 @@
+"""What a link does with what comes, without a network."""
+
+import asyncio
+
+import pytest
+import zenoh
+
+from crazychoir.bus.codec import encode
+from crazychoir.bus.frames import Envelope, Frame, encode_frame
+from crazychoir.bus.hello import Hello
+from crazychoir.bus.local import Bus
+from crazychoir.bus.topics import LOG, STATE
+from crazychoir.bus.zenoh import BACKLOG, SLICE, SLICE_NS, ZenohLink, _speaker
+from crazychoir.runtime.clock import Clock
+
+OF_B = "choir/s/f/0-1/b/1-1/control"
+
+
+class Held(Clock):
+    """Goes on when it is told."""
+
+    ns = 0
+
+    def now_ns(self) -> int:
+        return self.ns
+
+
+async def link_of_a():
+    """Process 0-1 of host a with drone 0, and process 1-1 of b with drone 1, whose frames come at OF_B."""
+    bus = Bus(Held(), process="0-1", host="a")
+    bus.port(0)
+    link = ZenohLink(bus, "s", listen=[], connect=[], incarnation=1, version="1")
+    peer = link.table.came("b", "1-1", "token")
+    said = Hello("1-1", "b", 2, "1", 1.0, [1], [], [], ["0-1"], False)
+    link.table.greeted(peer, said.payload(), 0.0)
+    return link
+
+
+def frame(*messages):
+    return encode_frame(Frame("1-1", 2, STATE.klass, list(messages)))
+
+
+async def test_a_message_is_given_once_to_who_is_named_often():
+    link = await link_of_a()
+    heard = []
+    link.bus.ports[0].handlers[LOG.number] = lambda *message: heard.append(message)
+    link._frame(OF_B, frame(Envelope(LOG.number, 1, (0,) * 1000, 1, 0, 0.0, "", encode("x"))), 0)
+    assert len(heard) == 1
+
+
+async def test_frames_that_take_long_leave_the_loop_to_the_others():
+    link, read = await link_of_a(), []
+
+    def slowly(key, data, arrived_ns):
+        read.append(key)
+        link.bus.clock.ns += SLICE_NS
+
+    for k in range(5):
+        link._enqueue(slowly, str(k), b"")
+    link._drain()
+    assert read == ["0", "1"], "of SLICE that it might take"
+    assert SLICE > 5
+    link._queue.clear()
+
+
+def test_who_speaks_is_read_where_access_control_looks():
+    assert _speaker("choir/s/f/0-1/b/1-2/control") == ("b", "1-2")
+
+
+@pytest.mark.parametrize(
+    "key", ["choir/s/f/0-1/b/a/0-2/control", "choir/s/f/0-1/b/1-2", "choir/s/f/0-1/b/x/a/0-2/control"]
+)
+def test_a_key_of_more_or_fewer_parts_is_nobody_s(key):
+    assert _speaker(key) == ("", "")
+
+
+class Sample:
+    """As Zenoh gives it."""
+
+    kind, payload = zenoh.SampleKind.PUT, zenoh.ZBytes(b"")
+
+    def __init__(self, key):
+        self.key_expr = key
+
+
+async def test_a_flood_of_tokens_is_cut_off_and_leaves_the_queue_to_the_others(caplog):
+    link = await link_of_a()
+    for k in range(3 * BACKLOG):
+        link._token(Sample(f"choir/s/live/b/1-{k}"))
+    link._received(Sample("choir/s/f/0-1/c/2-1/control"))
+    assert link.counters.overflowed == 0
+    assert link.counters.flooded > BACKLOG
+    assert link._queue[-1][1] == "choir/s/f/0-1/c/2-1/control"
+    await asyncio.sleep(0)
+    assert caplog.text.count("host b floods us") == 1
+    link._queue.clear()
+
+
+async def test_handlers_that_fail_again_and_again_fill_no_disk(caplog):
+    link = await link_of_a()
+
+    def fails(key, data, arrived_ns):
+        raise ValueError(key)
+
+    for _ in range(1000):
+        link._enqueue(fails, "k", b"")
+    while link._queue:
+        link._drain()
+    assert link.counters.failed == 1000
+    assert caplog.text.count("was not taken") == 10
