@@ -26,6 +26,7 @@ from crazychoir.bus import endpoints, handshakes
 from crazychoir.bus.access import Access
 from crazychoir.bus.budget import Budget, Budgets
 from crazychoir.bus.codec import encode
+from crazychoir.bus.connections import Connections
 from crazychoir.bus.estranged import Estranged
 from crazychoir.bus.frames import (
     MAX_DESTINATIONS,
@@ -63,6 +64,8 @@ them, which waits up to 10 s for the network (SO_LINGER; zenoh issues 1101, 2718
 """
 ASKING = 4
 """HELLOs a second to a peer that is not yet talked to."""
+LOOKS = 2
+"""s between looks at who is connected."""
 TOKENS = 8
 """Of ours beyond the first, the newest."""
 KEY_PARTS = 7
@@ -163,6 +166,7 @@ class ZenohLink(Actor):
         self._after: deque[Callable[[], None]] = deque()
         self._to_greet: dict[str, None] = {}
         self._estranged = Estranged()
+        self._connections = Connections()
         self._tokens: deque[Any] = deque()
         self._declared: list[Any] = []
         self._session: zenoh.Session | None = None
@@ -207,6 +211,8 @@ class ZenohLink(Actor):
             self._greet_estranged(gone_too=tick % ASKING == 0)
             if tick % ASKING == 0:
                 self._ask_clocks()
+            if tick % (LOOKS * ASKING) == 0:
+                self._look_who_is_connected()
 
     async def on_stop(self) -> None:
         """Send what is waiting and close the session, in a thread: it may take its time."""
@@ -291,6 +297,17 @@ class ZenohLink(Actor):
         self.bus.offsets = self.table.offsets()
         for peer in self.table.on_other_hosts:
             self._say_time(peer, peer.offset.ask(self._now_ns()))
+
+    def _look_who_is_connected(self) -> None:
+        session = self._session
+        if session is None or self.access is None or self.access.router is not None:
+            return  # through a router come connections of all hosts
+        links = [(link.auth_identifier, str(link.zid)) for link in session.info.links()]
+        for host in self._connections.look(links, (peer.host for peer in self.peers.values())):
+            log.warning(
+                "a program with the certificate of host %s is connected and is no process of this swarm: nothing of "
+                "it is believed but what that host may say", host,
+            )  # fmt: skip
 
     def _say_time(self, peer: Peer, payload: bytes) -> None:
         self._add(peer, CLOCK.klass, Envelope(CLOCK.number, 0, (), 0, 0, 0.0, "", payload))

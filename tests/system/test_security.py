@@ -15,6 +15,7 @@ from system.link_process import linked, wall_clock
 from crazychoir.bus.codec import encode
 from crazychoir.bus.frames import Envelope, Frame, encode_frame
 from crazychoir.bus.topics import REQUEST, STATUS
+from crazychoir.bus.zenoh import LOOKS
 from crazychoir.launch.network import free_ports
 from crazychoir.security import authority
 from crazychoir.security.authority import CERTIFICATE, KEY, ROOT
@@ -148,6 +149,15 @@ async def test_a_host_is_held_to_its_own_name_and_reads_nothing_of_others(lab, a
     assert "0-2" not in link.peers
     assert "0-2" not in friend.peers
     assert link.counters.malformed == 0
+
+
+async def test_a_program_with_the_certificate_of_a_host_that_is_no_process_of_it_is_told_once(lab, caplog):
+    link = await lab.link("a", "0-1", [0])
+    lab.intruder(lab.keys / "b")
+    await until(lambda: "a program with the certificate of host b is connected and is no process" in caplog.text)
+    await asyncio.sleep(2.0 * LOOKS)
+    assert caplog.text.count("a program with the certificate of host") == 1
+    assert link.peers == {}
 
 
 async def test_a_host_speaks_for_its_drones_alone(lab, caplog):
