@@ -35,6 +35,8 @@ HANDS_OVER = 0.4
 before that would level it out (0.5 s), and let it fall (2 s)."""
 LANDS = 1.0
 """The same of one that is sent places, seldom, and would fly on for good."""
+STOOD_STILL = 1.0
+"""s between two looks at who is silent, of four a second, beyond which the silence may be our own."""
 ARMS = 3.0
 """s for an answer of who was asked to arm a drone."""
 ASKS = 30.0
@@ -146,9 +148,12 @@ class OwnerWatch(Actor):
         self.clock, self.links, self.gone = clock, dict(links), gone
 
     async def run(self) -> None:
-        """As often as a body says how it is."""
-        patient_until = self.clock.now() + PATIENT
+        """As often as a body says how it is; who stood still himself, as while he was stopped, hears first."""
+        patient_until, before = self.clock.now() + PATIENT, self.clock.now()
         async for _ in self.clock.ticks(BODY.rate):
+            stood_still, before = self.clock.now() - before > STOOD_STILL, self.clock.now()
+            if stood_still:
+                continue
             waiting = [i for i, link in self.links.items() if link.silence == math.inf]
             if waiting and self.clock.now() > patient_until:
                 patient_until = math.inf

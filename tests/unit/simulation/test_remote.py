@@ -317,6 +317,37 @@ async def test_an_owner_that_was_there_is_missed_once_and_one_that_was_not_is_wa
     assert said == ["drone 4: waiting for its world's owner (crazychoir-world)"]
 
 
+class Stopped:
+    """A clock of a process that was stopped from 2 s to 8 s."""
+
+    def __init__(self):
+        self.time = 0.0
+
+    def now(self):
+        return self.time
+
+    async def ticks(self, rate):
+        for k in range(60):
+            self.time = k / rate if k < 8 else 8.0 + (k - 8) / rate
+            yield 0
+
+
+@pytest.mark.parametrize(("speaks", "gone"), [(True, []), (False, [3])])
+async def test_who_was_stopped_takes_nobody_for_gone_before_it_has_heard(speaks, gone):
+    clock, found = Stopped(), []
+
+    class Owner:
+        owner, gone = "its world's owner", GONE
+
+        @property
+        def silence(self):
+            heard = 2.0 if clock.time <= 8.0 or not speaks else clock.time
+            return max(0.0, clock.time - heard)
+
+    await OwnerWatch(clock, {3: Owner()}, found.append).run()
+    assert found == gone
+
+
 @pytest.mark.parametrize(("uri", "command"), [
     (SINGLE, Vel(np.array([0.5, 0.0, 0.0, 0.0]))), (DOUBLE, Acc(np.array([0.5, 0.0, 0.0]))),
     (UNICYCLE, Drive(np.array([0.5, 0.1]))),
