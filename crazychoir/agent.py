@@ -163,6 +163,7 @@ class Agent:
         if i in self._remotes:
             remote = self._remotes[i]
             remote.found_flying, pilot.turning, pilot.unheard = pilot.take_over, remote.flying, remote.unheard
+            pilot.unfit, remote.found_cut = remote.problems, partial(self._found_cut, i)
         if reached != "no":
             firmware = platform(config.drone(i).platform).firmware
             watch = RadioWatch(port, config.source(LINK, i), pilot.guard, firmware)
@@ -287,6 +288,8 @@ class Agent:
         """The guidance has a supervisor of its own: it ends, and the drone flies on until it is down."""
         supervisor = self._supervisor(drone.id)
         actor = self._guidances[drone.id] = GuidanceActor(drone, self.config, self.watchdog)
+        if drone.barrier.refused:
+            actor.abort(drone.barrier.refused)
         await supervisor.run([actor])
 
     def _orders_of(self, drone: Drone) -> Orders:
@@ -308,6 +311,13 @@ class Agent:
         reason = pilot.brought_down or "its world is gone"
         pilot.land(reason)
         self._guidances[i].abort(reason)
+
+    def _found_cut(self, i: int, why: str) -> None:
+        """It cannot fly: it takes no part, and the others hear why."""
+        if not self.drones[i].pilot.cut_for:
+            self.drones[i].barrier.refused = why
+            if i in self._guidances:
+                self._guidances[i].abort(why)
 
     def cut_all(self, reason: str) -> None:
         """Stop all motors now."""

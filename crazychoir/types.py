@@ -230,11 +230,13 @@ class Status(Wire, frozen=True, array_like=True, gc=False):
 class Body(Wire, frozen=True, array_like=True, gc=False):
     """How a drone's simulated body is.
 
-    harm: what has broken it, empty if nothing has;  flying: it is in the air, flown there by commands.
+    harm: what has broken it, empty if nothing has;  flying: it is in the air, flown there by commands;  cut: its motors
+    are off until its world is started again.
     """
 
     harm: str = ""
     flying: bool = False
+    cut: bool = False
 
 
 class LinkStatus(Wire, frozen=True, array_like=True, gc=False):

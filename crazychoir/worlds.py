@@ -78,7 +78,7 @@ class WorldProcess(Actor):
         self.bodies = [body for owner in self.owners for body in self._bodies(owner)]
         bodies = {body.drone: body for body in self.bodies}
         for owner in self.owners:
-            owner.flying = lambda i: bodies[i].flying
+            owner.flying, owner.cut = lambda i: bodies[i].flying, lambda i: bodies[i].was_cut
         self.failure = ""
         self._ending: str | None = None
         self._patient_until = 0.0

@@ -20,7 +20,7 @@ COLOURS = {"ok": "green", "warning": "yellow", "wrong": "bold red", "not here": 
 
 def doctor(
     swarm: Annotated[str | None, typer.Option(help="Swarm file; else ./swarm.toml, else the demo.")] = None,
-    host: Annotated[str | None, typer.Option(help="Name of this machine in [hosts]; else by its addresses.")] = None,
+    host: Annotated[str | None, typer.Option(help="Its name in the table hosts; else by its addresses.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object, nothing else.")] = False,
 ) -> None:
     """Is this host ready to fly? Says what is wrong, and the command that mends it; exit code 1 if something is."""

@@ -32,7 +32,7 @@ def init(folder: Folder = HERE, days: Days = DAYS, as_json: Json = False) -> Non
 
 @app.command()
 def add(
-    host: Annotated[str, typer.Argument(help="Its name, as in [hosts] or security.operators.")],
+    host: Annotated[str, typer.Argument(help="Its name, as in the table hosts or security.operators.")],
     folder: Folder = HERE, days: Days = DAYS, as_json: Json = False,
 ) -> None:  # fmt: skip
     """Give a host, or an operator, a certificate."""

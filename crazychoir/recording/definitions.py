@@ -68,7 +68,8 @@ float64 duration  # s""",
     "crazychoir_msgs/Body": """\
 std_msgs/Header header
 string harm  # what has broken it
-bool flying  # in the air, flown there by commands""",
+bool flying  # in the air, flown there by commands
+bool cut  # its motors are off until its world is started again""",
     "crazychoir_msgs/LinkStatus": """\
 std_msgs/Header header
 string state  # connecting, up, degraded, lost, absent or refused

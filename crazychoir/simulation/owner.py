@@ -58,6 +58,8 @@ class WorldOwner(Actor):
         """When the cameras last looked, by the bus's clock."""
         self.flying: Callable[[int], bool] = lambda i: False
         """Whether commands of another process have brought drone i into the air."""
+        self.cut: Callable[[int], bool] = lambda i: False
+        """Whether another process has cut its motors."""
 
     def link(self, i: int, kind: str) -> Link:
         """The way to drone i, as long as its commands take; ConfigError for a kind that its world does not fly."""
@@ -98,7 +100,7 @@ class WorldOwner(Actor):
             self.telemetry.step(self._tick, late)
         if self._tick % self._body_every == 0:
             for i, port in self._ports.items():
-                port.publish(BODY, Body(world.harm(i), self.flying(i)), late)
+                port.publish(BODY, Body(world.harm(i), self.flying(i), self.cut(i)), late)
 
     def _advance(self) -> None:
         for link in self._delayed.values():

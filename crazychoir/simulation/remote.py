@@ -43,6 +43,7 @@ ASKS = 30.0
 """s for which a drone asks for log variables until its world's owner answers."""
 PATIENT = 5.0
 """s after which a drone that waits for its world says so."""
+OFF = "its motors were cut: they stay off until its world is started again"
 _NOTHING = encode(None)
 
 
@@ -63,6 +64,8 @@ class RemoteLink:
         self.found_flying: Callable[[], None] = lambda: None
         """Called if the body is in the air when it is heard first, or again after a silence: an agent before us flew
         it, or its firmware is landing it."""
+        self.found_cut: Callable[[str], None] = lambda why: None
+        """Called, with the words, if its motors are found to be off for good, as an agent before us has cut them."""
         self._condition: Latest[Body] = Latest(port.bus.clock, f"drone {port.address} body", BODY.max_age)
         port.bus.subscribe(BODY, self._body, port.address, self._condition)
         port.bus.subscribe(BODY, self._body, port.address, Call(port.bus.clock, self._begin, "body"))
@@ -71,7 +74,9 @@ class RemoteLink:
         """Somebody says how it is: from now on commands leave."""
         if not self._heard:
             self._heard = True
-            if body.flying:
+            if body.cut:
+                self.found_cut(OFF)
+            elif body.flying:
                 self.found_flying()
 
     def send(self, command: Command) -> None:
@@ -125,6 +130,11 @@ class RemoteLink:
     def silence(self) -> float:
         """s since the world's owner has said how the body is; infinite before the first time."""
         return self._condition.age()
+
+    def problems(self) -> list[str]:
+        """Why its drone may not take off, as far as is known."""
+        body = self._condition.peek()
+        return [OFF] if body is not None and body.cut else []
 
     def harm(self) -> str:
         """What has broken the body, or that nobody says how it is."""
@@ -201,7 +211,9 @@ class RemoteBody:
         self.refused = 0
         self._clock = port.bus.clock
         self._commanded_ns: int | None = None
-        self._idle = self._was_cut = False
+        self.was_cut = False
+        """Whether its motors were cut: they stay off until its world is started again."""
+        self._idle = False
         port.handlers[COMMAND.number] = self._commanded
         port.handlers[CUT.number] = self._cut
         CommandServer(port, self._execute, self._stop)
@@ -214,7 +226,7 @@ class RemoteBody:
     @property
     def flying(self) -> bool:
         """Whether commands have brought it into the air."""
-        return self._commanded_ns is not None and not self._was_cut and not self.world.resting(self.drone)
+        return self._commanded_ns is not None and not self.was_cut and not self.world.resting(self.drone)
 
     def look(self) -> None:
         """Nobody flies it any more, as its agent is gone or hangs: its planner on board lands it, if it has one.
@@ -226,7 +238,7 @@ class RemoteBody:
         if limit is None or self._idle or not limit < self.silence < math.inf:
             return
         self._idle, rests = True, self.world.resting(self.drone)
-        if not self._was_cut:
+        if not self.was_cut:
             self.link.send(self._down(rests) if on_board else self._nothing())
         if not rests:
             does = "landing" if on_board else "no thrust" if self.kind in THRUST else "stands still"
@@ -239,7 +251,7 @@ class RemoteBody:
 
     def stop(self, reason: str) -> None:
         """Motors off for good, whoever commands it."""
-        if not self._was_cut:
+        if not self.was_cut:
             log.error("drone %d: %s: motors cut", self.drone, reason)
             self._stop(True)
 
@@ -266,8 +278,8 @@ class RemoteBody:
         elif not isinstance(command, KINDS[self.kind]) and not self._lands_by_itself(command):
             sent = type(command).__name__
             self._refuse(f"drone {self.drone}: its agent sends {sent}, the swarm file says {self.kind}")
-        elif self._was_cut:
-            self._refuse(f"drone {self.drone}: its motors were cut: they stay off until its world is started again")
+        elif self.was_cut:
+            self._refuse(f"drone {self.drone}: {OFF}")
         else:
             self._commanded_ns, self._idle = self._clock.now_ns(), False
             self.link.send(command)
@@ -291,14 +303,14 @@ class RemoteBody:
     def _stop(self, on: bool) -> None:
         """Motors off for good: where the stop is cleared, they stay off until the world is started again."""
         if on:
-            self._was_cut = True
+            self.was_cut = True
             self.link.cut()
 
     async def _execute(self, verb: str, arguments: dict[str, Any]) -> Any:
         if verb == "log" and self._ask is not None:
             return self._ask(arguments["names"], arguments["period"])
         if verb == "arm" and self._arm is not None:
-            if self._was_cut:
+            if self.was_cut:
                 raise Refused(f"body of drone {self.drone}", "its motors were cut")
             return await self._arm()
         raise Refused(f"body of drone {self.drone}", f"{verb!r} is its agent's; only an emergency stop counts here")

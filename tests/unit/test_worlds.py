@@ -20,6 +20,7 @@ from crazychoir.runtime.clock import run_virtual
 from crazychoir.simulation import engines
 from crazychoir.simulation.delay import DelayedLink
 from crazychoir.simulation.integrator import CFIntegrator
+from crazychoir.simulation.remote import OFF
 from crazychoir.swarm.checks import MOTORS
 from crazychoir.swarm.config import SwarmConfig
 from crazychoir.worlds import LEFT_ALONE, WorldProcess
@@ -268,6 +269,38 @@ def test_an_agent_that_is_started_again_lands_a_drone_that_is_in_the_air(sender)
     assert notes == ["found in the air, where others have flown it: landing"] * 2
     assert sinks > -1.3, "it falls"
     assert report["crashed"] == []
+
+
+def test_an_agent_that_is_started_again_hears_that_the_motors_were_cut_and_takes_no_part():
+    config = swarm()
+
+    async def main(clock):
+        world = WorldProcess(clock, config, "world", "here", 1)
+        agents = [Agent(clock, config, ENDLESS, config.ids, incarnation=n, alone=False) for n in (1, 2)]
+        serving = asyncio.create_task(world.serve())
+        wires = wired(agents[0].bus, world.bus)
+        flying = asyncio.create_task(agents[0].run())
+        await clock.sleep(3.0)
+        agents[0].drones[1].pilot.cut("its estimate is wrong")
+        await clock.sleep(1.0)
+        for wire in wires:
+            wire.torn = True
+        flying.cancel()
+        await asyncio.gather(flying, return_exceptions=True)
+        await clock.sleep(5.0)
+        wired(agents[1].bus, world.bus)
+        again = asyncio.create_task(agents[1].run())
+        await clock.sleep(30.0)
+        results = {i: drone.result for i, drone in agents[1].drones.items()}
+        problems = [drone.pilot.unfit() for drone in agents[1].drones.values()]
+        for task in (again, serving):
+            task.cancel()
+        await asyncio.gather(again, serving, return_exceptions=True)
+        return results, problems
+
+    results, problems = run_virtual(main)
+    assert OFF in results[1]["reason"], results
+    assert problems == [[], [OFF]]
 
 
 @pytest.mark.parametrize("length", [0.6, 1.2, 1.8, 2.4, 3.6])

@@ -121,7 +121,7 @@ def test_status(suspect):
 
 @pytest.mark.parametrize("harm", ["", "größe"])
 def test_body(harm):
-    assert sent(Body(harm, True)) == {"header": HEADER, "harm": harm, "flying": True}
+    assert sent(Body(harm, True)) == {"header": HEADER, "harm": harm, "flying": True, "cut": False}
 
 
 def test_log_line():
