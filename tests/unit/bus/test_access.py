@@ -5,6 +5,7 @@ import pytest
 from crazychoir.bus import endpoints
 from crazychoir.bus.access import Access
 from crazychoir.bus.frames import Envelope
+from crazychoir.bus.hello import Hello
 from crazychoir.bus.local import BODIES, EYES, OBSERVER, Bus
 from crazychoir.bus.peers import Peers
 from crazychoir.bus.topics import ESTOP, REQUEST, STATE
@@ -81,6 +82,17 @@ def test_nobody_takes_the_name_of_another_s_process_nor_all_the_room(config):
     assert peers.came("desktop", "1-1", "token")
     assert sum(peers.came("desktop", f"1-{k}", "token") is not None for k in range(1000)) < 64
     assert peers.came("laptop", "world-1", "token"), "there is room for the others"
+
+
+def test_what_a_process_claims_in_turns_is_said_once(config, caplog):
+    access, bus = config.access("laptop"), Bus(Still(), process="0-1", host="laptop")
+    peers = Peers(bus, "lab", 1, "1", access, lambda drones, there: None, lambda refused: None)
+    peer = peers.came("desktop", "1-1", "token")
+    for k in range(20):
+        hello = Hello("1-1", "desktop", 2, f"other {k}", 1.0, [] if k % 3 else [0, 7][k % 2 :], [], [], [], False)
+        peers.greeted(peer, hello.payload(), 0.0)
+    assert caplog.text.count("it is refused") == 1
+    assert peers.directory == {}
 
 
 def test_a_swarm_of_several_hosts_is_closed_unless_it_says_that_it_is_not(config):
