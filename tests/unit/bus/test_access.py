@@ -109,6 +109,16 @@ def test_a_swarm_of_several_hosts_is_closed_unless_it_says_that_it_is_not(config
         SwarmConfig.of({"name": "lab", "drones": drones, "security": {"insecure": False, "operators": ["a"]}})
 
 
+def test_an_open_network_beyond_this_machine_is_one_that_the_swarm_file_allows():
+    local = SwarmConfig.of({"name": "lab", "drones": [{"id": 0, "home": [0, 0, 0]}]})
+    near = ("tcp/127.0.0.1:7460", "tcp/[::1]:7460", "tcp/localhost:7460")
+    assert local.access("here", *near) is None
+    for far in ("tcp/0.0.0.0:7460", "tcp/192.168.1.2:7460", "tcp/127.lab.org:7460"):
+        with pytest.raises(ConfigError, match=r"endpoint = tcp/.*insecure = true in \[security\]"):
+            local.access("here", near[0], far)
+        assert local.replace(security={"insecure": True}).access("here", far) is None
+
+
 def test_keys_are_found_beside_the_swarm_file_and_are_no_part_of_what_hosts_agree_on(config, tmp_path):
     path = tmp_path / "deep" / "swarm.json"
     path.parent.mkdir()
