@@ -84,6 +84,33 @@ def test_nobody_takes_the_name_of_another_s_process_nor_all_the_room(config):
     assert peers.came("laptop", "world-1", "token"), "there is room for the others"
 
 
+def test_who_claims_what_another_host_holds_is_refused(config):
+    access, bus = config.access("laptop"), Bus(Still(), process="0-1", host="laptop")
+    peers = Peers(bus, "lab", 1, "1", access, lambda drones, there: None, lambda refused: None)
+    peer = peers.came("desktop", "1-1", "token")
+    for drones, observers in (([0], []), ([1, 0], []), ([1], [BODIES + 1]), ([7], []), ([], [EYES + 1])):
+        claims = Hello("1-1", "desktop", 2, "1", 1.0, drones, observers, [], ["0-1"], False)
+        peers.greeted(peer, claims.payload(), 0.0)
+        assert peers.directory == {}
+    peers.greeted(peer, Hello("1-1", "desktop", 2, "1", 1.0, [1], [], [], ["0-1"], False).payload(), 0.0)
+    assert peers.directory == {1: peer}
+
+
+def test_what_cameras_see_is_said_by_their_host_alone(config):
+    drones = [{"id": 0, "home": [0, 0, 0], "host": "desktop", "uri": "udp://127.0.0.1:19850"}]
+    radio = {"dongles": [{"dongle": 0, "host": "desktop"}]}
+    reached = config.replace(drones=drones, radio=radio, world={}, mocap={"host": "laptop"})
+    access = reached.access("laptop")
+    assert [access.may_hold(host, EYES) for host in ("laptop", "desktop")] == [True, False]
+    assert [access.may_hold(host, BODIES) for host in ("laptop", "desktop")] == [False, True]
+
+
+def test_nothing_but_mutual_tls_is_spoken_where_there_are_keys(config):
+    settings = config.access("laptop").settings()
+    assert settings["transport/link/protocols"] == ["tls", "quic"]
+    assert settings["transport/link/tls"]["enable_mtls"] is True
+
+
 def test_what_a_process_claims_in_turns_is_said_once(config, caplog):
     access, bus = config.access("laptop"), Bus(Still(), process="0-1", host="laptop")
     peers = Peers(bus, "lab", 1, "1", access, lambda drones, there: None, lambda refused: None)

@@ -34,6 +34,12 @@ def test_an_authority_signs_a_certificate_for_each_host(keys):
     assert not constraints.ca, "a host makes no hosts"
 
 
+def test_no_certificate_is_good_for_longer_than_its_authority(tmp_path):
+    init(tmp_path, days=10)
+    add(tmp_path, "laptop", days=300)
+    assert read(tmp_path / "laptop").not_valid_after_utc == read(tmp_path / AUTHORITY).not_valid_after_utc
+
+
 def test_keys_are_read_by_their_owner_alone(keys):
     for name in (AUTHORITY, "laptop"):
         assert stat.S_IMODE((keys / name).stat().st_mode) == 0o700
