@@ -23,7 +23,7 @@ _PRIORITIES = (
     *("control", "real_time", "interactive_high", "interactive_low"),
     *("data_high", "data", "data_low", "background"),
 )
-_LOOPBACK = re.compile(r"unixsock-stream/|\w+/(127\.|localhost:|\[::1\])")
+_LOOPBACK = re.compile(r"unixsock-stream/|\w+/(127\.[\d.]+:|localhost:|\[::1\])")
 _CHUNK = re.compile(r"[A-Za-z0-9_.-]{1,100}")
 _REASON = re.compile(r"([A-Z][\w ]+) \(os error|message: \"([^\"]+)\"")
 _DROP = "transport/link/tx/queue/congestion_control/drop"

@@ -184,7 +184,7 @@ class Peers:
             return False
         who, what = f"process {hello.process} on host {hello.host}", _named(others[0])
         refusal = f"{who} speaks for {what}, which the swarm file does not give to that host"
-        if peer.refusal != refusal:
+        if not peer.refusal:
             log.warning("%s: it is refused", refusal)
         peer.refusal = refusal
         return True
@@ -205,7 +205,7 @@ class Peers:
     def _refuse(self, peer: Peer, hello: Hello, refusal: str, uptime: float) -> bool:
         """Say so, once; of two agents with one id, the one that came later gives way."""
         said, peer.refusal = peer.refusal, refusal
-        if said == refusal:
+        if said:
             return False
         if hello.version == self.version and hello.precedes(self.bus.process, uptime - self._uptime()):
             since = f"and has done so for {uptime:.1f} s"

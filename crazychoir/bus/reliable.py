@@ -16,6 +16,8 @@ RTO = 0.03
 MAX_RTO = 0.5
 MAX_AGE = 15.0
 MAX_PENDING = 256
+FORMER = 16
+"""Lives of a sender that are told from a new one, the newest."""
 
 Receive = Callable[[int, bytes], None]
 """Called with (source, payload), in the sender's order."""
@@ -105,7 +107,7 @@ class Reliable:
         elif incoming.incarnation != label:
             if label in incoming.former:
                 return
-            former = {**incoming.former, incoming.incarnation: None}
+            former = dict(list({**incoming.former, incoming.incarnation: None}.items())[-FORMER:])
             incoming = self._incoming[source] = _Incoming(label, former=former)
         incoming.skip(number - after_oldest)
         if number >= incoming.expected and len(incoming.early) < MAX_PENDING:

@@ -27,7 +27,7 @@ def router(
             do = "Write router = \"NAME\", a name of [hosts], above the first table: all processes then connect to it."
             raise ConfigError(f"{which}: router", "nothing", "the host that it runs on", do)
         at = config.routers if listen is None else [listen]
-        access = None if config.router is None else config.access(config.router)
+        access = config.access(config.router or "", *at)
         with routing(at, config.lease, access):
             closed = "mutual TLS" if access is not None else "open to everybody"
             STDERR.print(f"swarm {config.name} ({which}): router at {', '.join(at)}, {closed}", markup=False)

@@ -33,6 +33,8 @@ SLACK = datetime.timedelta(minutes=5)
 NAME = re.compile(r"[a-z0-9_-]{1,40}")
 _AGAIN = "Copy the folder of this host again from the machine of the authority, or make it anew there."
 
+_ANEW = "crazychoir keys init, then crazychoir keys add HOST for each"
+
 
 @dataclass(frozen=True)
 class Holder:
@@ -71,6 +73,7 @@ def revoke(folder: Path, host: str, days: int = DAYS) -> list[str]:
     if host not in names:
         raise ConfigError("host", host, f"one that has a certificate: {', '.join(names) or 'none has'}")
     names.remove(host)
+    folder = folder.resolve()
     new, old = folder.with_name(f".{folder.name}.new"), folder.with_name(f".{folder.name}.old")
     for left in (new, old):
         shutil.rmtree(left, ignore_errors=True)
@@ -117,7 +120,7 @@ def checked(folder: Path, host: str, now: datetime.datetime | None = None) -> Pa
         if not one.not_valid_before_utc <= now <= one.not_valid_after_utc:
             first, last = (f"{day:%Y-%m-%d %H:%M}" for day in (one.not_valid_before_utc, one.not_valid_after_utc))
             found = f"good from {first} to {last} UTC; now is {now:%Y-%m-%d %H:%M}"
-            do = "Set the clock of this host, or make new keys: crazychoir keys init"
+            do = f"Set the clock of this host, or remove the keys and make all anew: {_ANEW}"
             raise ConfigError(str(path), found, "one that is good now", do)
     return own
 
@@ -143,6 +146,10 @@ def _authority(folder: Path) -> tuple[x509.Certificate, ec.EllipticCurvePrivateK
 
 def _give(folder: Path, host: str, days: int) -> None:
     issuer = _authority(folder)
+    until = issuer[0].not_valid_after_utc
+    if until <= today():
+        found, do = f"good until {until:%Y-%m-%d %H:%M} UTC", f"Remove {folder}, then make all anew: {_ANEW}"
+        raise ConfigError(str(folder / AUTHORITY / CERTIFICATE), found, "one that is good now", do, "it has expired")
     _issue(folder / host, host, issuer, days)
     (folder / host / ROOT).write_bytes(issuer[0].public_bytes(serialization.Encoding.PEM))
 

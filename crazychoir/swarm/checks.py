@@ -30,6 +30,8 @@ WORLDS = "crazychoir.worlds"
 WORLD_STEP = 0.01
 """s, in which simulated worlds advance."""
 LOWEST_PORT = 1024
+PATIENCE = 2.0
+"""s, the least that drones wait for a console."""
 ROUTER_BELOW = 19
 """How far below base_port a router listens: below the owners of 16 dongles."""
 TOUCHING = 0.137
@@ -418,6 +420,13 @@ def _processes(swarm: Swarm, where: str) -> None:
         )
 
 
+def _dead_man(swarm: Swarm, where: str) -> None:
+    seconds = swarm.flight.dead_man
+    if 0.0 < seconds < PATIENCE:
+        allowed = f"0 (never), or {PATIENCE:g} s and more: a console speaks twice a second, and one word may be lost"
+        raise ConfigError(f"{where}: flight.dead_man", seconds, allowed, "Raise it: all would land at once.")
+
+
 def _start(swarm: Swarm, where: str) -> None:
     if isinstance(swarm.start, int) and swarm.start > len(swarm.drones):
         allowed = f'"all", or 1 to {len(swarm.drones)} drones'
@@ -461,6 +470,6 @@ def _partitions(swarm: Swarm, where: str) -> None:
 
 RULES = (
     _uris, _platforms, _delay, _roles, _speed, _box, _limit_area, _homes, _cameras, _hosts, _placement, _world, _router,
-    _processes, _start, _ports, _links, _partitions, check_radios, _security,
+    _processes, _dead_man, _start, _ports, _links, _partitions, check_radios, _security,
 )  # fmt: skip
 """In the order of their errors."""

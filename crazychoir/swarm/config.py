@@ -3,12 +3,14 @@
 import hashlib
 import ipaddress
 import math
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, Self
 
 import msgspec
 
 from crazychoir.bus.access import Access
+from crazychoir.bus.endpoints import are_local
 from crazychoir.bus.local import BODIES, EYES
 from crazychoir.bus.topics import POSE, TRUTH, Topic
 from crazychoir.errors import ConfigError
@@ -211,12 +213,14 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
         """Whether its network is encrypted, and open to those alone who have a certificate."""
         return secured(self)
 
-    def access(self, host: str) -> Access | None:
+    def access(self, host: str, *endpoints: str) -> Access | None:
         """Who may say what, as a host sees it; None where the network is open to everybody.
 
-        Raises ConfigError for keys that are not there, or not good.
+        endpoints: instead of those of the file. Raises ConfigError for keys that are not there, or not good, and for an
+        endpoint beyond this machine where the file has neither keys nor insecure = true.
         """
         if not self.secured:
+            self._require_local(endpoints)
             return None
         owners = [(self.dongle_host(k), f"dongle{k}") for k in self.dongles]
         owners += [(self.mocap.host, "mocap")] if self.seen else []
@@ -231,6 +235,13 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
         holders |= {EYES + i: str(self.mocap.host) for i in self.seen}
         folder = authority.checked(Path(self.security.keys), host)
         return Access(self.name, host, folder, processes, holders, self.security.operators, self.router)
+
+    def _require_local(self, endpoints: Iterable[str]) -> None:
+        far = [endpoint for endpoint in endpoints if not are_local([endpoint])]
+        if far and not self.security.insecure:
+            allowed = "one of this machine's own, as tcp/127.0.0.1:7460"
+            do = "Give the swarm file [hosts] and keys (deploy/README.md), or write insecure = true in [security]."
+            raise ConfigError("endpoint", far[0], allowed, do, "neither encrypted nor closed")
 
     @property
     def owned(self) -> tuple[int, ...]:

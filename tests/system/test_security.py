@@ -270,3 +270,9 @@ async def test_a_host_cannot_put_another_s_name_behind_its_own_in_a_key(lab):
         await asyncio.sleep(0.05)
     assert commanded == []
     assert friend.peers["0-1"].hello is not None
+
+
+@pytest.mark.parametrize(("listen", "times"), [("tcp/0.0.0.0:0", 1), ("tcp/127.0.0.1:0", 0)])
+async def test_an_open_network_beyond_this_machine_is_said_at_start(listen, times, caplog):
+    async with wall_clock() as clock, linked(clock, "0-1", "open", [0], listen=[listen]):
+        assert caplog.text.count("neither encrypted nor closed (security.insecure)") == times

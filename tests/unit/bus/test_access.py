@@ -5,6 +5,7 @@ import pytest
 from crazychoir.bus import endpoints
 from crazychoir.bus.access import Access
 from crazychoir.bus.frames import Envelope
+from crazychoir.bus.hello import Hello
 from crazychoir.bus.local import BODIES, EYES, OBSERVER, Bus
 from crazychoir.bus.peers import Peers
 from crazychoir.bus.topics import ESTOP, REQUEST, STATE
@@ -83,6 +84,44 @@ def test_nobody_takes_the_name_of_another_s_process_nor_all_the_room(config):
     assert peers.came("laptop", "world-1", "token"), "there is room for the others"
 
 
+def test_who_claims_what_another_host_holds_is_refused(config):
+    access, bus = config.access("laptop"), Bus(Still(), process="0-1", host="laptop")
+    peers = Peers(bus, "lab", 1, "1", access, lambda drones, there: None, lambda refused: None)
+    peer = peers.came("desktop", "1-1", "token")
+    for drones, observers in (([0], []), ([1, 0], []), ([1], [BODIES + 1]), ([7], []), ([], [EYES + 1])):
+        claims = Hello("1-1", "desktop", 2, "1", 1.0, drones, observers, [], ["0-1"], False)
+        peers.greeted(peer, claims.payload(), 0.0)
+        assert peers.directory == {}
+    peers.greeted(peer, Hello("1-1", "desktop", 2, "1", 1.0, [1], [], [], ["0-1"], False).payload(), 0.0)
+    assert peers.directory == {1: peer}
+
+
+def test_what_cameras_see_is_said_by_their_host_alone(config):
+    drones = [{"id": 0, "home": [0, 0, 0], "host": "desktop", "uri": "udp://127.0.0.1:19850"}]
+    radio = {"dongles": [{"dongle": 0, "host": "desktop"}]}
+    reached = config.replace(drones=drones, radio=radio, world={}, mocap={"host": "laptop"})
+    access = reached.access("laptop")
+    assert [access.may_hold(host, EYES) for host in ("laptop", "desktop")] == [True, False]
+    assert [access.may_hold(host, BODIES) for host in ("laptop", "desktop")] == [False, True]
+
+
+def test_nothing_but_mutual_tls_is_spoken_where_there_are_keys(config):
+    settings = config.access("laptop").settings()
+    assert settings["transport/link/protocols"] == ["tls", "quic"]
+    assert settings["transport/link/tls"]["enable_mtls"] is True
+
+
+def test_what_a_process_claims_in_turns_is_said_once(config, caplog):
+    access, bus = config.access("laptop"), Bus(Still(), process="0-1", host="laptop")
+    peers = Peers(bus, "lab", 1, "1", access, lambda drones, there: None, lambda refused: None)
+    peer = peers.came("desktop", "1-1", "token")
+    for k in range(20):
+        hello = Hello("1-1", "desktop", 2, f"other {k}", 1.0, [] if k % 3 else [0, 7][k % 2 :], [], [], [], False)
+        peers.greeted(peer, hello.payload(), 0.0)
+    assert caplog.text.count("it is refused") == 1
+    assert peers.directory == {}
+
+
 def test_a_swarm_of_several_hosts_is_closed_unless_it_says_that_it_is_not(config):
     assert config.endpoint(1) == "tls/192.168.1.11:7461"
     plain = config.replace(security={"insecure": True})
@@ -95,6 +134,16 @@ def test_a_swarm_of_several_hosts_is_closed_unless_it_says_that_it_is_not(config
     drones = [{"id": 0, "home": [0, 0, 0]}]
     with pytest.raises(ConfigError, match=r"a swarm with \[hosts\]"):
         SwarmConfig.of({"name": "lab", "drones": drones, "security": {"insecure": False, "operators": ["a"]}})
+
+
+def test_an_open_network_beyond_this_machine_is_one_that_the_swarm_file_allows():
+    local = SwarmConfig.of({"name": "lab", "drones": [{"id": 0, "home": [0, 0, 0]}]})
+    near = ("tcp/127.0.0.1:7460", "tcp/[::1]:7460", "tcp/localhost:7460")
+    assert local.access("here", *near) is None
+    for far in ("tcp/0.0.0.0:7460", "tcp/192.168.1.2:7460", "tcp/127.lab.org:7460"):
+        with pytest.raises(ConfigError, match=r"endpoint = tcp/.*insecure = true in \[security\]"):
+            local.access("here", near[0], far)
+        assert local.replace(security={"insecure": True}).access("here", far) is None
 
 
 def test_keys_are_found_beside_the_swarm_file_and_are_no_part_of_what_hosts_agree_on(config, tmp_path):

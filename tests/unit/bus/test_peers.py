@@ -151,6 +151,13 @@ def test_nobody_takes_the_address_of_an_operator(here: Here) -> None:
     assert (readers[STATUS.number].every, STATE.number in readers) == ([looks], False)
 
 
+def test_hello_of_a_process_on_another_host_is_refused(here: Here) -> None:
+    peer = here.peers.came("there", "b", "token")
+    with pytest.raises(CodecError, match="b on elsewhere, sent by b on there"):
+        here.peers.greeted(peer, hello("b", host="elsewhere").payload(), 0.0)
+    assert peer.hello is None
+
+
 def test_we_repeat_the_same_bytes_until_something_changes(here: Here) -> None:
     payload, age = here.peers.hello()
     here.clock.ns += 2_000_000_000

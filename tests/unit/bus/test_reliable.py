@@ -3,7 +3,7 @@ from virtual_time import virtual
 
 from crazychoir.bus.impairment import Impairment
 from crazychoir.bus.local import Bus
-from crazychoir.bus.reliable import MAX_AGE, MAX_PENDING, Reliable
+from crazychoir.bus.reliable import FORMER, MAX_AGE, MAX_PENDING, Reliable
 from crazychoir.bus.rules import Partition, Rule
 from crazychoir.bus.topics import ROSTER
 from crazychoir.runtime.clock import run_virtual
@@ -225,3 +225,12 @@ async def test_an_acknowledgement_of_all_during_a_resend_ends_the_resending(cloc
     assert seen == []
     await clock.sleep(1.0)
     assert (seen, one.port.counters.resent) == (numbers(4), 1)
+
+
+@virtual
+async def test_who_says_that_it_is_anew_again_and_again_takes_no_memory(clock):
+    bus, _, two, seen = pair(clock)
+    for life in range(10_000):
+        bus.ports[2].deliver(ROSTER.number, 1, b"x", 0, f"{life:x}", 0, 0.0)
+    assert len(seen) == 10_000
+    assert len(two._incoming[1].former) == FORMER

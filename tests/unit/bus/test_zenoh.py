@@ -1,10 +1,13 @@
 """What a link does with what comes, without a network."""
 
 import asyncio
+from pathlib import Path
 
 import pytest
 import zenoh
 
+from crazychoir.bus.access import Access
+from crazychoir.bus.budget import BURST, PART
 from crazychoir.bus.codec import encode
 from crazychoir.bus.frames import Envelope, Frame, encode_frame
 from crazychoir.bus.hello import Hello
@@ -25,11 +28,12 @@ class Held(Clock):
         return self.ns
 
 
-async def link_of_a():
+async def link_of_a(access=None):
     """Process 0-1 of host a with drone 0, and process 1-1 of b with drone 1, whose frames come at OF_B."""
     bus = Bus(Held(), process="0-1", host="a")
     bus.port(0)
     link = ZenohLink(bus, "s", listen=[], connect=[], incarnation=1, version="1")
+    link.table.access = access
     peer = link.table.came("b", "1-1", "token")
     said = Hello("1-1", "b", 2, "1", 1.0, [1], [], [], ["0-1"], False)
     link.table.greeted(peer, said.payload(), 0.0)
@@ -74,13 +78,49 @@ def test_a_key_of_more_or_fewer_parts_is_nobody_s(key):
     assert _speaker(key) == ("", "")
 
 
+async def test_key_token_frame_and_message_must_name_one_sender():
+    """Access control holds a host to its keys alone."""
+    link = await link_of_a()
+    heard, counters = [], link.counters
+    link.bus.ports[0].handlers[LOG.number] = lambda *message: heard.append(message)
+    said = Envelope(LOG.number, 1, (0,), 1, 0, 0.0, "", encode("x"))
+    link._frame("choir/s/f/0-1/c/1-1/control", frame(said), 0)  # the name of a process of another host
+    link._frame("choir/s/f/0-1/b/1-2/control", frame(said), 0)  # of which there is no token
+    link._frame(OF_B, encode_frame(Frame("1-2", 2, STATE.klass, [said])), 0)
+    link.table.came("c", "2-1", "token")
+    other = Hello("2-1", "c", 2, "1", 1.0, [2], [], [], ["0-1"], False)
+    link.table.greeted(link.peers["2-1"], other.payload(), 0.0)
+    link._frame(OF_B, frame(Envelope(LOG.number, 2, (0,), 1, 0, 0.0, "", encode("x"))), 0)  # for drone 2, of c
+    assert (heard, counters.strangers) == ([], 4)
+    link._frame(OF_B, frame(said), 0)
+    assert len(heard) == 1
+
+
+async def test_a_stranger_with_another_s_name_is_not_answered():
+    access = Access("s", "a", Path("k"), {"a": ("0",), "b": ("1",)}, {0: "a", 1: "b"}, ("a",))
+    link = await link_of_a(access)
+    for process in ("0-2", "observer-a.1", "1-2"):
+        link._frame(f"choir/s/f/0-1/b/{process}/control", encode_frame(Frame(process, 2, STATE.klass, [])), 0)
+    assert link._estranged.due(gone_too=True) == ["1-2"]
+
+
 class Sample:
     """As Zenoh gives it."""
 
-    kind, payload = zenoh.SampleKind.PUT, zenoh.ZBytes(b"")
+    kind = zenoh.SampleKind.PUT
 
-    def __init__(self, key):
-        self.key_expr = key
+    def __init__(self, key, payload=b""):
+        self.key_expr, self.payload = key, zenoh.ZBytes(payload)
+
+
+@pytest.mark.parametrize(("size", "most"), [(1, BURST), (8 << 20, BURST * PART / (8 << 20))])
+async def test_a_flood_of_frames_is_cut_off_by_their_number_and_by_their_size(size, most):
+    link, payload = await link_of_a(), bytes(size)
+    for _ in range(2 * int(most)):
+        link._received(Sample(OF_B, payload))
+    assert len(link._queue) <= most
+    assert link.counters.flooded >= most - 1
+    link._queue.clear()
 
 
 async def test_a_flood_of_tokens_is_cut_off_and_leaves_the_queue_to_the_others(caplog):

@@ -1,10 +1,12 @@
 import datetime
 import stat
+from pathlib import Path
 
 import pytest
 from cryptography import x509
 
 from crazychoir.errors import ConfigError
+from crazychoir.security import authority
 from crazychoir.security.authority import AUTHORITY, CERTIFICATE, KEY, ROOT, add, checked, holders, init, revoke
 
 
@@ -30,6 +32,12 @@ def test_an_authority_signs_a_certificate_for_each_host(keys):
     assert certificate.not_valid_after_utc <= root.not_valid_after_utc
     constraints = certificate.extensions.get_extension_for_class(x509.BasicConstraints).value
     assert not constraints.ca, "a host makes no hosts"
+
+
+def test_no_certificate_is_good_for_longer_than_its_authority(tmp_path):
+    init(tmp_path, days=10)
+    add(tmp_path, "laptop", days=300)
+    assert read(tmp_path / "laptop").not_valid_after_utc == read(tmp_path / AUTHORITY).not_valid_after_utc
 
 
 def test_keys_are_read_by_their_owner_alone(keys):
@@ -65,6 +73,30 @@ def test_what_cannot_be_is_refused_and_changes_nothing(keys, tmp_path):
             work()
     assert [holder.name for holder in holders(keys)] == ["desktop", "laptop"]
     assert not (tmp_path / "none").exists()
+
+
+def test_an_authority_that_has_expired_gives_nothing_and_says_what_to_do(tmp_path, monkeypatch):
+    keys, now = tmp_path / "keys", authority.today()
+    monkeypatch.setattr(authority, "today", lambda: now - datetime.timedelta(days=2))
+    init(keys, days=1)
+    add(keys, "laptop", days=1)
+    monkeypatch.undo()
+    with pytest.raises(ConfigError, match=r"it has expired.*Remove .*keys, then make all anew: crazychoir keys init"):
+        add(keys, "desktop")
+    assert not (keys / "desktop").exists()
+    assert [holder.name for holder in holders(keys)] == ["laptop"]
+    assert revoke(keys, "laptop") == []
+    assert add(keys, "desktop"), "of the new authority"
+
+
+def test_keys_are_made_anew_in_this_folder_and_behind_a_link(keys, tmp_path, monkeypatch):
+    monkeypatch.chdir(keys)
+    assert revoke(Path(), "laptop") == ["desktop"]
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "elsewhere").symlink_to(keys)
+    assert revoke(tmp_path / "elsewhere", "desktop") == []
+    assert (tmp_path / "elsewhere").is_symlink()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["elsewhere", "keys"]
 
 
 def other_authority(keys):

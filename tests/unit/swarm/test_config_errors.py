@@ -55,6 +55,12 @@ CASES = {
         "",
         "x.toml: network.loss: found 1.5; allowed: a probability, 0 to 1. For example loss = 0.1.",
     ),
+    "a console that cannot be in time": (
+        "flight.dead_man = 0.5",
+        "",
+        "x.toml: flight.dead_man: found 0.5; allowed: 0 (never), or 2 s and more: a console speaks twice a second, and "
+        "one word may be lost. Raise it: all would land at once.",
+    ),
     "choice": (
         'plant.inputs = "pwm"',
         "",
