@@ -117,7 +117,8 @@ def checked(folder: Path, host: str, now: datetime.datetime | None = None) -> Pa
         if not one.not_valid_before_utc <= now <= one.not_valid_after_utc:
             first, last = (f"{day:%Y-%m-%d %H:%M}" for day in (one.not_valid_before_utc, one.not_valid_after_utc))
             found = f"good from {first} to {last} UTC; now is {now:%Y-%m-%d %H:%M}"
-            do = "Set the clock of this host, or make new keys: crazychoir keys init"
+            anew = f"where the authority is, remove {folder.name}/{host}, then crazychoir keys add {host}."
+            do = f"Set the clock of this host; or, {anew}"
             raise ConfigError(str(path), found, "one that is good now", do)
     return own
 
