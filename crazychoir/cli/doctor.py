@@ -91,12 +91,14 @@ def network(config: "SwarmConfig", host: str | None) -> list[Row]:
 
     own = [name for name, address in config.hosts.items() if host_facts.is_own(address)]
     here = [name for name in own if host in (None, name)]
-    rows = [host_checks.own_host(config.hosts, own, host)]
+    inward = {name: at for name in here if (at := host_facts.loopback(config.hosts[name]))}
+    rows = [host_checks.own_host(config.hosts, own, host, inward)]
     names = listeners(config, here)
     held = {port: host_facts.holder(port) for port, (address, _) in names.items()
             if not host_facts.is_free(address, port)}  # fmt: skip
     rows += host_checks.ports({port: name for port, (_, name) in names.items()}, held)
-    for name in (name for name in config.hosts if name not in own):
+    others = config.hosts if config.router is None else [config.router]  # it passes on what the rest say
+    for name in (name for name in others if name not in own):
         port = min(listeners(config, [name]), default=config.base_port)
         address = config.hosts[name]
         rows.append(host_checks.reachable(name, address, host_facts.answer(address, port)))
@@ -105,16 +107,18 @@ def network(config: "SwarmConfig", host: str | None) -> list[Row]:
     uris = [config.drone(i).uri for i in ids]
     numbers = [int(uri.split("/")[2]) for uri in uris if uri.startswith("radio://")]
     rows += host_checks.radios(host_facts.crazyradios(), numbers)
-    return [*rows, host_checks.memory(host_facts.memory_mb(), len(names))]
+    processes = sum(_is_here(config.host_of(process), here) for process in config.endpoints())
+    return [*rows, host_checks.memory(host_facts.memory_mb(), processes)]
 
 
 def listeners(config: "SwarmConfig", hosts: list[str]) -> dict[int, tuple[str, str]]:
-    """The ports of the processes of these hosts: address, and what listens there."""
-    from crazychoir.cli.units import name_of
+    """The ports of these hosts: address, and what listens there; of a swarm with a router that does alone."""
+    from crazychoir.cli.units import ROUTER, name_of
 
     found = {}
     for process, endpoint in config.endpoints().items():
-        if _is_here(config.host_of(process), hosts):
+        listens = config.router is None or process == ROUTER
+        if listens and _is_here(config.host_of(process), hosts):
             address, _, port = endpoint.partition("/")[2].rpartition(":")
             found[int(port)] = (address.strip("[]"), name_of(process))
     return found
@@ -134,13 +138,13 @@ def certificates(config: "SwarmConfig", hosts: list[str]) -> list[Row]:
         return [Row("keys", "not here", "a network of this machine alone needs none")]
     rows = []
     for name in hosts:
-        fault, days = "", 0.0
+        fault, do, days = "", "", 0.0
         try:
             own = authority.checked(Path(config.security.keys), name)
             days = (authority.good_until(own) - today()).total_seconds() / 86400
         except ConfigError as error:
-            fault = str(error)
-        rows.append(host_checks.keys(name, fault, days))
+            fault, do = str(error).removesuffix(error.do).rstrip(), error.do
+        rows.append(host_checks.keys(name, fault, do, days))
     return rows
 
 

@@ -8,11 +8,13 @@ from typing import Literal
 State = Literal["ok", "warning", "wrong", "not here"]
 PYTHONS = ((3, 11), (3, 14))
 """The first that is allowed, and the first that no longer is."""
-CRAZYRADIOS = ("1915:7777", "1915:0101", "35f0:bad2")
+BOOTLOADER = "1915:0101"
+CRAZYRADIOS = ("1915:7777", BOOTLOADER, "35f0:bad2")
 """USB vendor and product: Crazyradio PA, its bootloader, Crazyradio 2.0."""
 UDEV = (
     """echo 'SUBSYSTEM=="usb", ATTRS{idVendor}=="1915|35f0", MODE="0664", GROUP="plugdev"' | """
-    "sudo tee /etc/udev/rules.d/99-crazyradio.rules && sudo udevadm control --reload && sudo udevadm trigger"
+    "sudo tee /etc/udev/rules.d/99-crazyradio.rules && sudo udevadm control --reload && sudo udevadm trigger; "
+    "sudo usermod -aG plugdev $USER, which counts from the next login"
 )
 PROCESS_MB = 300.0
 """Of memory that an agent takes."""
@@ -24,6 +26,8 @@ LATE_MS = 5.0
 """Half a period of the control law at 100 Hz."""
 SOON = 30
 """Days before the end of a certificate."""
+_OURS = re.compile(r"process \d+: (\S+ (-\S+ )*)?(\S*/)?(crazychoir(-\w+)?|crazychoir(\.\w+)+)( |$)")
+"""The program itself, or what an interpreter runs; not a word of its arguments."""
 _REQUIREMENT = re.compile(r"([A-Za-z0-9._-]+)>=([\d.]+)")
 
 
@@ -76,8 +80,10 @@ def _number(version: str) -> tuple[int, ...]:
     return tuple(int(part) for part in re.findall(r"\d+", version)[:4])
 
 
-def own_host(hosts: Mapping[str, str], own: list[str], meant: str | None) -> Row:
-    """hosts: names and addresses;  own: names whose address this machine has;  meant: the name that it should have."""
+def own_host(hosts: Mapping[str, str], own: list[str], meant: str | None, inward: Mapping[str, str]) -> Row:
+    """hosts: names and addresses;  own: names whose address this machine has;  meant: the name that it should have;
+    inward: those that mean the loopback here, and it.
+    """
     if not hosts:
         return Row("own host", "ok", "a swarm of this machine alone: no [hosts]")
     names = ", ".join(f"{name} {address}" for name, address in hosts.items())
@@ -86,6 +92,10 @@ def own_host(hosts: Mapping[str, str], own: list[str], meant: str | None) -> Row
     if meant is not None and meant not in own:
         do = f"Write this machine's address into [hosts] ({meant} = ...): see `ip -brief address`."
         return Row("own host", "wrong", f"{meant} is {hosts[meant]}: no address of this machine", do)
+    for name, address in inward.items():
+        do = "Write the address that others see into [hosts]: see `ip -brief address`; or mend /etc/hosts."
+        found = f"{name} is {hosts[name]}, which is {address} on this machine: others do not reach that"
+        return Row("own host", "wrong", found, do)
     if own:
         return Row("own host", "ok", ", ".join(f"{name} {hosts[name]}" for name in own))
     do = "Write this machine's address into [hosts]: see `ip -brief address`."
@@ -95,8 +105,8 @@ def own_host(hosts: Mapping[str, str], own: list[str], meant: str | None) -> Row
 def ports(names: Mapping[int, str], held: Mapping[int, str]) -> list[Row]:
     """names: of the processes that listen on them;  held: those that are taken, by which command line."""
     if not names:
-        return [Row("ports", "not here", "no process of the swarm runs on this host")]
-    others = {port: by for port, by in held.items() if "crazychoir" not in by}
+        return [Row("ports", "not here", "no process of the swarm listens on this host")]
+    others = {port: by for port, by in held.items() if not _OURS.match(by)}
     rows = [
         Row(f"port {port}", "wrong", f"of {names[port]}: taken by {by or 'a process of another user'}",
             f"End it (`ss -ltnp sport = :{port}` says which it is), or set another base_port in the swarm file.")
@@ -117,11 +127,11 @@ def reachable(host: str, address: str, answer: str) -> Row:
     return Row(what, "wrong", f"{address}: {answer}", do)
 
 
-def keys(host: str, fault: str, days: float) -> Row:
-    """fault: what `checked` holds against its folder;  days: until the certificate ends."""
+def keys(host: str, fault: str, do: str, days: float) -> Row:
+    """fault: what `checked` holds against its folder, and what to do;  days: until the certificate ends."""
     what = f"keys of {host}"
     if fault:
-        return Row(what, "wrong", fault, f"crazychoir keys add {host}, where the authority is; then crazychoir push")
+        return Row(what, "wrong", fault, do)
     if days < SOON:
         do = "crazychoir keys init --folder NEW, and so on, on the machine of the authority"
         return Row(what, "warning", f"good for {days:.0f} days more", do)
@@ -144,10 +154,13 @@ def radios(devices: list[Usb], needed: Iterable[int]) -> list[Row]:
     for device in devices:
         if not device.writable:
             rows.append(Row(f"radio {device.kind}", "wrong", f"no right to write to {device.path}", UDEV))
-    last = max(wanted, default=-1)
-    if last >= len(devices):
+        if device.kind == BOOTLOADER:
+            do = "Take it out and plug it in again; if it stays so, write its firmware anew."
+            rows.append(Row(f"radio {device.kind}", "wrong", f"{device.path} is in its bootloader", do))
+    last, ready = max(wanted, default=-1), sum(device.kind != BOOTLOADER for device in devices)
+    if last >= ready:
         do = "Plug it in: `lsusb -d 1915:` shows it."
-        rows.append(Row("radios", "wrong", f"{len(devices)} there; the swarm file names dongle {last} here", do))
+        rows.append(Row("radios", "wrong", f"{ready} there; the swarm file names dongle {last} here", do))
     if not devices and not wanted:
         return [Row("radios", "not here", "none, and none is needed")]
     return rows or [Row("radios", "ok", ", ".join(device.path for device in devices))]

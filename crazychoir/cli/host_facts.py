@@ -2,6 +2,7 @@
 
 import contextlib
 import ctypes
+import ipaddress
 import os
 import resource
 import shutil
@@ -50,6 +51,17 @@ def is_own(address: str) -> bool:
             probe.bind(where)
             return True
     return False
+
+
+def loopback(name: str) -> str:
+    """The address of the loopback that a name of this machine means here, as 127.0.1.1 in /etc/hosts; else empty."""
+    with contextlib.suppress(ValueError):
+        ipaddress.ip_address(name)
+        return ""
+    if name == "localhost":
+        return ""
+    address = str(socket.getaddrinfo(name, 0, type=socket.SOCK_STREAM)[0][4][0])
+    return address if ipaddress.ip_address(address).is_loopback else ""
 
 
 def is_free(address: str, port: int) -> bool:

@@ -49,13 +49,12 @@ def push(
         if swarm.suffix != ".toml":
             raise ConfigError("--swarm", str(swarm), "a TOML file", f"The units there read ~/{FOLDER}/swarm.toml.")
         config = SwarmConfig.load(swarm)
-        for name in chosen(config, swarm, host):
-            at = f"{user}@{config.hosts[name]}" if user else config.hosts[name]
-            for step in steps(config, swarm, name, at, package, units):
-                STDOUT.print(shlex.join(step.command) if dry_run else f"{name}: {step.what}", markup=False,
-                             highlight=False, soft_wrap=True)  # fmt: skip
-                if not dry_run:
-                    run(name, step)
+        plans = {name: list(steps(config, swarm, name, user, package, units)) for name in chosen(config, swarm, host)}
+        for name, step in [(name, step) for name, plan in plans.items() for step in plan]:
+            STDOUT.print(shlex.join(step.command) if dry_run else f"{name}: {step.what}", markup=False,
+                         highlight=False, soft_wrap=True)  # fmt: skip
+            if not dry_run:
+                run(name, step)
     except CrazyChoirError as error:
         fail(error, as_json=False)
 
@@ -72,7 +71,7 @@ def chosen(config: "SwarmConfig", swarm: Path, only: list[str] | None) -> list[s
 
 
 def steps(
-    config: "SwarmConfig", swarm: Path, host: str, at: str, package: Path | None, units: Path | None
+    config: "SwarmConfig", swarm: Path, host: str, user: str | None, package: Path | None, units: Path | None
 ) -> Iterator[Step]:
     """What is done for one host, in order. Raises ConfigError for files that are not here, or would lie elsewhere.
 
@@ -80,6 +79,7 @@ def steps(
     """
     from importlib.metadata import version
 
+    at, into = reached(config.hosts[host], user)
     files = {path: within(swarm, path) for path in named(config)}
     folders = sorted({FOLDER: None} | {str(Path(FOLDER, path).parent): None for path in files.values()})
     own = Path(config.security.keys) / host
@@ -89,13 +89,13 @@ def steps(
             raise ConfigError("security.keys", str(own), "the keys of this host", f"crazychoir keys add {host}")
         folders.append(keys)
     yield Step("folders", (*SSH, at, f"mkdir -p -m 700 {shlex.join(folders)} {UNITS}"))
-    yield Step("swarm file", (*SCP, str(swarm), f"{at}:{FOLDER}/swarm.toml"))
+    yield Step("swarm file", (*SCP, str(swarm.resolve()), f"{into}:{FOLDER}/swarm.toml"))
     for path, place in files.items():
-        yield Step(f"{place}", (*SCP, str(path), f"{at}:{FOLDER}/{place}"))
+        yield Step(f"{place}", (*SCP, str(path), f"{into}:{FOLDER}/{place}"))
     if config.secured:
-        yield Step("its keys", (*SCP, str(own), f"{at}:{keys}/"))
-    for unit in sorted(units.glob("*.service")) if units is not None else ():
-        yield Step(f"unit {unit.name}", (*SCP, str(unit), f"{at}:{UNITS}/"))
+        yield Step("its keys", (*SCP, str(own), f"{into}:{keys}/"))
+    for unit in services(units) if units is not None else ():
+        yield Step(f"unit {unit.name}", (*SCP, str(unit), f"{into}:{UNITS}/"))
     if units is not None:
         yield Step("units known", (*SSH, at, "systemctl --user daemon-reload"))
     yield Step("environment", (*SSH, at, f"test -x {FOLDER}/venv/bin/pip || python3 -m venv {FOLDER}/venv"), INSTALL)
@@ -103,7 +103,8 @@ def steps(
     if package is not None:
         if not package.exists():
             raise ConfigError("--package", str(package), "a wheel or a folder", "python -m build --wheel")
-        yield Step("package", (*SCP, str(package), f"{at}:{FOLDER}/"))
+        package = package.resolve()
+        yield Step("package", (*SCP, str(package), f"{into}:{FOLDER}/"), INSTALL)
         what = f"{FOLDER}/{package.name}"
     install = f"{FOLDER}/venv/bin/pip install --quiet"
     yield Step("installed", (*SSH, at, f"{install} {shlex.quote(what)}"), INSTALL)
@@ -112,6 +113,20 @@ def steps(
         yield Step("installed anew", (*SSH, at, again), INSTALL)
     laws = f"{FOLDER}/venv/bin/python -c 'import crazychoir.cli.process'"  # else its agents, who start at once, wait
     yield Step("laws compiled", (*SSH, at, laws), INSTALL)
+
+
+def reached(address: str, user: str | None) -> tuple[str, str]:
+    """A host as ssh wants it, and as scp does, which takes what is before the first colon for it, but for brackets."""
+    before = f"{user}@" if user else ""
+    return f"{before}{address}", f"{before}[{address}]" if ":" in address else f"{before}{address}"
+
+
+def services(folder: Path) -> list[Path]:
+    """The systemd units of a folder; raises ConfigError where there is none."""
+    found = sorted(folder.resolve().glob("*.service"))
+    if not found:
+        raise ConfigError("--units", str(folder), "a folder of *.service, as deploy/systemd", "Is it that?")
+    return found
 
 
 def named(config: "SwarmConfig") -> list[Path]:

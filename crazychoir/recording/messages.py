@@ -20,7 +20,7 @@ from crazychoir.recording.cdr import Layout, Leaf, leaves, schema
 from crazychoir.recording.definitions import DEFINITIONS
 from crazychoir.recording.odometry import odometry, state_of
 from crazychoir.runtime.clock import SECOND
-from crazychoir.swarm.rounds import AHEAD, CREDIT, DATA, FIN, FIN_TOO, KIND_BITS, KINDS, REPEAT, WANT
+from crazychoir.swarm.rounds import AHEAD, CREDIT, DATA, FIN, FIN_TOO, GONE, KIND_BITS, KINDS, REPEAT, WANT
 from crazychoir.types import (
     FPQR,
     FRPY,
@@ -45,6 +45,7 @@ WAY = 25
 """Numbers of a row of a plan's way."""
 KIND_NAMES = {
     DATA: "data", REPEAT: "repeat", AHEAD: "ahead", WANT: "want", CREDIT: "credit", FIN: "fin", FIN_TOO: "fin too",
+    GONE: "gone",
 }  # fmt: skip
 """What a message of a round says."""
 
@@ -123,7 +124,7 @@ def in_json(value: Any) -> str:
 def exchanged(message: Exchanged) -> tuple[Any, ...]:
     """The fields of crazychoir_msgs/Round."""
     to, k, flags, channel, payload = message
-    return to, k, flags >> KIND_BITS, KIND_NAMES.get(flags & KINDS, "unknown"), channel, _content(payload)
+    return to, k, flags >> KIND_BITS, KIND_NAMES[flags & KINDS], channel, _content(payload)
 
 
 @lru_cache(maxsize=64)  # one payload goes to all neighbours

@@ -120,7 +120,9 @@ def checked(folder: Path, host: str, now: datetime.datetime | None = None) -> Pa
         if not one.not_valid_before_utc <= now <= one.not_valid_after_utc:
             first, last = (f"{day:%Y-%m-%d %H:%M}" for day in (one.not_valid_before_utc, one.not_valid_after_utc))
             found = f"good from {first} to {last} UTC; now is {now:%Y-%m-%d %H:%M}"
-            do = f"Set the clock of this host, or remove the keys and make all anew: {_ANEW}"
+            its = f"remove {folder.name}/{host}, then crazychoir keys add {host}"
+            anew = f"remove {folder.name}, then {_ANEW}" if one is root else its
+            do = f"Set the clock of this host; or, where the authority is, {anew}."
             raise ConfigError(str(path), found, "one that is good now", do)
     return own
 
@@ -206,6 +208,8 @@ def _read(path: Path) -> x509.Certificate:
         return x509.load_pem_x509_certificate(path.read_bytes())
     except OSError as error:
         do = f"On the machine of the authority: crazychoir keys add {path.parent.name}; then copy {path.parent} here."
+        if others := sorted(at.parent.name for at in path.parent.parent.glob(f"*/{CERTIFICATE}")):
+            do = f"Here are keys of {', '.join(others)}. Start it on the host that the swarm file names. {do}"
         raise ConfigError(str(path), str(error.strerror), "a certificate in PEM", do) from error
     except ValueError as error:
         raise ConfigError(str(path), str(error), "a certificate in PEM", _AGAIN) from error

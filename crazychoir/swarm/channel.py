@@ -31,7 +31,8 @@ class Channel:
     neighbour, the first round that it may not have finished;  pacing: those who ask for rounds that they lack;
     ins, outs: neighbours, the same until round `until`;  missing: who is waited for;  strict: whether who waits wants
     all of them;  finished: of each neighbour that has ended the channel, the first round that it did not take part in;
-    told: how often we told so to who asked for one after our own end.
+    kept: of each neighbour that was without us for a while, the first round that it still has;  told: how often we told
+    of our own end to who asked for a round after it.
     """
 
     name: str
@@ -49,6 +50,7 @@ class Channel:
     progress: dict[int, int] = field(default_factory=dict)
     pacing: dict[int, None] = field(default_factory=dict)
     finished: dict[int, int] = field(default_factory=dict)
+    kept: dict[int, int] = field(default_factory=dict)
     closed_at: int = -1
     told: int = 0
     changed: Exception | None = None
@@ -123,7 +125,7 @@ class Channel:
     def forget(self, peers: Iterable[int]) -> None:
         """These are gone, or begin anew."""
         for j in peers:
-            for known in (self.latest, self.progress, self.pacing, self.finished):
+            for known in (self.latest, self.progress, self.pacing, self.finished, self.kept):
                 known.pop(j, None)
 
     def rto(self, attempt: int) -> float:

@@ -37,6 +37,11 @@ class Epochs:
         self.known = dict.fromkeys(graph.ids)
         self._graphs: list[tuple[int, AnyGraph]] = [(0, graph)]
 
+    @property
+    def first(self) -> int:
+        """The first round of the present graph."""
+        return self._graphs[-1][0]
+
     def at(self, joinable: bool, k: int) -> Graph:
         """The graph of round k of a channel."""
         if not joinable:

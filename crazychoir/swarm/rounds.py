@@ -24,9 +24,10 @@ from crazychoir.swarm.graph import Graph
 from crazychoir.swarm.roster import Barrier, Roster
 from crazychoir.types import Failure
 
-DATA, REPEAT, AHEAD, WANT, CREDIT, FIN, FIN_TOO = range(7)
+DATA, REPEAT, AHEAD, WANT, CREDIT, FIN, FIN_TOO, GONE = range(8)
 """Kinds: a round's message, from one who has finished all rounds before it; the same again, and I lack yours; a round's
-message that says nothing of its sender's progress; I lack yours; so far I am; I have finished; I have, have you?"""
+message that says nothing of its sender's progress; I lack yours; so far I am; I have finished; I have, have you?; I no
+longer have rounds before this one."""
 KIND_BITS: Final = 3
 KINDS: Final = (1 << KIND_BITS) - 1
 CREDIT_EVERY: Final = 16
@@ -291,10 +292,25 @@ class Rounds:
         if number >= ch.sending:
             self._farewell(ch, number, source)
             return
-        ch.answers += 1
-        self._again(ch, number, source, 2 * ch.answers + 1, AHEAD)
+        self._serve(ch, number, source)
         if number + 1 < ch.receiving or not ch.reads(number, source):
             self._control(ch, CREDIT, (source,), ch.receiving, ch.answers)
+
+    def _serve(self, ch: Channel, number: int, source: int) -> None:
+        """Say a round again. One that is no longer kept was read by all who were in the team then: it never comes."""
+        ch.answers += 1
+        if ch.joinable and number < ch.oldest:
+            self._control(ch, GONE, (source,), ch.oldest, ch.answers)
+        else:
+            self._again(ch, number, source, 2 * ch.answers + 1, AHEAD)
+
+    def _skip(self, ch: Channel, number: int, source: int) -> None:
+        """Wait no longer for rounds of source before this one, in which it took us for lost: of earlier epochs only."""
+        first = ch.kept[source] = max(min(number, self._epochs.first), ch.kept.get(source, 0))
+        if ch.receiving < first and source in ch.missing:
+            del ch.missing[source]
+            if not ch.missing:
+                wake_if(ch.waiter)
 
     def _farewell(self, ch: Channel, number: int, source: int) -> None:
         """Tell who asks for a round that comes after our end that we have ended; a question that no linger counts."""
@@ -303,6 +319,9 @@ class Rounds:
             self._control(ch, FIN, (source,), ch.closed_at, PUSH + ch.told)
 
     def _controlled(self, ch: Channel, kind: int, source: int, number: int) -> None:
+        if kind == GONE:
+            self._skip(ch, number, source)
+            return
         if kind >= FIN:
             ch.finished[source] = max(number, ch.finished.get(source, -1))
             if kind == FIN_TOO and number <= ch.closed_at:
@@ -313,8 +332,7 @@ class Rounds:
         ch.progress[source] = max(min(number, ch.sending), ch.progress.get(source, 0))
         if kind == WANT:
             self._farewell(ch, number, source)
-            ch.answers += 1
-            self._again(ch, number, source, 2 * ch.answers + 1, AHEAD)
+            self._serve(ch, number, source)
         wake_if(ch.gate)
 
     # Looking after those who wait -----------------------------------------------------------------------------
@@ -326,9 +344,9 @@ class Rounds:
             raise ConfigError(where, "two who wait on it", "one", "Give each algorithm a channel of its own.")
         waiter = ch.waiter = self._clock.future()
         epochs = self._epochs
-        if epochs.gaps:
+        if epochs.gaps or ch.kept:
             k = ch.receiving if ch.joinable else inf
-            missing = {j: None for j in missing if not epochs.silent(j, k)}
+            missing = {j: None for j in missing if not epochs.silent(j, k) and k >= ch.kept.get(j, 0)}
             if not missing:
                 waiter.set_result(None)
         ch.missing = missing

@@ -22,7 +22,8 @@ from crazychoir.swarm.config import SwarmConfig
 
 BRISK = {"takeoff_height": 0.5, "speed_limit": 1.5, "acceleration_limit": 3.0, "landing_speed": 0.6}
 IN_FLIGHT = 20.0
-"""s after the first take-off at which all are told to land."""
+"""s after the first take-off at which all are told to land;  DELIVERING: where goods are to be delivered until then."""
+DELIVERING = 75.0
 LONGEST = 120.0
 """s of virtual time in which every wait of a flight must be over."""
 OUTSIDE = 0.15
@@ -36,8 +37,8 @@ class Invariants(Actor):
 
     name = "invariants"
 
-    def __init__(self, agent: Agent, report: Report) -> None:
-        self.agent, self.report, self.killed = agent, report, dict[int, float]()
+    def __init__(self, agent: Agent, report: Report, longest: float) -> None:
+        self.agent, self.report, self.longest, self.killed = agent, report, longest, dict[int, float]()
         self.began = np.inf
         self._said: dict[Any, None] = {}
 
@@ -53,9 +54,12 @@ class Invariants(Actor):
         up = [i for i in agent.ids if p[i][2] > LOW and i not in self.killed]  # who falls hits whom he hits
         if up and self.began == np.inf:
             self.began = now
-        if now - self.began > IN_FLIGHT:
-            self.began = -np.inf
+        if now - self.began > self.longest:
+            self.began = np.nan  # said once
             agent.land_all("the scenario is over")
+        for i in agent.ids:
+            if not np.isfinite(p[i]).all():
+                self._wrong(("nowhere", i), f"drone {i} is at {p[i]} at {now:.2f} s")
         report.checks += len(up)
         low, high = (np.array(side) for side in (agent.config.fence.min, agent.config.fence.max))
         for i in up:
@@ -96,8 +100,13 @@ def dropouts(agent: Agent, report: Report, draw: Draw) -> None:
         port.publish = seen  # type: ignore[method-assign]
 
 
-def flown(report: Report, draw: Draw, config: SwarmConfig, mission: Mission, kills: int) -> Agent | None:
-    """Fly it with faults; the agent afterwards, for what is to be looked at of its mission."""
+def flown(
+    report: Report, draw: Draw, config: SwarmConfig, mission: Mission, kills: int, longest: float = IN_FLIGHT
+) -> Agent | None:
+    """Fly it with faults; the agent afterwards, for what is to be looked at of its mission.
+
+    longest: s after the first take-off at which all are told to land.
+    """
     ids, agents = config.ids, list[Agent]()
     network = faults.rules(draw, report, ids, 0.3)
     cuts = faults.partitions(draw, report, ids, 15.0)
@@ -109,7 +118,7 @@ def flown(report: Report, draw: Draw, config: SwarmConfig, mission: Mission, kil
         agent = Agent(clock, config, mission, ids, trace=trace)
         agents.append(agent)
         agent.bus.impairment = Impairment(report.seed, network, cuts)
-        watch = Invariants(agent, report)
+        watch = Invariants(agent, report, longest)
         agent.services.append(watch)
         dropouts(agent, report, draw)
 
@@ -153,9 +162,10 @@ def crossing(report: Report, draw: Draw) -> None:
 
 
 def delivery(report: Report, draw: Draw) -> None:
-    """Goods that appear in flight: nothing is delivered twice, and what is said to be delivered was."""
+    """Goods that appear in flight: nothing is delivered twice, what is said to be was, no task is forgotten."""
+    mission = load("online_delivery")
     made = drawn(report.seed, 0.0, drones=int(draw.integers(2, 5)), tasks=int(draw.integers(1, 4)), later=1)
-    agent = flown(report, draw, made.replace(flight=BRISK), load("online_delivery"), int(draw.integers(0, 2)))
+    agent = flown(report, draw, made.replace(flight=BRISK), mission, int(draw.integers(0, 2)), DELIVERING)
     if agent is None:
         return
     by: dict[tuple[int, str], list[int]] = {}
@@ -164,6 +174,15 @@ def delivery(report: Report, draw: Draw) -> None:
             by.setdefault((stop["task"], stop["kind"]), []).append(i)
     for (j, kind), who in sorted(by.items()):
         report.holds(len(who) == 1 or kind == "pickup", f"{kind} of task {j} by {who}")
+    failed = [i for i in agent.ids if not agent.drones[i].result.get("success")]
+    for i in agent.ids:
+        told = agent.drones[i].result.get("tasks")
+        for j in [task.id for task in mission.known(agent.config)] if told is not None else []:
+            fate, robot = told.get(str(j), ("forgotten", None))
+            done = fate == "delivered" and ((j, "delivery") in by or robot in failed)
+            reason = i in failed or robot in failed or str(j) in agent.drones[i].result["unserved"]
+            left = fate in ("open", "aboard", "lost") and reason
+            report.holds(done or left, f"drone {i} says that task {j} is {fate} (drone {robot})")
 
 
 KINDS = {"formation": formation, "crossing": crossing, "delivery": delivery}

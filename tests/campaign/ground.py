@@ -122,9 +122,15 @@ EVENTS, LATEST = 12.0, 8.0
 """s in which members are killed, and the network is cut; and after which the last one has come again."""
 
 
+def newest(heard: dict[int, Any], i: int) -> int:
+    """The last round that drone i has finished."""
+    return max((k for k, by in heard.items() if i in by), default=-1)
+
+
 def members(report: Report, draw: Draw) -> None:
     """Drones are killed and come again, the network is cut, loses, and heals; in the end all agree on who is there.
 
+    And all that live exchange with each other again, however long one was without the others.
     In half of the seeds they are on hosts whose clocks differ by hours.
     Meanwhile whoever hears anything in a round hears what was said in that very round.
     """
@@ -140,7 +146,6 @@ def members(report: Report, draw: Draw) -> None:
         report.inject("crashes")
         if pause < np.inf:
             report.inject("restarts")
-    end = EVENTS + LATEST + CALM
     ahead = tuple(draw.uniform(-1e4, 1e4, int(draw.integers(2, 4)))) if draw.random() < 0.5 else ()
     if ahead:
         report.inject("clock skew")
@@ -152,7 +157,7 @@ def members(report: Report, draw: Draw) -> None:
 
         def begin(i: int) -> None:
             t.start(i, incarnation=incarnations[i])
-            lives[i] = t.run(i, counting(t, i, heard, end, 0.02))
+            lives[i] = t.run(i, counting(t, i, heard, np.inf, 0.02))
 
         def kill(i: int) -> None:
             lives.pop(i, None)
@@ -175,7 +180,11 @@ def members(report: Report, draw: Draw) -> None:
         await t.clock.sleep(EVENTS + LATEST)
         for bus in t.buses:
             bus.impairment.replace([], [])  # of a network that loses most, somebody is taken for lost now and then
-        await t.clock.sleep(CALM - 2.0)
+        await t.clock.sleep(CALM - 4.0)
+        before = {i: newest(heard, i) for i in t.members}
+        await t.clock.sleep(2.0)
+        for i, k in before.items():
+            report.holds(newest(heard, i) > k, f"drone {i} stands still in the round after {k}")
         for i, life in lives.items():
             if life.done() and not life.cancelled() and (error := life.exception()) is not None:
                 known = isinstance(error, CrazyChoirError)

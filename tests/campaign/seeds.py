@@ -15,6 +15,10 @@ PATIENCE = 120
 KINDS = {**ground.KINDS, **flights.KINDS}
 
 
+class Hangs(KeyboardInterrupt):
+    """A scenario takes too long. No Exception: event loops and supervisors go on after those."""
+
+
 def kind_of(seed: int) -> str:
     """What a seed is a scenario of."""
     number, rest = divmod(seed, 20)
@@ -29,7 +33,7 @@ def run(seed: int) -> Report:
     report = Report(seed, kind)
     try:
         KINDS[kind](report, np.random.default_rng([seed, 8]))
-    except Exception as error:  # noqa: BLE001 - it is the campaign's finding
+    except (Exception, Hangs) as error:  # noqa: BLE001 - it is the campaign's finding
         report.wrong.append(f"{type(error).__name__}: {error}")
     return report
 
@@ -42,7 +46,7 @@ def quiet() -> None:
 
 def late(number: int, frame: Any) -> None:
     """The alarm."""
-    raise TimeoutError(f"it hangs: {PATIENCE} s of the processor, or {10 * PATIENCE} of the wall clock")
+    raise Hangs(f"{PATIENCE:g} s of the processor, or {10 * PATIENCE:g} of the wall clock")
 
 
 def timed(seed: int) -> tuple[Report, float]:

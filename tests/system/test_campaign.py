@@ -1,12 +1,21 @@
 """Some seeds of the fault campaign; `make campaign` runs ten thousand."""
 
+import asyncio
+import time
+
+import numpy as np
 import pytest
-from campaign import seeds
+from campaign import flights, seeds
+from campaign.report import Report
+
+from crazychoir.agent import Agent
+from crazychoir.guidance.mission import load
+from crazychoir.runtime.clock import run_virtual
 
 pytestmark = pytest.mark.system
 
 
-FOUND = [978, 5962, 6444, 8921]
+FOUND = [103, 272, 978, 5962, 6444, 8921]
 """Seeds that have found something."""
 
 
@@ -28,3 +37,55 @@ def test_of_twenty_seeds_three_fly_and_no_kind_is_left_out():
         **dict.fromkeys(("rounds", "allocation", "plan", "members", "commands"), 1700),
         **dict.fromkeys(("formation", "crossing", "delivery"), 500),
     }
+
+
+def test_a_scenario_that_hangs_is_a_finding(monkeypatch):
+    """Wherever it does: what raises in a callback of an event loop does not end the loop."""
+
+    def busy():
+        while time.process_time() < ends:
+            pass
+
+    def hanging(report, draw):
+        async def main(clock):
+            asyncio.get_running_loop().call_soon(busy)
+            await clock.sleep(1.0)
+
+        run_virtual(main)
+
+    monkeypatch.setattr(seeds, "PATIENCE", 1)
+    monkeypatch.setitem(seeds.KINDS, seeds.kind_of(0), hanging)
+    ends = time.process_time() + 3.0
+    report, _ = seeds.timed(0)
+    assert report.wrong == ["Hangs: 1 s of the processor, or 10 of the wall clock"]
+
+
+def formation():
+    """Half a minute of it."""
+    mission = load("bearing_formation")
+    made = mission.swarm(None).replace(flight=flights.BRISK, mission_options={"duration": 30.0})
+    return mission.scatter(made)
+
+
+def test_all_are_told_to_land_once(monkeypatch):
+    told = []
+    land = Agent.land_all
+    monkeypatch.setattr(Agent, "land_all", lambda self, why: (told.append(why), land(self, why))[1])
+    report = Report(17, "formation")
+    flights.flown(report, np.random.default_rng(1), formation(), load("bearing_formation"), 0, 5.0)
+    assert report.wrong == []
+    assert told == ["the scenario is over"]
+
+
+def test_a_drone_that_is_nowhere_is_a_finding(monkeypatch):
+    look = flights.Invariants.look
+
+    def lost(self, now):
+        if now > 3.0:
+            self.agent._owner_of[0].world.states[self.agent._owner_of[0].world.row[0], 0] = np.nan
+        look(self, now)
+
+    monkeypatch.setattr(flights.Invariants, "look", lost)
+    report = Report(17, "formation")
+    seeds.KINDS["formation"](report, np.random.default_rng([17, 8]))
+    assert any(said.startswith("drone 0 is at") and "nan" in said for said in report.wrong), report.wrong

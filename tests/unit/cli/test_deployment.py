@@ -211,6 +211,29 @@ def test_a_push_without_keys_or_beside_its_folder_is_refused(lab):
         pushing.chosen(SwarmConfig.load(lab), lab, ["c"])
 
 
+def test_what_is_missing_for_one_host_is_said_before_anything_is_done(lab, tmp_path, monkeypatch):
+    monkeypatch.setattr(subprocess, "run", lambda *a, **k: pytest.fail("it did something"))
+    for words in ([], ["--host", "a", "--package", "no.whl"], ["--host", "a", "--units", str(tmp_path / "missions")]):
+        done = CliRunner().invoke(app, ["push", "--swarm", str(lab), *words])
+        assert done.exit_code == 2, done.output
+        assert "folders" not in done.output
+
+
+def test_a_folder_is_installed_under_its_name(lab, tmp_path, monkeypatch):
+    (tmp_path / "source").mkdir()
+    monkeypatch.chdir(tmp_path / "source")
+    done = CliRunner().invoke(app, ["push", "--swarm", str(lab), "--host", "a", "--package", ".", "--dry-run"])
+    assert f"{tmp_path}/source 10.0.0.1:choir/" in done.output
+    assert "install --quiet choir/source" in done.output
+
+
+def test_scp_takes_an_ipv6_address_in_brackets(lab):
+    lab.write_text(lab.read_text().replace("10.0.0.1", "fd00::11"))
+    done = CliRunner().invoke(app, ["push", "--swarm", str(lab), "--host", "a", "--user", "me", "--dry-run"])
+    assert "me@[fd00::11]:choir/swarm.toml" in done.output
+    assert re.search(r"ssh [^\n]* me@fd00::11 ", done.output)
+
+
 def test_a_step_that_fails_says_why_and_what_to_try():
     failing = (sys.executable, "-c", "import sys; sys.exit('no route to host')")
     with pytest.raises(ProcessFailed, match="exit code 1: no route to host"):

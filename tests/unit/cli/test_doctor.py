@@ -84,10 +84,40 @@ def test_a_taken_port_is_named_with_who_has_it(tmp_path, taken):
     assert "base_port" in row.mend
 
 
-def test_a_port_of_our_own_agents_is_good():
-    (row,) = host_checks.ports({7460: "drone 0"}, {7460: "process 7: python -m crazychoir.cli.agent --id 0"})
+@pytest.mark.parametrize("by", ["python -m crazychoir.cli.agent", "/v/python3 /v/crazychoir-agent --id 0"])
+def test_a_port_of_our_own_agents_is_good(by):
+    (row,) = host_checks.ports({7460: "drone 0"}, {7460: f"process 7: {by}"})
     assert row.state == "ok"
-    assert "crazychoir.cli.agent" in row.found
+    assert by in row.found
+
+
+@pytest.mark.parametrize("by", ["python -m http.server --directory /me/crazychoir", "/me/crazychoir/own 7460"])
+def test_a_port_of_another_program_is_not_ours_whatever_its_folder_is_called(by):
+    (row,) = host_checks.ports({7460: "drone 0"}, {7460: f"process 7: {by}"})
+    assert row.state == "wrong"
+
+
+def test_of_a_swarm_with_a_router_that_alone_must_be_reached(tmp_path, free, monkeypatch):
+    """Its other processes listen nowhere."""
+    asked = []
+    monkeypatch.setattr(host_facts, "answer", lambda *where: asked.append(where) or "refused")
+    monkeypatch.setattr(host_facts, "is_own", lambda address: address == "127.0.0.1")
+    file = tmp_path / "lab.toml"
+    text = SWARM.format(port=7460, mission="goto", far="192.0.2.7").replace("[hosts]", '[hosts]\nr = "192.0.2.9"')
+    file.write_text(text.replace("[hosts]", 'router = "r"\n[hosts]'))
+    rows = rows_of(str(file))
+    assert asked == [("192.0.2.9", 7460 - 19)]
+    assert "host far" not in rows
+    assert rows["ports"].state == "not here"
+    assert "1 process" in rows["memory"].found
+
+
+def test_a_name_that_means_the_loopback_here_is_named(tmp_path, free, monkeypatch):
+    there = [(2, 1, 6, "", ("127.0.1.1", 0))]
+    monkeypatch.setattr(host_facts.socket, "getaddrinfo", lambda *a, **k: there)
+    row = rows_of(lab(tmp_path, free, far="lab-7"), host="far")["own host"]
+    assert row.state == "wrong"
+    assert "far is lab-7, which is 127.0.1.1 on this machine" in row.found
 
 
 def test_an_expired_key_is_named(tmp_path, free, monkeypatch):
@@ -100,11 +130,11 @@ def test_an_expired_key_is_named(tmp_path, free, monkeypatch):
 def test_a_key_that_others_may_read_is_named(tmp_path, free):
     swarm = lab(tmp_path, free)
     (tmp_path / "keys/here/key.pem").chmod(0o644)
-    assert "chmod 600" in rows_of(swarm)["keys of here"].found
+    assert rows_of(swarm)["keys of here"].mend.startswith("chmod 600")
 
 
 def test_a_key_that_ends_soon_is_a_warning():
-    assert host_checks.keys("here", "", 29.0).state == "warning"
+    assert host_checks.keys("here", "", "", 29.0).state == "warning"
 
 
 def test_an_address_of_another_machine_is_named(tmp_path, free, monkeypatch):
@@ -162,6 +192,8 @@ def test_radios_are_those_of_the_usb_with_their_rights(tmp_path):
     assert "dongle 1" in rows[1].found
     assert host_checks.radios([Usb("1915:7777", "/dev/x", True)], [0])[0].state == "ok"
     assert host_checks.radios([], [])[0].state == "not here"
+    rows = host_checks.radios([Usb(host_checks.BOOTLOADER, "/dev/x", True)], [0])
+    assert [row.state for row in rows] == ["wrong", "wrong"], "one in its bootloader does not fly"
 
 
 def test_little_memory_and_a_late_timer_are_warnings():

@@ -142,7 +142,7 @@ def test_message_of_a_round():
     expected = {"to": 4, "round": 7, "epoch": 2, "kind": "repeat", "channel": "sum", "json": '{"x": [0.0, 1.0]}'}
     assert sent(message) == {"header": HEADER, **expected}
     assert sent(message._replace(payload=b"", flags=7))["json"] == ""
-    assert sent(message._replace(flags=7))["kind"] == "unknown"
+    assert sent(message._replace(flags=7))["kind"] == "gone"
 
 
 def test_definitions_are_those_of_ros_where_they_bear_its_name():

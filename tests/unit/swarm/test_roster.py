@@ -351,6 +351,29 @@ def test_one_who_dies_while_two_halves_come_together_is_left_out():
     assert team(graphs.ring(6), story, LOSSY, [Partition(5.0, 20.3, (0, 1, 2))]).ids == (0, 1, 2, 3, 5)
 
 
+@pytest.mark.parametrize("alone", [(2,), (0,), (1, 3), (2, 3)])
+def test_whoever_was_without_the_others_exchanges_with_them_again(alone):
+    """The rounds in which they were apart are not waited for: nobody has them any more."""
+
+    async def story(t: Team) -> tuple[Roster, dict[int, Any], int]:
+        await formed([t.start(i) for i in range(5)])
+        heard: dict[int, Any] = {}
+        for i in range(5):
+            t.run(i, counting(t, i, heard, 40.0, 0.02))
+        await t.clock.sleep(5.0)
+        t.kill(4)
+        await t.clock.sleep(25.0)
+        roster = await settled(t, 2)
+        await t.clock.sleep(2.0)
+        return roster, heard, max(k for k, by in heard.items() if len(by) == 4)
+
+    roster, heard, last = team(graphs.ring(5), story, LOSSY, [Partition(3.0, 18.0, alone)])
+    assert roster.ids == (0, 1, 2, 3)
+    assert last > roster.first_round
+    for k in range(roster.first_round, last + 1):
+        assert as_graph_says(roster.graph, k, heard), (k, roster, heard[k])
+
+
 def test_a_short_partition_changes_nothing():
     async def story(t: Team) -> Roster:
         await formed([t.start(i) for i in range(4)])
