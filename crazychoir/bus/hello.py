@@ -16,6 +16,7 @@ MAX_ADDRESSES = 4096
 MAX_OBSERVERS = 16
 """Of a process, that look on; beside the bodies and eyes of drones."""
 MAX_INTERESTS = 16_384
+MAX_AGREED = 32
 MIN_RATE, MAX_RATE = 1e-3, 1e6
 """Hz, of an interest; 0 asks for everything."""
 TIE = 0.05
@@ -30,7 +31,8 @@ class Hello(msgspec.Struct, frozen=True):
     """Sent when it changes and repeated; its envelope says how old it is, so that repeats are the same bytes.
 
     incarnation: of the process;  version: of crazychoir;  uptime: s, when this was said;
-    heard: processes whose HELLO has arrived here;  stopped: an emergency stop is in force.
+    heard: processes whose HELLO has arrived here;  stopped: an emergency stop is in force;  agreed: of the keys of its
+    swarm file that bodies and who flies them agree on, a digest each; none of who only looks on.
     """
 
     process: _Name
@@ -43,6 +45,7 @@ class Hello(msgspec.Struct, frozen=True):
     interests: Annotated[list[Interest], Meta(max_length=MAX_INTERESTS)]
     heard: Annotated[list[_Name], Meta(max_length=MAX_ADDRESSES)]
     stopped: bool
+    agreed: Annotated[dict[_Name, _Name], Meta(max_length=MAX_AGREED)] = {}
 
     @classmethod
     def of(cls, payload: bytes) -> "Hello":

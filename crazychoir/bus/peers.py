@@ -4,9 +4,9 @@ Pure but for its callbacks: keys, tokens and bytes in. A HELLO counts only from 
 """
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Final
 
 from crazychoir.bus.access import Access
 from crazychoir.bus.endpoints import is_name
@@ -21,6 +21,9 @@ log = logging.getLogger(__name__)
 MAX_PEERS = 512
 MAX_TOKENS = 16
 """Of a peer."""
+
+ANOTHER: Final = "another swarm file"
+COPY: Final = "Copy one to every host"
 
 OnToken = Callable[[list[int], bool], None]
 """Called with the drones of a process whose token has gone (False), or is there and its HELLO has come (True)."""
@@ -53,9 +56,10 @@ class Peers:
 
     def __init__(
         self, bus: Bus, swarm: str, incarnation: int, version: str, access: Access | None, on_token: OnToken,
-        on_refused: OnRefused,
+        on_refused: OnRefused, agreed: Mapping[str, str] | None = None,
     ) -> None:  # fmt: skip
         self.bus, self.swarm, self.incarnation, self.version, self.access = bus, swarm, incarnation, version, access
+        self.agreed = dict(agreed or {})
         self.on_token, self.on_refused = on_token, on_refused
         self.by_name: dict[str, Peer] = {}
         self.directory: dict[int, Peer] = {}
@@ -124,6 +128,7 @@ class Peers:
             interests=list(self.bus.interests),
             heard=[peer.process for peer in self.by_name.values() if peer.hello is not None],
             stopped=self.bus.stopped and bool(self.bus.drones()),  # observers are not told when it is cleared
+            agreed=self.agreed,
         )
 
     def greeted(self, peer: Peer, payload: bytes, age: float) -> bool:
@@ -200,7 +205,9 @@ class Peers:
                 return f"{who} owns {owns} of drone(s) {same} too"
         if hello.version != self.version:
             return f"{who} runs version {hello.version}, this one runs {self.version}"
-        return ""
+        owner = any(j >= BODIES for j in (*hello.observers, *self.bus.ports))
+        differ = [key for key, value in hello.agreed.items() if self.agreed.get(key, value) != value]
+        return f"{who} has {ANOTHER}, with another {', '.join(differ)}," if owner and differ else ""
 
     def _refuse(self, peer: Peer, hello: Hello, refusal: str, uptime: float) -> bool:
         """Say so, once; of two agents with one id, the one that came later gives way."""
@@ -208,8 +215,11 @@ class Peers:
         if said:
             return False
         if hello.version == self.version and hello.precedes(self.bus.process, uptime - self._uptime()):
-            since = f"and has done so for {uptime:.1f} s"
-            do = "Give this agent another --id, or stop that one." if self.bus.drones() else "Stop one of them."
+            if ANOTHER in refusal:
+                since, do = "than this process", f"{COPY}, and start both again."
+            else:
+                since = f"and has done so for {uptime:.1f} s"
+                do = "Give this agent another --id, or stop that one." if self.bus.drones() else "Stop one of them."
             self.on_refused(Refused(f"swarm {self.swarm}", f"{refusal} {since}. {do}"))
         else:
             log.warning("%s: it is refused", refusal)

@@ -123,7 +123,8 @@ class ZenohLink(Actor):
     """This process on the network; the `Forwarder` of its bus. Raises ConfigError for a malformed endpoint.
 
     listen, connect: endpoints;  routers: one that passes everything on, instead of both;  lease: s without a sign of a
-    host before its tokens go;  access: who may say what, None for everybody all;  settings: of Zenoh, by path.
+    host before its tokens go;  access: who may say what, None for everybody all;  agreed: see Hello;  settings: of
+    Zenoh, by path.
     """
 
     name = "zenoh"
@@ -140,6 +141,7 @@ class ZenohLink(Actor):
         lease: float = 1.0,
         routers: list[str] | None = None,
         access: Access | None = None,
+        agreed: Mapping[str, str] | None = None,
         settings: Mapping[str, Any] | None = None,
         on_token: OnToken = lambda drones, there: None,
         on_refused: OnRefused = lambda refused: None,
@@ -150,7 +152,7 @@ class ZenohLink(Actor):
         self.listen, self.connect = ([], routers) if routers else (listen, connect)
         self._live = f"choir/{swarm}/live"
         self.counters = LinkCounters()
-        self.table = Peers(bus, swarm, incarnation, version, access, on_token, on_refused)
+        self.table = Peers(bus, swarm, incarnation, version, access, on_token, on_refused, agreed)
         self.peers, self.directory = self.table.by_name, self.table.directory
         secured = access.settings() if access is not None else {}
         mode = "client" if routers else "peer"

@@ -53,7 +53,7 @@ def run_mocap(config: SwarmConfig, listen: str | None, record: Path | None, show
         link = ZenohLink(
             mocap.bus, config.name, listen=[listen or config.endpoints()[MOCAP]], connect=[],
             routers=config.routers, incarnation=incarnation, version=VERSION, lease=config.lease,
-            access=config.access(host, *filter(None, [listen])), on_refused=mocap.refuse,
+            access=config.access(host, *filter(None, [listen])), on_refused=mocap.refuse, agreed=config.of_bodies(),
         )  # fmt: skip
         link.open()
         watchdog = Watchdog(clock)

@@ -78,7 +78,7 @@ def _link(
         agent.bus, config.name, listen=[listen or own], connect=lower if connect is None else connect,
         routers=[] if listen or connect else config.routers, incarnation=agent.incarnation, version=VERSION,
         lease=config.lease, access=config.access(agent.bus.host, *filter(None, [listen, *(connect or ())])),
-        on_token=on_token, on_refused=on_refused,
+        on_token=on_token, on_refused=on_refused, agreed=config.of_bodies(),
     )  # fmt: skip
 
 
@@ -93,7 +93,7 @@ def run_world(config: SwarmConfig, listen: str | None) -> dict[str, Any]:
         link = ZenohLink(
             world.bus, config.name, listen=[listen or config.endpoints()[WORLD]], connect=[],
             routers=config.routers, incarnation=incarnation, version=VERSION, lease=config.lease,
-            access=config.access(host, *filter(None, [listen])), on_refused=world.refuse,
+            access=config.access(host, *filter(None, [listen])), on_refused=world.refuse, agreed=config.of_bodies(),
         )  # fmt: skip
         link.open()
         watchdog = Watchdog(clock)
@@ -121,7 +121,7 @@ def run_radios(config: SwarmConfig, dongle: int, listen: str | None) -> dict[str
             radios.bus, config.name, listen=[listen or endpoints[DONGLES - dongle]],
             connect=[endpoints[MOCAP]] if MOCAP in endpoints else [], routers=config.routers,
             incarnation=incarnation, version=VERSION, lease=config.lease,
-            access=config.access(host, *filter(None, [listen])), on_refused=radios.refuse,
+            access=config.access(host, *filter(None, [listen])), on_refused=radios.refuse, agreed=config.of_bodies(),
         )  # fmt: skip
         link.open()
         end_on_signals(clock, radios)

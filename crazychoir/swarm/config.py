@@ -19,7 +19,7 @@ from crazychoir.swarm.checks import REPLAY, ROUTER_BELOW, check, graph_of, owned
 from crazychoir.swarm.graph import Graph, span
 from crazychoir.swarm.radios import body_name, dongles, is_reached, reached, seen
 from crazychoir.swarm.reading import parse, read, require_plain
-from crazychoir.swarm.tables import AGREED, OWN_TO_A_HOST, Control, Drone, Sender, Swarm, Table
+from crazychoir.swarm.tables import AGREED, OF_BODIES, OWN_TO_A_HOST, Control, Drone, Sender, Swarm, Table
 
 LOCAL = "127.0.0.1"
 WORLD = -1
@@ -130,6 +130,15 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
         agreed = self._agreed()
         said = [msgspec.json.encode(agreed[key], order="sorted") for key in AGREED]
         return "".join(hashlib.blake2b(value, digest_size=1).hexdigest() for value in said)
+
+    def of_bodies(self) -> dict[str, str]:
+        """Of each of the keys OF_BODIES some hex digits, the same where what stands there is; no file is read."""
+        agreed: dict[str, Any] = msgspec.to_builtins(self)
+        agreed["mujoco"] |= {key: Path(getattr(self.mujoco, key)).name for key in SHAPES}
+        for drone in agreed["drones"]:
+            drone["uri"] = drone["uri"].rpartition("/")[2] if drone["uri"].startswith(REPLAY) else drone["uri"]
+        said = {key: msgspec.json.encode(agreed[key], order="sorted") for key in OF_BODIES}
+        return {key: hashlib.blake2b(value, digest_size=4).hexdigest() for key, value in said.items()}
 
     def _agreed(self) -> dict[str, Any]:
         agreed = {key: value for key, value in msgspec.to_builtins(self).items() if key not in OWN_TO_A_HOST}

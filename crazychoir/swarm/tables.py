@@ -464,3 +464,5 @@ OWN_TO_A_HOST = ("hosts", "router", "security", "base_port", "network")
 """What hosts need not agree on: how they reach each other, and what is simulated to happen to their messages."""
 AGREED = tuple(key for key in Swarm.__struct_encode_fields__ if key not in OWN_TO_A_HOST)
 """All other keys of a swarm file."""
+OF_BODIES = ("drones", "flight", "fence", "keep_out", "radio", "plant", "motors", "mujoco", "world", "control", "roles")
+"""What those who own bodies or cameras, which know no mission, agree on with those who fly."""

@@ -41,20 +41,48 @@ class Still(Clock):
 class Here:
     """Process a with drone 0, and what it was told."""
 
-    def __init__(self, uptime: float = 0.0) -> None:
+    def __init__(self, uptime: float = 0.0, agreed: dict[str, str] | None = None) -> None:
         self.clock = Still()
         self.bus = Bus(self.clock, process="a", host="here")
         self.bus.port(0)
         self.tokens: list[tuple[list[int], bool]] = []
         self.refused: list[Refused] = []
         self.peers = Peers(
-            self.bus, "s", 1, "1", None, lambda ids, there: self.tokens.append((ids, there)), self.refused.append
-        )
+            self.bus, "s", 1, "1", None, lambda ids, there: self.tokens.append((ids, there)), self.refused.append,
+            agreed,
+        )  # fmt: skip
         self.clock.ns = round(uptime * 1e9)
 
     def hear(self, said: Hello, age: float = 0.0) -> bool:
         peer = self.peers.came("there", said.process, "token") or self.peers.by_name[said.process]
         return self.peers.greeted(peer, said.payload(), age)
+
+
+WORLD = hello("world", (), observers=[BODIES], agreed={"drones": "ab", "plant": "cd"})
+
+
+@pytest.mark.parametrize("uptime", [0.5, 60.0])
+def test_an_owner_with_another_swarm_file_and_who_flies_do_not_come_together(uptime, caplog) -> None:
+    here = Here(uptime, {"drones": "ab", "plant": "ef"})
+    here.hear(WORLD)
+    what = "process world on host there has another swarm file, with another plant,"
+    if uptime < 1.0:
+        assert [str(refused) for refused in here.refused] == [
+            f"swarm s: refused: {what} than this process. Copy one to every host, and start both again."
+        ]
+    else:
+        assert (here.refused, what in caplog.text) == ([], True), "who came later ends, and says so"
+    assert here.peers.directory == {}
+
+
+@pytest.mark.parametrize("said", [
+    WORLD, hello("b", (1,), agreed={"drones": "another", "plant": "ef"}), hello("observer", (), observers=[OBSERVER]),
+])  # fmt: skip
+def test_who_owns_nothing_is_judged_by_others_or_may_look_on(said) -> None:
+    here = Here(0.5, {"drones": "ab", "plant": "cd"})
+    here.hear(said)
+    assert here.refused == []
+    assert set(here.peers.directory) == set(said.addresses)
 
 
 @pytest.fixture
