@@ -259,6 +259,17 @@ def test_the_guide_names_what_there_is(repository):
         assert (repository / "deploy" / name).exists(), name
 
 
+@pytest.mark.parametrize("name", [".gitignore", ".dockerignore"])
+def test_keys_beside_a_swarm_file_go_into_no_commit_and_no_image(repository, name):
+    assert "keys" in [line.strip("*/") for line in (repository / name).read_text().splitlines()]
+
+
+def test_a_host_with_a_drone_moved_is_refused_by_those_who_have_the_old_file(repository):
+    text = (repository / "deploy/three_workstations.toml").read_text()
+    moved = text.replace('id = 3\nhost = "left"', 'id = 3\nhost = "right"')
+    assert SwarmConfig.loads(moved).digest() != SwarmConfig.loads(text).digest()
+
+
 def test_a_router_that_does_not_start_leaves_signals_as_they_were():
     before = signal.pthread_sigmask(signal.SIG_BLOCK, [])
     ended = CliRunner().invoke(app, ["router", "--swarm", "nowhere.toml"])
