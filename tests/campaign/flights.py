@@ -22,8 +22,10 @@ from crazychoir.swarm.config import SwarmConfig
 
 BRISK = {"takeoff_height": 0.5, "speed_limit": 1.5, "acceleration_limit": 3.0, "landing_speed": 0.6}
 IN_FLIGHT = 20.0
-"""s after the first take-off at which all are told to land;  DELIVERING: where goods are to be delivered until then."""
-DELIVERING = 75.0
+"""s after the first take-off at which all are told to land;  DELIVERING: if they have not delivered their goods by then,
+which most have after 20 s; a partition of 15 s keeps some waiting."""
+DELIVERING = 45.0
+QUICK = BRISK | {"speed_limit": 3.0, "acceleration_limit": 6.0}
 LONGEST = 120.0
 """s of virtual time in which every wait of a flight must be over."""
 OUTSIDE = 0.15
@@ -164,8 +166,10 @@ def crossing(report: Report, draw: Draw) -> None:
 def delivery(report: Report, draw: Draw) -> None:
     """Goods that appear in flight: nothing is delivered twice, what is said to be was, no task is forgotten."""
     mission = load("online_delivery")
-    made = drawn(report.seed, 0.0, drones=int(draw.integers(2, 5)), tasks=int(draw.integers(1, 4)), later=1)
-    agent = flown(report, draw, made.replace(flight=BRISK), mission, int(draw.integers(0, 2)), DELIVERING)
+    n, tasks, later = int(draw.integers(2, 5)), int(draw.integers(1, 4)), draw.uniform(0.5, 4.5, 5).round(2).tolist()
+    new = {"t": later[0], "pickup": later[1:3], "delivery": later[3:5]}
+    made = drawn(report.seed, 0.0, drones=n, tasks=tasks, later=0, appear=[new], service_time=0.2)
+    agent = flown(report, draw, made.replace(flight=QUICK), mission, int(draw.integers(0, 2)), DELIVERING)
     if agent is None:
         return
     by: dict[tuple[int, str], list[int]] = {}
