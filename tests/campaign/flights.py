@@ -22,8 +22,8 @@ from crazychoir.swarm.config import SwarmConfig
 
 BRISK = {"takeoff_height": 0.5, "speed_limit": 1.5, "acceleration_limit": 3.0, "landing_speed": 0.6}
 IN_FLIGHT = 20.0
-"""s after the first take-off at which all are told to land;  DELIVERING: if they have not delivered their goods by then,
-which most have after 20 s; a partition of 15 s keeps some waiting."""
+"""s after the first take-off at which all are told to land;  DELIVERING: the same where goods are delivered, as most
+are after 20 s; a partition of 15 s keeps some waiting."""
 DELIVERING = 45.0
 QUICK = BRISK | {"speed_limit": 3.0, "acceleration_limit": 6.0}
 LONGEST = 120.0
