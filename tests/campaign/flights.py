@@ -11,6 +11,7 @@ from campaign.faults import Draw
 from campaign.report import Report, digest
 from crazychoir.agent import Agent
 from crazychoir.bus.impairment import Impairment
+from crazychoir.bus.rules import Partition
 from crazychoir.bus.topics import POSE
 from crazychoir.guidance.mission import Mission, load
 from crazychoir.runtime.actor import Actor
@@ -19,26 +20,32 @@ from crazychoir.safety.modes import Mode
 from crazychoir.simulation.trace import Trace
 from crazychoir.swarm.checks import TOUCHING
 from crazychoir.swarm.config import SwarmConfig
+from crazychoir.types import Acceleration, FullState, Reference
 
 BRISK = {"takeoff_height": 0.5, "speed_limit": 1.5, "acceleration_limit": 3.0, "landing_speed": 0.6}
 IN_FLIGHT = 20.0
 """s after the first take-off at which all are told to land."""
+LONG = 90.0
+"""The same where one is cut off for good, which must have come to its end by then."""
 LONGEST = 120.0
 """s of virtual time in which every wait of a flight must be over."""
 OUTSIDE = 0.15
 """m beyond the fence with running motors that a safety table may need to stop a drone; the limit area is 0.5 m off."""
+UNSEEN = 0.7
+"""s without a pose after which a drone lands, or its motors are off: 0.5 by the safety table."""
 LOW = 0.1
 """m above the floor: below it a drone stands, or is about to."""
 
 
 class Invariants(Actor):
-    """Looks at all drones at each step: distances, the fence, and whether they all come down in time."""
+    """Looks at all drones at each step: distances, the fence, who is not seen, and whether all come down in time."""
 
     name = "invariants"
 
-    def __init__(self, agent: Agent, report: Report) -> None:
-        self.agent, self.report, self.killed = agent, report, dict[int, float]()
-        self.began = np.inf
+    def __init__(self, agent: Agent, report: Report, until: float) -> None:
+        self.agent, self.report, self.until, self.killed = agent, report, until, dict[int, float]()
+        self.began, self.seen = np.inf, dict[int, float]()
+        self.alone: int | None = None
         self._said: dict[Any, None] = {}
 
     async def run(self) -> None:
@@ -53,8 +60,11 @@ class Invariants(Actor):
         up = [i for i in agent.ids if p[i][2] > LOW and i not in self.killed]  # who falls hits whom he hits
         if up and self.began == np.inf:
             self.began = now
-        if now - self.began > IN_FLIGHT:
+        if now - self.began > self.until:
             self.began = -np.inf
+            ended = self.alone is None or self.alone in self.killed or agent.drones[self.alone].result
+            if not ended:
+                self._wrong("alone", f"drone {self.alone}, cut off for good, still waits at {now:.2f} s")
             agent.land_all("the scenario is over")
         report.checks += len(up)
         low, high = (np.array(side) for side in (agent.config.fence.min, agent.config.fence.max))
@@ -62,6 +72,9 @@ class Invariants(Actor):
             beyond = float(np.max(np.maximum(low - p[i], p[i] - high)))
             if beyond > OUTSIDE and agent.drones[i].pilot.mode is not Mode.CUT:
                 self._wrong(("fence", i), f"drone {i} is {beyond:.2f} m outside the fence at {now:.2f} s, motors on")
+            unseen = now - self.seen.get(i, now)
+            if unseen > UNSEEN and agent.drones[i].pilot.mode not in (Mode.LAND, Mode.CUT):
+                self._wrong(("unseen", i), f"drone {i} flies on unseen for {unseen:.2f} s at {now:.2f} s")
         for a, i in enumerate(up):
             for j in up[a + 1 :]:
                 apart = float(np.linalg.norm(p[i] - p[j]))
@@ -74,7 +87,7 @@ class Invariants(Actor):
             self.report.wrong.append(text)
 
 
-def dropouts(agent: Agent, report: Report, draw: Draw) -> None:
+def dropouts(agent: Agent, report: Report, draw: Draw, watch: Invariants) -> None:
     """For a while the cameras do not see a drone."""
     gaps = []
     for _ in range(int(draw.integers(0, 4))):
@@ -91,16 +104,45 @@ def dropouts(agent: Agent, report: Report, draw: Draw) -> None:
             now = agent.clock.now()
             blind = topic is POSE and any(j == i and since <= now < until for j, since, until in gaps)
             if not blind:
+                if topic is POSE:
+                    watch.seen[i] = now
                 publish(topic, value, age)
 
         port.publish = seen  # type: ignore[method-assign]
 
 
-def flown(report: Report, draw: Draw, config: SwarmConfig, mission: Mission, kills: int) -> Agent | None:
-    """Fly it with faults; the agent afterwards, for what is to be looked at of its mission."""
+def runaway(agent: Agent, report: Report, draw: Draw) -> None:
+    """From some time on the law of a drone wants it out of the fence: the safety table must keep it inside."""
+    if draw.random() < 0.7:
+        return
+    i, since, angle = int(draw.choice(agent.ids)), float(draw.uniform(2.0, 6.0)), float(draw.uniform(0.0, 2.0 * np.pi))
+    way, pilot = np.array([np.cos(angle), np.sin(angle), 0.0]), agent.drones[i].pilot
+    follow = pilot.follow
+    report.inject("runaway laws")
+
+    def followed(reference: Reference) -> bool:
+        if pilot.clock.now() < since or pilot.state is None:
+            return follow(reference)
+        if isinstance(reference, Acceleration):
+            return follow(Acceleration(2.0 * way))
+        return follow(FullState.at(pilot.state.p + 0.3 * way, way) if isinstance(reference, FullState) else reference)
+
+    pilot.follow = followed  # type: ignore[method-assign]
+
+
+def flown(
+    report: Report, draw: Draw, config: SwarmConfig, mission: Mission, kills: int, until: float = IN_FLIGHT
+) -> Agent | None:
+    """Fly it with faults; the agent afterwards, for what is to be looked at of its mission.
+
+    until: s after the first take-off at which all are told to land; LONG: the last drone is cut off for good.
+    """
     ids, agents = config.ids, list[Agent]()
     network = faults.rules(draw, report, ids, 0.3)
     cuts = faults.partitions(draw, report, ids, 15.0)
+    if until == LONG:
+        cuts.append(Partition(float(draw.uniform(2.0, 10.0)), LONGEST, ids[-1:]))
+        report.inject("cut off for good")
     victims = draw.choice(ids, kills, replace=False).tolist() if kills else []
     report.inject("crashes", kills)
 
@@ -109,9 +151,10 @@ def flown(report: Report, draw: Draw, config: SwarmConfig, mission: Mission, kil
         agent = Agent(clock, config, mission, ids, trace=trace)
         agents.append(agent)
         agent.bus.impairment = Impairment(report.seed, network, cuts)
-        watch = Invariants(agent, report)
+        watch = Invariants(agent, report, until)
+        watch.alone = ids[-1] if until == LONG else None
         agent.services.append(watch)
-        dropouts(agent, report, draw)
+        dropouts(agent, report, draw, watch)
 
         def kill(i: int) -> None:
             if not agent.drones[i].result:
@@ -120,6 +163,7 @@ def flown(report: Report, draw: Draw, config: SwarmConfig, mission: Mission, kil
 
         for i in victims:
             clock.call_at(round(float(draw.uniform(1.0, 15.0)) * 1e9), kill, i)
+        runaway(agent, report, draw)
         async with asyncio.timeout(LONGEST):
             results = await agent.run()
         for i in ids:
@@ -153,9 +197,12 @@ def crossing(report: Report, draw: Draw) -> None:
 
 
 def delivery(report: Report, draw: Draw) -> None:
-    """Goods that appear in flight: nothing is delivered twice, and what is said to be delivered was."""
-    made = drawn(report.seed, 0.0, drones=int(draw.integers(2, 5)), tasks=int(draw.integers(1, 4)), later=1)
-    agent = flown(report, draw, made.replace(flight=BRISK), load("online_delivery"), int(draw.integers(0, 2)))
+    """Goods that appear in flight: none are picked up or delivered twice, and what one has done others know."""
+    until, later = float(draw.choice([IN_FLIGHT, 2.0 * IN_FLIGHT, LONG])), int(draw.integers(1, 4))
+    drones = 2 if until == LONG else int(draw.integers(2, 5))
+    made = drawn(report.seed, 0.0, drones=drones, tasks=int(draw.integers(1, 7)), later=later)
+    made = made.replace(flight=BRISK, lost_after=float(draw.choice([1.0, 5.0])))
+    agent = flown(report, draw, made, load("online_delivery"), int(draw.integers(0, 2)), until)
     if agent is None:
         return
     by: dict[tuple[int, str], list[int]] = {}
@@ -163,7 +210,10 @@ def delivery(report: Report, draw: Draw) -> None:
         for stop in getattr(agent.drones[i].guidance, "served", []):
             by.setdefault((stop["task"], stop["kind"]), []).append(i)
     for (j, kind), who in sorted(by.items()):
-        report.holds(len(who) == 1 or kind == "pickup", f"{kind} of task {j} by {who}")
+        report.holds(len(who) == 1, f"{kind} of task {j} by {who}")
+        heard = [agent.drones[i].guidance.news.book.records.values() for i in agent.ids if i not in who]
+        known = any(deed.task == j and deed.kind == kind for records in heard for r in records for deed in r.deeds)
+        report.holds(known or len(agent.ids) == 2, f"{kind} of task {j} by {who}, and nobody else has heard of it")
 
 
 KINDS = {"formation": formation, "crossing": crossing, "delivery": delivery}
