@@ -11,6 +11,7 @@ from campaign.faults import Draw
 from campaign.report import Report, digest
 from crazychoir.agent import Agent
 from crazychoir.bus.impairment import Impairment
+from crazychoir.bus.rules import Partition
 from crazychoir.bus.topics import POSE
 from crazychoir.guidance.mission import Mission, load
 from crazychoir.runtime.actor import Actor
@@ -19,6 +20,7 @@ from crazychoir.safety.modes import Mode
 from crazychoir.simulation.trace import Trace
 from crazychoir.swarm.checks import TOUCHING
 from crazychoir.swarm.config import SwarmConfig
+from crazychoir.types import Acceleration, FullState, Reference
 
 BRISK = {"takeoff_height": 0.5, "speed_limit": 1.5, "acceleration_limit": 3.0, "landing_speed": 0.6}
 IN_FLIGHT = 20.0
@@ -26,22 +28,27 @@ IN_FLIGHT = 20.0
 are after 20 s; a partition of 15 s keeps some waiting."""
 DELIVERING = 45.0
 QUICK = BRISK | {"speed_limit": 3.0, "acceleration_limit": 6.0}
+LONG = 90.0
+"""The same where one is cut off for good, which must have come to its end by then."""
 LONGEST = 120.0
 """s of virtual time in which every wait of a flight must be over."""
 OUTSIDE = 0.15
 """m beyond the fence with running motors that a safety table may need to stop a drone; the limit area is 0.5 m off."""
+UNSEEN = 0.7
+"""s without a pose after which a drone lands, or its motors are off: 0.5 by the safety table."""
 LOW = 0.1
 """m above the floor: below it a drone stands, or is about to."""
 
 
 class Invariants(Actor):
-    """Looks at all drones at each step: distances, the fence, and whether they all come down in time."""
+    """Looks at all drones at each step: distances, the fence, who is not seen, and whether all come down in time."""
 
     name = "invariants"
 
-    def __init__(self, agent: Agent, report: Report, longest: float) -> None:
-        self.agent, self.report, self.longest, self.killed = agent, report, longest, dict[int, float]()
-        self.began = np.inf
+    def __init__(self, agent: Agent, report: Report, until: float) -> None:
+        self.agent, self.report, self.until, self.killed = agent, report, until, dict[int, float]()
+        self.began, self.seen = np.inf, dict[int, float]()
+        self.alone: int | None = None
         self._said: dict[Any, None] = {}
 
     async def run(self) -> None:
@@ -56,8 +63,11 @@ class Invariants(Actor):
         up = [i for i in agent.ids if p[i][2] > LOW and i not in self.killed]  # who falls hits whom he hits
         if up and self.began == np.inf:
             self.began = now
-        if now - self.began > self.longest:
+        if now - self.began > self.until:
             self.began = np.nan  # said once
+            ended = self.alone is None or self.alone in self.killed or agent.drones[self.alone].result
+            if not ended:
+                self._wrong("alone", f"drone {self.alone}, cut off for good, still waits at {now:.2f} s")
             agent.land_all("the scenario is over")
         for i in agent.ids:
             if not np.isfinite(p[i]).all():
@@ -68,6 +78,9 @@ class Invariants(Actor):
             beyond = float(np.max(np.maximum(low - p[i], p[i] - high)))
             if beyond > OUTSIDE and agent.drones[i].pilot.mode is not Mode.CUT:
                 self._wrong(("fence", i), f"drone {i} is {beyond:.2f} m outside the fence at {now:.2f} s, motors on")
+            unseen = now - self.seen.get(i, now)
+            if unseen > UNSEEN and agent.drones[i].pilot.mode not in (Mode.LAND, Mode.CUT):
+                self._wrong(("unseen", i), f"drone {i} flies on unseen for {unseen:.2f} s at {now:.2f} s")
         for a, i in enumerate(up):
             for j in up[a + 1 :]:
                 apart = float(np.linalg.norm(p[i] - p[j]))
@@ -80,7 +93,7 @@ class Invariants(Actor):
             self.report.wrong.append(text)
 
 
-def dropouts(agent: Agent, report: Report, draw: Draw) -> None:
+def dropouts(agent: Agent, report: Report, draw: Draw, watch: Invariants) -> None:
     """For a while the cameras do not see a drone."""
     gaps = []
     for _ in range(int(draw.integers(0, 4))):
@@ -97,21 +110,45 @@ def dropouts(agent: Agent, report: Report, draw: Draw) -> None:
             now = agent.clock.now()
             blind = topic is POSE and any(j == i and since <= now < until for j, since, until in gaps)
             if not blind:
+                if topic is POSE:
+                    watch.seen[i] = now
                 publish(topic, value, age)
 
         port.publish = seen  # type: ignore[method-assign]
 
 
+def runaway(agent: Agent, report: Report, draw: Draw) -> None:
+    """From some time on the law of a drone wants it out of the fence: the safety table must keep it inside."""
+    if draw.random() < 0.7:
+        return
+    i, since, angle = int(draw.choice(agent.ids)), float(draw.uniform(2.0, 6.0)), float(draw.uniform(0.0, 2.0 * np.pi))
+    way, pilot = np.array([np.cos(angle), np.sin(angle), 0.0]), agent.drones[i].pilot
+    follow = pilot.follow
+    report.inject("runaway laws")
+
+    def followed(reference: Reference) -> bool:
+        if pilot.clock.now() < since or pilot.state is None:
+            return follow(reference)
+        if isinstance(reference, Acceleration):
+            return follow(Acceleration(2.0 * way))
+        return follow(FullState.at(pilot.state.p + 0.3 * way, way) if isinstance(reference, FullState) else reference)
+
+    pilot.follow = followed  # type: ignore[method-assign]
+
+
 def flown(
-    report: Report, draw: Draw, config: SwarmConfig, mission: Mission, kills: int, longest: float = IN_FLIGHT
+    report: Report, draw: Draw, config: SwarmConfig, mission: Mission, kills: int, until: float = IN_FLIGHT
 ) -> Agent | None:
     """Fly it with faults; the agent afterwards, for what is to be looked at of its mission.
 
-    longest: s after the first take-off at which all are told to land.
+    until: s after the first take-off at which all are told to land; LONG: the last drone is cut off for good.
     """
     ids, agents = config.ids, list[Agent]()
     network = faults.rules(draw, report, ids, 0.3)
     cuts = faults.partitions(draw, report, ids, 15.0)
+    if until == LONG:
+        cuts.append(Partition(float(draw.uniform(2.0, 10.0)), LONGEST, ids[-1:]))
+        report.inject("cut off for good")
     victims = draw.choice(ids, kills, replace=False).tolist() if kills else []
     report.inject("crashes", kills)
 
@@ -120,9 +157,10 @@ def flown(
         agent = Agent(clock, config, mission, ids, trace=trace)
         agents.append(agent)
         agent.bus.impairment = Impairment(report.seed, network, cuts)
-        watch = Invariants(agent, report, longest)
+        watch = Invariants(agent, report, until)
+        watch.alone = ids[-1] if until == LONG else None
         agent.services.append(watch)
-        dropouts(agent, report, draw)
+        dropouts(agent, report, draw, watch)
 
         def kill(i: int) -> None:
             if not agent.drones[i].result:
@@ -131,6 +169,7 @@ def flown(
 
         for i in victims:
             clock.call_at(round(float(draw.uniform(1.0, 15.0)) * 1e9), kill, i)
+        runaway(agent, report, draw)
         async with asyncio.timeout(LONGEST):
             results = await agent.run()
         for i in ids:
@@ -164,12 +203,14 @@ def crossing(report: Report, draw: Draw) -> None:
 
 
 def delivery(report: Report, draw: Draw) -> None:
-    """Goods that appear in flight: nothing is delivered twice, what is said to be was, no task is forgotten."""
-    mission = load("online_delivery")
-    n, tasks, later = int(draw.integers(2, 5)), int(draw.integers(1, 4)), draw.uniform(0.5, 4.5, 5).round(2).tolist()
+    """Goods that appear in flight: none picked up or delivered twice, or forgotten; what one has done others know."""
+    mission, until = load("online_delivery"), float(draw.choice([IN_FLIGHT, DELIVERING, LONG], p=[0.3, 0.5, 0.2]))
+    n, tasks, later = int(draw.integers(2, 5)), int(draw.integers(1, 5)), draw.uniform(0.5, 4.5, 5).round(2).tolist()
     new = {"t": later[0], "pickup": later[1:3], "delivery": later[3:5]}
+    n = 2 if until == LONG else n
     made = drawn(report.seed, 0.0, drones=n, tasks=tasks, later=0, appear=[new], service_time=0.2)
-    agent = flown(report, draw, made.replace(flight=QUICK), mission, int(draw.integers(0, 2)), DELIVERING)
+    made = made.replace(flight=QUICK, lost_after=float(draw.choice([1.0, 5.0])))
+    agent = flown(report, draw, made, mission, int(draw.integers(0, 2)), until)
     if agent is None:
         return
     by: dict[tuple[int, str], list[int]] = {}
@@ -177,7 +218,10 @@ def delivery(report: Report, draw: Draw) -> None:
         for stop in getattr(agent.drones[i].guidance, "served", []):
             by.setdefault((stop["task"], stop["kind"]), []).append(i)
     for (j, kind), who in sorted(by.items()):
-        report.holds(len(who) == 1 or kind == "pickup", f"{kind} of task {j} by {who}")
+        report.holds(len(who) == 1, f"{kind} of task {j} by {who}")
+        heard = [agent.drones[i].guidance.news.book.records.values() for i in agent.ids if i not in who]
+        known = any(deed.task == j and deed.kind == kind for records in heard for r in records for deed in r.deeds)
+        report.holds(known or len(agent.ids) == 2, f"{kind} of task {j} by {who}, and nobody else has heard of it")
     failed = [i for i in agent.ids if not agent.drones[i].result.get("success")]
     for i in agent.ids:
         told = agent.drones[i].result.get("tasks")

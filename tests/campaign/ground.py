@@ -2,19 +2,21 @@
 
 import asyncio
 from collections import Counter
+from contextlib import suppress
 from typing import Any
 from unittest.mock import patch
 
 import numpy as np
 from coupled import random_blocks
-from living import Team, counting, team
+from living import Team, as_graph_says, counting, team
 
 from campaign import faults
 from campaign.faults import Draw
 from campaign.report import Report, digest
 from crazychoir.bus.commands import ACCEPTED, DONE, Commander, CommandServer
 from crazychoir.bus.local import OBSERVER, Bus
-from crazychoir.errors import CrazyChoirError, Refused
+from crazychoir.bus.topics import ESTOP
+from crazychoir.errors import CrazyChoirError, PeerLost, Refused, RosterChanged
 from crazychoir.optimization.consensus import Consensus
 from crazychoir.optimization.convexified import Convexified
 from crazychoir.optimization.primal_decomposition import PrimalDecomposition
@@ -127,12 +129,26 @@ def newest(heard: dict[int, Any], i: int) -> int:
     return max((k for k, by in heard.items() if i in by), default=-1)
 
 
+async def beginning_anew(t: Team, i: int) -> None:
+    """Exchange epoch and round on a channel that begins anew with each epoch."""
+    await t.members[i].barrier.go()
+    c = t.members[i].communicator
+    while True:
+        said = [c.epoch, c.open("anew").receiving]
+        with suppress(RosterChanged, PeerLost):
+            got = await c.neighbors_exchange(said, channel="anew")
+            assert all(value == said for value in got.values()), f"{said}, and hears {got}"
+        await t.clock.sleep(0.05)
+
+
 def members(report: Report, draw: Draw) -> None:
     """Drones are killed and come again, the network is cut, loses, and heals; in the end all agree on who is there.
 
     And all that live exchange with each other again, however long one was without the others.
     In half of the seeds they are on hosts whose clocks differ by hours.
-    Meanwhile whoever hears anything in a round hears what was said in that very round.
+    Meanwhile whoever hears anything in a round hears what was said in that very round, and in that very epoch on a
+    channel that begins anew with each; and since the last of them has come or gone all hear in each round just their
+    neighbours.
     """
     n = int(draw.integers(3, 8))
     graph, ids = faults.graph(draw, n), tuple(range(n))
@@ -153,14 +169,16 @@ def members(report: Report, draw: Draw) -> None:
     async def story(t: Team) -> None:
         heard: dict[int, Any] = {}
         incarnations = dict.fromkeys(ids, 1)
-        lives: dict[int, Any] = {}
+        lives, anew = dict[int, Any](), dict[int, Any]()
 
         def begin(i: int) -> None:
             t.start(i, incarnation=incarnations[i])
             lives[i] = t.run(i, counting(t, i, heard, np.inf, 0.02))
+            anew[i] = t.run(i, beginning_anew(t, i))
 
         def kill(i: int) -> None:
             lives.pop(i, None)
+            anew.pop(i, None)
             t.kill(i)
 
         def again(i: int) -> None:
@@ -185,7 +203,7 @@ def members(report: Report, draw: Draw) -> None:
         await t.clock.sleep(2.0)
         for i, k in before.items():
             report.holds(newest(heard, i) > k, f"drone {i} stands still in the round after {k}")
-        for i, life in lives.items():
+        for i, life in [*lives.items(), *anew.items()]:
             if life.done() and not life.cancelled() and (error := life.exception()) is not None:
                 known = isinstance(error, CrazyChoirError)
                 report.holds(known, f"drone {i}: {type(error).__name__}: {error}")
@@ -196,6 +214,11 @@ def members(report: Report, draw: Draw) -> None:
             report.holds(found == alive, f"drone {i} counts {found}, there are {alive}")
         checksums = {roster.checksum if roster else 0 for roster in rosters.values()}
         report.holds(len(checksums) == 1, f"{len(checksums)} rosters")
+        roster = next(iter(rosters.values()), None)
+        for k in sorted(heard) if roster is not None and len(checksums) == 1 else ():
+            whole = k >= roster.first_round and all(i in heard[k] for i in roster.ids)
+            right = not whole or as_graph_says(roster.graph, k, heard)
+            report.holds(right, f"in round {k} of an epoch since {roster.first_round} they hear {heard[k]}")
         report.simulated_s = t.clock.now()
         report.digest = digest(sorted(heard.items()), sorted(alive.items()), t.clock.now_ns())
 
@@ -203,7 +226,10 @@ def members(report: Report, draw: Draw) -> None:
 
 
 def commands(report: Report, draw: Draw) -> None:
-    """An operator over a bad network: what is answered was done once, nothing is done twice, every wait ends."""
+    """An operator over a bad network: what is answered was done once, nothing is done twice, every wait ends.
+
+    Of stops and clears the one that was ordered last is in force, whatever of the others comes late.
+    """
     n, count = int(draw.integers(1, 6)), int(draw.integers(5, 30))
     loss, slow = float(draw.uniform(0.0, 0.7)), float(draw.uniform(0.0, 0.4))
     report.inject("loss")
@@ -211,7 +237,7 @@ def commands(report: Report, draw: Draw) -> None:
     report.inject("replays")
 
     async def main(clock: Clock) -> None:
-        bus, done = Bus(clock), Counter[tuple[int, int]]()
+        bus, done, stopped = Bus(clock), Counter[tuple[int, int]](), dict[int, bool]()
         operator = Commander(bus.port(OBSERVER, 0xF1))
         kept: list[tuple[Any, ...]] = []
 
@@ -223,7 +249,7 @@ def commands(report: Report, draw: Draw) -> None:
                 done[i, arguments["k"]] += 1
                 return int(arguments["k"])
 
-            CommandServer(bus.port(i), execute, lambda on: None)
+            CommandServer(bus.port(i), execute, lambda on: stopped.update({i: on}))
 
         for i in range(n):
             server(i)
@@ -232,6 +258,7 @@ def commands(report: Report, draw: Draw) -> None:
 
             def lossy(*message: Any, deliver: Any = deliver) -> None:
                 if draw.random() < loss:
+                    kept.extend([(deliver, message)] * (message[0] == ESTOP.number))  # it comes for the first time then
                     return
                 for _ in range(1 + (draw.random() < 0.2)):
                     deliver(*message)
@@ -255,9 +282,15 @@ def commands(report: Report, draw: Draw) -> None:
 
         async with asyncio.timeout(LONGEST):
             await asyncio.gather(*(ask(k) for k in range(count)))
-            for deliver, message in kept:  # all of it once more, much later
+            for clear in (clears := (draw.random(int(draw.integers(1, 5))) < 0.5).tolist()):
+                await operator.emergency_stop(list(range(n)), clear, deadline=float(draw.choice([0.05, 1.0])))
+            missing = await operator.emergency_stop(list(range(n)), clears[-1], deadline=60.0)
+            report.holds(not missing, f"a stop, or a clear, has not reached {missing}")
+            for deliver, message in reversed(kept):  # all of it once more, much later
                 deliver(*message[:-1], 0.0)
             await clock.sleep(5.0)
+        for i, on in [*stopped.items(), ("all", bus.stopped)]:
+            report.holds(on is not clears[-1], f"stop of {i} is {on} after clears {clears}")
         twice = [key for key, times in done.items() if times > 1]
         report.holds(not twice, f"done twice: {twice}")
         report.simulated_s = clock.now()
