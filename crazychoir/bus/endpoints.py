@@ -89,6 +89,9 @@ def check_name(where: str, name: str) -> None:
         raise ConfigError(f"name of the {where}", name, "1 to 100 of A-Z, a-z, 0-9, _, . and -")
 
 
+_NOT_OURS = "Cannot assign requested address"
+
+
 def cannot_open(listen: list[str], connect: list[str], error: str) -> ConfigError:
     """What to tell the user of Zenoh's error."""
     at_fault = next((endpoint for endpoint in listen if endpoint in error), "")
@@ -101,6 +104,8 @@ def cannot_open(listen: list[str], connect: list[str], error: str) -> ConfigErro
         "listen endpoint" if at_fault else "endpoints",
         at_fault or ", ".join(listen + connect),
         "it must be a free port of an address of this host",
-        "Is another agent with this id running here? Stop it, or set another base_port in the swarm file.",
+        "The address of this host in [hosts] is not its own: see `ip -brief address`."
+        if _NOT_OURS in error
+        else "Is another agent with this id running here? Stop it, or set another base_port in the swarm file.",
         problem=said,
     )

@@ -101,7 +101,10 @@ def network(config: "SwarmConfig", host: str | None) -> list[Row]:
     for name in (name for name in others if name not in own):
         port = min(listeners(config, [name]), default=config.base_port)
         address = config.hosts[name]
-        rows.append(host_checks.reachable(name, address, host_facts.answer(address, port)))
+        answer, stranger = host_facts.answer(address, port), ""
+        if answer == "connected" and config.secured and here:
+            stranger = host_facts.handshake(address, port, Path(config.security.keys) / here[0])
+        rows.append(host_checks.reachable(name, address, answer, stranger))
     rows += certificates(config, here)
     ids = [i for k, ids in config.dongles.items() if _is_here(config.dongle_host(k), here) for i in ids]
     uris = [config.drone(i).uri for i in ids]

@@ -118,9 +118,12 @@ def ports(names: Mapping[int, str], held: Mapping[int, str]) -> list[Row]:
     return rows or [Row("ports", "ok", said)]
 
 
-def reachable(host: str, address: str, answer: str) -> Row:
-    """answer: "connected", "refused", or why nothing came back."""
+def reachable(host: str, address: str, answer: str, stranger: str = "") -> Row:
+    """answer: "connected", "refused", or why nothing came back;  stranger: why a process there does not let us in."""
     what = f"host {host}"
+    if stranger:
+        do = f"Copy the folders of both hosts again from where the authority is, and start all anew on {host}"
+        return Row(what, "wrong", f"{address} answers, and {stranger}", do)
     if answer in ("connected", "refused"):
         return Row(what, "ok", f"{address} answers" + (": nothing runs there yet" if answer == "refused" else ""))
     do = f"Is it on, and its firewall open? `ping {address}`; on {host}: sudo ufw allow from THIS_ADDRESS"

@@ -7,6 +7,7 @@ import os
 import resource
 import shutil
 import socket
+import ssl
 from collections.abc import Iterable
 from importlib.metadata import PackageNotFoundError, requires, version
 from pathlib import Path
@@ -104,6 +105,31 @@ def answer(address: str, port: int, deadline: float = DEADLINE) -> str:
     except OSError as error:
         return str(error.strerror or error)
     return "connected"
+
+
+def handshake(address: str, port: int, keys: Path, deadline: float = DEADLINE) -> str:
+    """Why a process there and the keys in this folder, of this host, do not get on; empty if they do.
+
+    In TLS 1.3 who is refused hears it once it reads; who is not hears nothing.
+    """
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+    context.check_hostname = False
+    try:
+        context.load_verify_locations(keys / "authority.pem")
+        context.load_cert_chain(keys / "certificate.pem", keys / "key.pem")
+        with (
+            socket.create_connection((address, port), deadline) as plain,
+            context.wrap_socket(plain) as secured,
+            contextlib.suppress(TimeoutError),
+        ):
+            secured.recv(1)
+    except ssl.SSLCertVerificationError as error:
+        return f"its certificate is not good here: {error.verify_message}"
+    except ssl.SSLError as error:
+        return f"it does not take the certificate of this host: {str(error.reason).lower().replace('_', ' ')}"
+    except OSError as error:
+        return str(error.strerror or error)
+    return ""
 
 
 def clock() -> tuple[bool | None, float]:

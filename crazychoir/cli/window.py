@@ -11,7 +11,7 @@ from crazychoir.bus.topics import Topic
 from crazychoir.bus.zenoh import ZenohLink
 from crazychoir.cli.emergency import ABSENT, EmergencyStop
 from crazychoir.cli.meant import DISCOVERY, LOOK, SOON, STARTS, nobody, patience, running_swarm, runs_here, starting
-from crazychoir.errors import ConfigError
+from crazychoir.errors import ConfigError, Refused
 from crazychoir.launch.network import REPLAY, attached, observer
 from crazychoir.runtime.clock import Clock, run_wall
 from crazychoir.runtime.mailbox import Call
@@ -140,8 +140,17 @@ class Window:
         A stop of some drones is theirs alone; one of the swarm keeps all on the ground until it is cleared.
         Raises Refused if nobody is there, no agent and no body.
         """
+        self._require_operator()
         meant = tuple(self.config.ids if drones is None else drones)
         return await EmergencyStop(self, meant, clear, alone=drones is not None and not clear).run()
+
+    def _require_operator(self) -> None:
+        """Raise Refused where the keys are not those of an operator, whom alone drones and bodies answer."""
+        host, operators = self.link.bus.host, self.config.security.operators
+        if self.config.secured and host not in operators:
+            alone = f"drones obey and answer {', '.join(operators)} alone (security.operators of the swarm file)"
+            text = f"the keys here, in {self.config.security.keys}, are those of {host}: {alone}. Command from there."
+            raise Refused(f"swarm {self.config.name}", text)
 
     async def _request(self, i: int, verb: str, arguments: Mapping[str, Any]) -> tuple[bool, Any]:
         try:
@@ -158,6 +167,7 @@ class Window:
         self, ask: Callable[[int], Awaitable[tuple[bool, Any]]], drones: Iterable[int] | None = None
     ) -> Answers:
         """All at once, and each as soon as it is found: who is absent delays nobody."""
+        self._require_operator()
         await self.somebody()
         asked = {i: asyncio.ensure_future(ask(i)) for i in (self.config.ids if drones is None else drones)}
         try:

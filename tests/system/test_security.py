@@ -16,6 +16,7 @@ from crazychoir.bus.codec import encode
 from crazychoir.bus.frames import Envelope, Frame, encode_frame
 from crazychoir.bus.topics import REQUEST, STATUS
 from crazychoir.bus.zenoh import LOOKS
+from crazychoir.cli import host_facts
 from crazychoir.launch.network import free_ports
 from crazychoir.security import authority
 from crazychoir.security.authority import CERTIFICATE, KEY, ROOT
@@ -184,6 +185,21 @@ async def test_only_operators_are_obeyed_and_the_others_are_named_once(lab, capl
             port.send(REQUEST, (0,), encode(["land", {}, 5.0]), number, "1", 0, 0)
     await until(lambda: len(commanded) == 3 and link.counters.forbidden == 3)
     assert caplog.text.count("host b (process observer-b.2) commands and is no operator: not obeyed") == 1
+
+
+async def test_the_doctor_says_whose_certificate_is_not_taken(lab):
+    await lab.link("a", "0-1", [0])
+    port = int(lab.config.endpoint(0).rpartition(":")[2])
+
+    async def found(keys):
+        return await asyncio.to_thread(host_facts.handshake, "127.0.0.1", port, keys)
+
+    assert await found(lab.keys / "b") == ""
+    assert await found(lab.keys / "nobody") == "No such file or directory"
+    assert "it does not take the certificate of this host: " in await found(pretender(lab))
+    elsewhere = lab.folder / "elsewhere"
+    authority.init(elsewhere)
+    assert "its certificate is not good here: " in await found(authority.add(elsewhere, "b"))
 
 
 async def test_who_is_turned_away_is_said_once_by_the_programs_of_the_swarm(lab):

@@ -183,6 +183,8 @@ def test_a_router_is_believed_and_holds_the_others_to_their_names():
 
 
 def test_without_a_router_to_connect_to_it_is_said_what_to_start():
+    error = endpoints.cannot_open(["tls/10.0.0.9:7460"], [], "tls/10.0.0.9:7460: Cannot assign requested address")
+    assert "The address of this host in [hosts] is not its own" in str(error)
     error = endpoints.cannot_open([], ["tls/10.0.0.9:7441"], "Connection refused (os error 111)")
     assert "Start it first: crazychoir router" in str(error)
     settings = endpoints.settings([], ["tcp/10.0.0.9:7441"], 1.0, "client")

@@ -207,6 +207,10 @@ def test_other_hosts_are_asked_within_a_deadline(taken, free):
     assert host_facts.answer("127.0.0.1", taken) == "connected"
     assert host_facts.answer("127.0.0.1", free) == "refused"
     assert host_checks.reachable("b", "10.0.0.9", "No route to host").state == "wrong"
+    stranger = host_checks.reachable("b", "10.0.0.9", "connected", "its certificate is not good here: expired")
+    assert (stranger.state, stranger.found) == (
+        "wrong", "10.0.0.9 answers, and its certificate is not good here: expired",
+    )  # fmt: skip
 
 
 def test_its_exit_code_says_that_something_is_wrong(tmp_path):

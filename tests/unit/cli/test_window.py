@@ -281,3 +281,22 @@ def test_reading_gives_values_with_their_age():
     _, (received, heard), _ = play(scene)
     assert received == 1
     assert heard == [("hovering", 0.1)]
+
+
+@pytest.mark.parametrize("work", [
+    lambda window: window.request("ping"), lambda window: window.order("land", None, 5.0),
+    lambda window: window.emergency_stop(clear=False),
+])  # fmt: skip
+def test_from_a_host_that_is_no_operator_nothing_is_commanded_and_the_reason_is_said_at_once(work):
+    async def scene(swarm):
+        drones = [{"id": i, "home": [1.0 * i, 0.0, 0.0], "host": "ab"[i]} for i in range(2)]
+        hosts, security = {"a": "10.0.0.1", "b": "10.0.0.2"}, {"operators": ["console", "a"]}
+        swarm.window.config = SwarmConfig.of({"name": "s", "drones": drones, "hosts": hosts, "security": security})
+        swarm.bus.host = "b"
+        with pytest.raises(Refused, match=r"are those of b: drones obey and answer console, a alone"):
+            await work(swarm.window)
+        swarm.bus.host = "console"
+        with pytest.raises(Refused, match="no swarm of yours runs here"):
+            await work(swarm.window)
+
+    play(scene)
