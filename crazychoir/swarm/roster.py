@@ -305,9 +305,11 @@ class Barrier:
         self._watch()
 
     def _without(self, gone: list[int], roster: Roster) -> None:
+        """Go on without these, and without those who were lost while another coordinated, who is gone, too, by now."""
         self._lost.update(dict.fromkeys(gone))
         members = self._next or roster.members
-        self._propose({j: incarnation for j, incarnation in members.items() if j not in gone}, roster)
+        left = {j: incarnation for j, incarnation in members.items() if j not in self._lost or self._alive(j)}
+        self._propose({j: incarnation for j, incarnation in left.items() if j not in gone}, roster)
 
     def _propose(self, members: dict[int, int], roster: Roster) -> None:
         """Ask those who run already to hold their rounds."""

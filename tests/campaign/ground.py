@@ -155,7 +155,7 @@ def members(report: Report, draw: Draw) -> None:
     rules = faults.rules(draw, report, ids, 0.35)
     cuts = faults.partitions(draw, report, ids, EVENTS)
     events: list[tuple[float, int, float]] = []
-    for i in draw.permutation(n)[: int(draw.integers(0, n // 2 + 1))].tolist():
+    for i in draw.permutation(n)[: int(draw.integers(0, n))].tolist():
         at = float(draw.uniform(0.5, EVENTS))
         pause = float(draw.choice([0.1, 1.0, 4.0, LATEST, np.inf]))
         events.append((at, i, pause))

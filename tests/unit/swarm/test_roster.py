@@ -351,6 +351,23 @@ def test_one_who_dies_while_two_halves_come_together_is_left_out():
     assert team(graphs.ring(6), story, LOSSY, [Partition(5.0, 20.3, (0, 1, 2))]).ids == (0, 1, 2, 3, 5)
 
 
+@pytest.mark.parametrize("gap", [0.0, 0.6, 3.5])
+@pytest.mark.parametrize("rules", [None, LOSSY], ids=["good", "lossy"])
+@pytest.mark.parametrize("dead", [(0, 1), (1, 0), (0, 1, 2, 3), (3, 2, 1, 0), (4, 0, 2, 1)])
+def test_whoever_dies_one_after_another_the_rest_go_on_without_them(dead, rules, gap):
+    """Each of them may have coordinated; those who were lost before are nobody's to report any more."""
+
+    async def story(t: Team) -> Roster:
+        await formed([t.start(i) for i in range(5)])
+        for i in dead:
+            t.kill(i)
+            await t.clock.sleep(gap)
+        await t.clock.sleep(20.0)
+        return await settled(t, 2)
+
+    assert team(graphs.complete(5), story, rules).ids == tuple(i for i in range(5) if i not in dead)
+
+
 @pytest.mark.parametrize("alone", [(2,), (0,), (1, 3), (2, 3)])
 def test_whoever_was_without_the_others_exchanges_with_them_again(alone):
     """The rounds in which they were apart are not waited for: nobody has them any more."""
