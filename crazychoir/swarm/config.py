@@ -234,7 +234,7 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
         owners = [(self.dongle_host(k), f"dongle{k}") for k in self.dongles]
         owners += [(self.mocap.host, "mocap")] if self.seen else []
         owners += [(self.world.host, "world")] if self.owned else []
-        agents = [(self.drone(group[0]).host, str(group[0])) for group in self.groups()]
+        agents = [(drone.host, str(drone.id)) for drone in self.drones]
         processes: dict[str, tuple[str, ...]] = {name: () for name in (*self.hosts, *self.security.operators)}
         for of, name in (*owners, *agents):
             processes[str(of)] += (name,)

@@ -96,6 +96,12 @@ def test_who_claims_what_another_host_holds_is_refused(config):
     assert peers.directory == {1: peer}
 
 
+def test_drones_of_one_process_may_be_flown_by_more(config):
+    drones = [{"id": i, "home": [i, 0, 0], "host": "laptop" if i < 2 else "desktop"} for i in range(4)]
+    access = config.replace(drones=drones, processes=[[0, 1], [2, 3]]).access("laptop")
+    assert [access.may_be("laptop", name) for name in ("0-1", "1-1", "2-1", "world-1")] == [True, True, False, True]
+
+
 def test_what_cameras_see_is_said_by_their_host_alone(config):
     drones = [{"id": 0, "home": [0, 0, 0], "host": "desktop", "uri": "udp://127.0.0.1:19850"}]
     radio = {"dongles": [{"dongle": 0, "host": "desktop"}]}
