@@ -29,7 +29,7 @@ from crazychoir.guidance.replanning import AUCTION, Goods, Mark, Replanning, Sha
 from crazychoir.guidance.site import Site
 from crazychoir.guidance.task_book import LARGEST, Place, Task
 from crazychoir.guidance.task_source import Event, TaskSource
-from crazychoir.guidance.team_news import PERIOD, Key, TeamNews
+from crazychoir.guidance.team_news import PERIOD, UNREACHED, Key, TeamNews
 from crazychoir.guidance.together import given_up, run_together, unless
 from crazychoir.math3d import Vec
 from crazychoir.planning.point_to_point import duration_for
@@ -45,8 +45,7 @@ HORIZON = 3.0
 LATE = 5.0
 """s by which a robot is later than its plan said when the team plans again."""
 REUNION = 30.0
-"""s on the ground after which a part of the team that is cut off ends its mission."""
-UNREACHED = "cut off from more than half of the team"
+"""s after which who neither flies nor serves ends its mission, when it is cut off, or nobody else flies."""
 NO_PLAN = "no plan, only what is aboard is delivered"
 TOO_FAR = "no drone that can serve it has enough left of its route_length_limit"
 
@@ -106,7 +105,7 @@ class OnlinePDVRPGuidance(CFGuidance):
         await self.wait_for_start()
         try:
             async with asyncio.TaskGroup() as group:
-                work = self.news.gossip(), self.source.hear(), self._fly()
+                work = self.news.gossip(), self.source.hear(), self._fly(), self._left_alone()
                 jobs = [group.create_task(job) for job in work]
                 await self._plan()
                 await self.news.farewell()
@@ -304,12 +303,16 @@ class OnlinePDVRPGuidance(CFGuidance):
             self.news.say(out=True)
         self.commitments.keep_aboard()
         self._redirected.set()
-        since = self._now
         while self.news.key() == key and not self.news.ended:
-            since = self._now if self.up else since
-            if self._now > since + REUNION:
-                raise Interrupted(f"drone {self.id}: {UNREACHED} for {REUNION:g} s")
             await self.sleep(PERIOD)
+
+    async def _left_alone(self) -> None:
+        """End the mission of who waits for others that are gone, wherever it waits."""
+        why = await self.news.left_alone(REUNION, self._busy)
+        raise Interrupted(f"{self.reason}; then {why}" if self.reason else f"drone {self.id}: {why}")
+
+    def _busy(self) -> bool:
+        return self.member.pilot.remaining() > 0.0 or self._now < self._serving_until
 
     # The route ------------------------------------------------------------------------------------------------
 

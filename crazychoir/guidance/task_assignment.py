@@ -17,7 +17,7 @@ from crazychoir.guidance.member import Interrupted, Member, touch_down
 from crazychoir.guidance.room import Room
 from crazychoir.guidance.task_book import Deed, Place, Task
 from crazychoir.guidance.task_source import TaskSource
-from crazychoir.guidance.team_news import Key, TeamNews
+from crazychoir.guidance.team_news import UNREACHED, Key, TeamNews
 from crazychoir.guidance.together import run_together
 from crazychoir.guidance.turns import Turns
 from crazychoir.safety.modes import Mode
@@ -31,8 +31,7 @@ REACHED = 0.05
 NOTED = 0.2
 """s between two places of a way that is written down."""
 REUNION = 20.0
-"""s that a robot over its home waits for the others, and one that is cut off for more than half of the team."""
-UNREACHED = "cut off from more than half of the team"
+"""s that a robot over its home waits for the others, and one that is cut off, or out like all, for some who fly."""
 FLIES = (Mode.TAKEOFF, Mode.HOVER, Mode.FOLLOW)
 
 CostFunction = Callable[[State, Task], float]
@@ -91,8 +90,9 @@ class TaskAssignmentGuidance(CFGuidance):
         """Fly, gossip and plan until nothing is left to do; then home, and down."""
         try:
             async with asyncio.TaskGroup() as group:
-                jobs = [group.create_task(job) for job in (self.news.gossip(), self._fly())]
+                jobs = [group.create_task(job) for job in (self.news.gossip(), self._fly(), self._left_alone())]
                 await self._plan()
+                jobs[2].cancel()
                 if not self._alone:
                     await self.news.farewell()
                 await asyncio.wait(jobs[1:])
@@ -163,7 +163,7 @@ class TaskAssignmentGuidance(CFGuidance):
     async def _generations(self, key: Key) -> None:
         """The generations of one team; all its robots begin each as soon as one has begun it."""
         n = 0
-        while self.news.key() == key and not self.news.ended:
+        while self.news.key() == key and not (self.news.ended or self._alone):
             if n and not self._wanted(key, n):
                 await self.sleep(POLL)
                 continue
@@ -218,14 +218,16 @@ class TaskAssignmentGuidance(CFGuidance):
     async def _cut_off(self, key: Key) -> None:
         """Too few to decide: wait in the air for the others, then go home."""
         log.warning("drone %d: %s", self.id, UNREACHED)
-        self._shares, ends = True, self._now + REUNION
-        self.generation = None
-        while self.news.key() == key and not self.news.ended:
-            if self._now > ends:
-                self._alone, self.reason = True, f"drone {self.id}: {UNREACHED} for {REUNION:g} s"
-                self.news.say(out=True)
-                return
+        self._shares, self.generation = True, None
+        while self.news.key() == key and not (self.news.ended or self._alone):
             await self.sleep(POLL)
+
+    async def _left_alone(self) -> None:
+        """End the mission of who waits for others that are gone, wherever it waits."""
+        why = await self.news.left_alone(REUNION)
+        self._alone, self.reason = True, f"{self.reason}; then {why}" if self.reason else f"drone {self.id}: {why}"
+        self.news.say(out=True)
+        self.news.changed.set()  # also for a round that waits for them
 
     # Flying ---------------------------------------------------------------------------------------------------
 

@@ -5,6 +5,7 @@ import logging
 from collections.abc import Callable, Collection
 from functools import lru_cache
 from itertools import pairwise
+from math import inf
 from typing import Any
 
 import msgspec
@@ -23,6 +24,10 @@ FAREWELL = 2.0
 LAST = 5
 """Times that a robot tells of the end of its own mission."""
 BOOK = "book"
+SILENT = 5.0
+"""s without news of a robot after which this one does not hear it."""
+UNREACHED = "cut off from more than half of the team"
+NOBODY = "nobody that it hears flies any more"
 Key = tuple[int, tuple[int, ...]]
 """What a row of plannings holds for: the epoch, and who has said that it flies no more."""
 
@@ -46,6 +51,7 @@ class TeamNews:
         self.dropped = 0
         self._team: tuple[int, ...] = ()
         self._failed: dict[int, None] = {}
+        self._heard: dict[int, float] = {}  # when each robot's newest record came
 
     # Saying and hearing ---------------------------------------------------------------------------------------
 
@@ -83,12 +89,14 @@ class TeamNews:
 
     def hear(self, heard: dict[int, Any]) -> None:
         """Merge the letters of neighbours, by robot. Who hears of another life of its own says that this is later."""
-        before = self.key()
+        before, old = self.key(), dict(self.book.records)
         for i, wire in heard.items():
             try:
                 self.book.merge(TaskBook.of(wire))
             except CodecError as error:
                 self.drop(i, error)
+        now = self.clock.now()
+        self._heard |= {key[0]: now for key, record in self.book.records.items() if record is not old.get(key)}
         newest = self.book.newest(self.id)
         if newest is not None and newest.incarnation != self.record.incarnation:
             self.say(life=newest.life + 1)
@@ -134,6 +142,18 @@ class TeamNews:
                 continue
             await self._pause()
 
+    async def left_alone(self, bound: float, busy: Callable[[], bool] = lambda: False) -> str:
+        """Wait until, for `bound` s in which this robot was not busy, nobody has decided for it; returns why.
+
+        That is the end of who is out, or has nothing to do, and would wait for ever for others who are gone.
+        """
+        since = self.clock.now()
+        while not (why := self.alone) or busy() or self.clock.now() <= since + bound:
+            if not why or busy():
+                since = self.clock.now()
+            await self._pause()
+        return f"{why} for {bound:g} s"
+
     async def _pause(self) -> None:
         await self.clock.sleep(self.period, drone=self.id)
 
@@ -164,6 +184,21 @@ class TeamNews:
     def ended(self) -> bool:
         """Whether the team has agreed to end."""
         return any(record.ended for record in self.book.alive(self.members).values())
+
+    @property
+    def alone(self) -> str:
+        """Why nobody that this robot hears decides anything; empty if somebody does, or all have ended.
+
+        Who flies decides, in a part that may. A part with less than half never agrees on the team without the others.
+        """
+        flying, now = self.book.alive(self.members), self.clock.now()
+        heard = [i for i in self.members if i == self.id or now <= self._heard.get(i, -inf) + SILENT]
+        missing = [i for i in self.members if i not in heard and i not in self.book.out(self.members)]
+        if self.ended:
+            return ""
+        if not self.quorate or len(heard) <= len(missing):
+            return UNREACHED
+        return "" if any(i in flying for i in heard) else NOBODY
 
     # The team -------------------------------------------------------------------------------------------------
 

@@ -207,21 +207,24 @@ def delivery(report: Report, draw: Draw) -> None:
     mission, until = load("online_delivery"), float(draw.choice([IN_FLIGHT, DELIVERING, LONG], p=[0.3, 0.5, 0.2]))
     n, tasks, later = int(draw.integers(2, 5)), int(draw.integers(1, 5)), draw.uniform(0.5, 4.5, 5).round(2).tolist()
     new = {"t": later[0], "pickup": later[1:3], "delivery": later[3:5]}
-    n = 2 if until == LONG else n
     made = drawn(report.seed, 0.0, drones=n, tasks=tasks, later=0, appear=[new], service_time=0.2)
     made = made.replace(flight=QUICK, lost_after=float(draw.choice([1.0, 5.0])))
     agent = flown(report, draw, made, mission, int(draw.integers(0, 2)), until)
     if agent is None:
         return
+    watch = next(service for service in agent.services if isinstance(service, Invariants))
+    gone = {*watch.killed, watch.alone}
     by: dict[tuple[int, str], list[int]] = {}
     for i in agent.ids:
         for stop in getattr(agent.drones[i].guidance, "served", []):
             by.setdefault((stop["task"], stop["kind"]), []).append(i)
     for (j, kind), who in sorted(by.items()):
         report.holds(len(who) == 1, f"{kind} of task {j} by {who}")
-        heard = [agent.drones[i].guidance.news.book.records.values() for i in agent.ids if i not in who]
+        others = [agent.drones[i].guidance for i in agent.ids if i not in who]
+        heard = [guidance.news.book.records.values() for guidance in others if hasattr(guidance, "news")]  # has begun
         known = any(deed.task == j and deed.kind == kind for records in heard for r in records for deed in r.deeds)
-        report.holds(known or len(agent.ids) == 2, f"{kind} of task {j} by {who}, and nobody else has heard of it")
+        nobody = len(agent.ids) == 2 or gone.issuperset(i for i in agent.ids if i not in who)
+        report.holds(known or nobody, f"{kind} of task {j} by {who}, and nobody else has heard of it")
     failed = [i for i in agent.ids if not agent.drones[i].result.get("success")]
     for i in agent.ids:
         told = agent.drones[i].result.get("tasks")

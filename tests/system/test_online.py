@@ -304,6 +304,37 @@ def test_a_drone_that_is_cut_off_and_comes_back_serves_nothing_that_others_serve
     assert outcome.touching == {}
 
 
+@pytest.mark.parametrize("recover", [False, True])
+def test_who_is_left_alone_by_a_crash_and_a_link_that_is_cut_for_good_comes_to_an_end(recover):
+    """One that was cut off with nothing to do waited for ever for the others to be done."""
+    config = drawn(8, 0.0, drones=3, tasks=2, later=0, recover=recover, until=40.0)
+    config = config.replace(network={"partitions": [{"at": 20.0, "until": 400.0, "groups": [[2]]}]})
+    outcome = fly_online(config, {0: 24.0})
+    assert outcome.simulated < 150.0
+    for i in (1, 2):
+        assert "cut off from more than half of the team for 30 s" in outcome.results[i]["reason"]
+        assert not outcome.results[i]["success"]
+
+
+@pytest.mark.parametrize("drones", [1, 2])
+def test_a_team_of_which_nobody_flies_any_more_comes_to_an_end(drones):
+    """Each waited for ever for the others, who went on without it."""
+
+    def prepare(agent):
+        def land():
+            for drone in agent.drones.values():
+                drone.pilot.land("the battery is empty")
+
+        agent.clock.call_at(round(9 * SECONDS), land)
+
+    outcome = fly_online(drawn(7, 0.2, drones=drones, tasks=5, later=0), {}, prepare)
+    assert outcome.simulated < 100.0
+    for result in outcome.results.values():
+        assert not result["success"]
+        assert "nobody that it hears flies any more for 30 s" in result["reason"]
+    assert any("the battery is empty" in result["reason"] for result in outcome.results.values())
+
+
 def test_a_drone_that_is_sent_elsewhere_at_full_speed_stays_in_its_room():
     """It flew home at 1 m/s, out of the way, when a task came up behind it."""
     outcome = fly_online(drawn(90), {})

@@ -87,6 +87,31 @@ def test_operators_add_and_cancel_tasks_in_flight():
     assert done[ADDED + 2] in (1, 4)
 
 
+def test_a_team_of_which_nobody_flies_any_more_comes_to_an_end():
+    """Each waited for ever for the others, who went on without it."""
+
+    def land(agent):
+        for drone in agent.drones.values():
+            drone.pilot.land("the battery is empty")
+
+    _, results, _ = flown(4, 0.1, lambda agent: agent.clock.call_at(6 * SECOND, land, agent))
+    for result in results.values():
+        assert not result["success"]
+        assert "; then nobody that it hears flies any more for 20 s" in result["reason"]
+
+
+def test_who_is_left_alone_by_crashes_comes_to_an_end():
+    """Four of six are lost at once: what is left never agrees on another team."""
+
+    def prepare(agent):
+        for i in (0, 1, 2, 3):
+            agent.clock.call_at(6 * SECOND, crash, agent, i)
+
+    _, results, _ = flown(4, 0.0, prepare)
+    for i in (4, 5):
+        assert "cut off from more than half of the team for 20 s" in results[i]["reason"]
+
+
 @pytest.mark.slow
 @pytest.mark.timeout(3600)
 @pytest.mark.parametrize("loss", [0.0, 0.2])

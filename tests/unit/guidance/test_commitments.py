@@ -60,7 +60,7 @@ class Team:
         self.taken_back, self.too_late = [], []  # pickups that were none, and those of which the team heard at its end
 
     def started(self, i, incarnation):
-        port = SimpleNamespace(incarnation=incarnation, bus=SimpleNamespace(clock=None))
+        port = SimpleNamespace(incarnation=incarnation, bus=SimpleNamespace(clock=SimpleNamespace(now=lambda: 0.0)))
         communicator = SimpleNamespace(id=i, port=port, graph=named("complete", self.members), epoch=self.epoch)
         news = TeamNews(communicator, tuple(self.tasks), lambda: (0.0, 0.0), self.recover)
         return Robot(i, incarnation, news, Commitments(news))

@@ -9,7 +9,7 @@ from crazychoir.bus.impairment import Impairment
 from crazychoir.bus.local import Bus
 from crazychoir.bus.rules import Rule
 from crazychoir.guidance.task_book import Deed, Fate, Record, Task
-from crazychoir.guidance.team_news import BOOK, PERIOD, TeamNews, mended
+from crazychoir.guidance.team_news import BOOK, NOBODY, PERIOD, SILENT, UNREACHED, TeamNews, mended
 from crazychoir.swarm.communicator import Communicator
 from crazychoir.swarm.graph import Graph, named
 from crazychoir.types import Failure
@@ -176,3 +176,40 @@ async def test_neighbours_say_for_a_robot_that_has_failed_without_a_word_that_it
     news[3].book.hear(again)
     await gossiping(clock, others, 30 * PERIOD)
     assert all(one.book.newest(2) == again for one in others.values()), "who is started again is another one"
+
+
+@pytest.mark.parametrize(
+    ("who", "out", "why"),
+    [((0, 1, 2), (), ""), ((0, 1), (), ""), ((0, 1), (0,), ""), ((0,), (), UNREACHED), ((0,), (0,), UNREACHED),
+     ((0, 1, 2), (0, 1, 2), NOBODY)],
+)  # fmt: skip
+def test_who_hears_of_nobody_that_decides_is_left_alone(who, out, why):
+    """Who talks, and who of them is out, as robot 0 sees it when all others have been silent for long."""
+
+    @virtual
+    async def test(clock):
+        news = team(clock, named("complete", 3))
+        await gossiping(clock, news, 4 * PERIOD)
+        for i in out:
+            news[i].say(out=True)
+        alone = asyncio.ensure_future(news[0].left_alone(10.0))
+        await gossiping(clock, {i: news[i] for i in who}, SILENT + 10.0 - 4 * PERIOD)
+        assert not alone.done() or why == NOBODY
+        await gossiping(clock, {i: news[i] for i in who}, 8 * PERIOD)
+        assert news[0].alone == why
+        assert alone.done() == bool(why)
+        if why:
+            assert alone.result() == f"{why} for 10 s"
+        alone.cancel()
+
+    test()
+
+
+@virtual
+async def test_who_is_busy_is_not_left_alone_yet(clock):
+    news = team(clock, named("complete", 2))
+    alone = asyncio.ensure_future(news[0].left_alone(10.0, lambda: clock.now() < 30.0))
+    await clock.sleep(39.0)
+    assert not alone.done()
+    await clock.sleep(2.0)
+    assert alone.done()
