@@ -20,7 +20,7 @@ class Connections:
         connected: the name in the certificate, and who it is to Zenoh, of each link;  known: the host of each process
         whose token is there.
         """
-        programs = Counter(host for host, _ in set(connected) if host is not None)
+        programs = Counter(host for host, _ in dict.fromkeys(connected) if host is not None)
         processes = Counter(known)
         silent = {host for host, count in programs.items() if count > processes[host]}
         found = sorted((silent & self._silent) - self._told)

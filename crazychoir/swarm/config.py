@@ -246,7 +246,7 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
         return Access(self.name, host, folder, processes, holders, self.security.operators, self.router)
 
     def _require_local(self, endpoints: Iterable[str]) -> None:
-        far = [endpoint for endpoint in endpoints if not are_local([endpoint])]
+        far = [endpoint for endpoint in endpoints if "/" in endpoint and not are_local([endpoint])]  # else none at all
         if far and not self.security.insecure:
             allowed = "one of this machine's own, as tcp/127.0.0.1:7460"
             do = "Give the swarm file [hosts] and keys (deploy/README.md), or write insecure = true in [security]."
