@@ -224,7 +224,8 @@ def delivery(report: Report, draw: Draw) -> None:
         heard = [guidance.news.book.records.values() for guidance in others if hasattr(guidance, "news")]  # has begun
         known = any(deed.task == j and deed.kind == kind for records in heard for r in records for deed in r.deeds)
         nobody = len(agent.ids) == 2 or gone.issuperset(i for i in agent.ids if i not in who)
-        report.holds(known or nobody, f"{kind} of task {j} by {who}, and nobody else has heard of it")
+        aboard = watch.alone in who and kind == "delivery"  # what it has when it is cut off, it delivers, unheard
+        report.holds(known or nobody or aboard, f"{kind} of task {j} by {who}, and nobody else has heard of it")
     failed = [i for i in agent.ids if not agent.drones[i].result.get("success")]
     for i in agent.ids:
         told = agent.drones[i].result.get("tasks")
