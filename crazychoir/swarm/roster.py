@@ -7,7 +7,7 @@ stay to hold their rounds (HOLD), each answers with the first round that it has 
 counts from a round that nobody has reached. A newer epoch wins.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import lru_cache
 from typing import Final, Literal
 
@@ -272,11 +272,7 @@ class Barrier:
     def _review(self, source: int, beat: Beat, roster: Roster) -> None:
         """As coordinator: take in what a member reports of others, and members that are new or new again."""
         members = self._next or roster.members
-        silent = list(beat.lost)
-        if self._next and self.port.bus.clock.now_ns() > self._give_up_ns:
-            silent += [j for j in self._running(roster) if j not in self._held]
-        dead = [j for j in silent if j in members and j != self.id and not self._alive(j)]
-        if dead:
+        if dead := self._dead((*beat.lost, *self._lost), roster):
             self._without(dead, roster)
         elif members.get(source) != beat.incarnation:
             self._lost.pop(source, None)
@@ -298,18 +294,23 @@ class Barrier:
         roster = self.roster
         if state is Presence.LOST:
             self._lost[j] = None
-            if roster is not None and j in (self._next or roster.members) and self.coordinator() == self.id:
-                self._without([j], roster)
+            if roster is not None and self.coordinator() == self.id:
+                dead = self._dead(self._lost, roster)  # also who was lost while another one coordinated
+                if dead or j in (self._next or roster.members):
+                    self._without([j, *dead], roster)
         elif state is Presence.ALIVE:
             self._lost.pop(j, None)
         self._watch()
 
+    def _dead(self, lost: Iterable[int], roster: Roster) -> list[int]:
+        """Those of the next roster who are said to be lost, and whom we do not hear either."""
+        members = self._next or roster.members
+        return [j for j in lost if j in members and j != self.id and not self._alive(j)]
+
     def _without(self, gone: list[int], roster: Roster) -> None:
-        """Go on without these, and without those who were lost while another coordinated, who is gone, too, by now."""
         self._lost.update(dict.fromkeys(gone))
         members = self._next or roster.members
-        left = {j: incarnation for j, incarnation in members.items() if j not in self._lost or self._alive(j)}
-        self._propose({j: incarnation for j, incarnation in left.items() if j not in gone}, roster)
+        self._propose({j: incarnation for j, incarnation in members.items() if j not in gone}, roster)
 
     def _propose(self, members: dict[int, int], roster: Roster) -> None:
         """Ask those who run already to hold their rounds."""
@@ -320,11 +321,20 @@ class Barrier:
         if self._target > before:
             self._held = {}  # who held for a lower one may have gone on since
         self._held[self.id] = self.hold()
-        self._give_up_ns = self.port.bus.clock.now_ns() + int(self.monitor.lost_after * SECOND)
+        clock = self.port.bus.clock
+        self._give_up_ns = clock.now_ns() + int(self.monitor.lost_after * SECOND)
+        clock.call_at(self._give_up_ns, self._give_up, drone=self.id)
         for j in self._running(roster):
             if j not in self._held:
                 self.reliable.send(ROSTER, j, encode([self._target]))
         self._conclude()
+
+    def _give_up(self) -> None:
+        """Go on without those who have not held for so long, and are not heard; there may be nobody else to hear."""
+        roster = self.roster
+        if roster is not None and self._next and self.port.bus.clock.now_ns() >= self._give_up_ns:
+            waited = [j for j in self._running(roster) if j not in self._held]
+            self._without(self._dead(waited, roster), roster)
 
     def _holds(self, source: int, first: int, theirs: dict[int, int]) -> None:
         """Source holds; one from another half of the team brings all of its half along."""
@@ -332,6 +342,8 @@ class Barrier:
         if self.roster is not None and source not in self.roster.members:
             new = {j: theirs[j] for j in theirs if j in self._others and j not in self._next}
             self._halves.update(new)
+            for j in new:
+                self._lost.pop(j, None)  # its half knows better
             if new:
                 self._propose({**self._next, **new}, self.roster)
         self._conclude()

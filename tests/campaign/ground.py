@@ -142,7 +142,7 @@ async def beginning_anew(t: Team, i: int) -> None:
 
 
 def members(report: Report, draw: Draw) -> None:
-    """Drones are killed and come again, the network is cut, loses, and heals; in the end all agree on who is there.
+    """All but one at most are killed and come again, the network is cut, loses, and heals; all agree in the end.
 
     And all that live exchange with each other again, however long one was without the others.
     In half of the seeds they are on hosts whose clocks differ by hours.
@@ -155,16 +155,23 @@ def members(report: Report, draw: Draw) -> None:
     rules = faults.rules(draw, report, ids, 0.35)
     cuts = faults.partitions(draw, report, ids, EVENTS)
     events: list[tuple[float, int, float]] = []
-    for i in draw.permutation(n)[: int(draw.integers(0, n))].tolist():
-        at = float(draw.uniform(0.5, EVENTS))
-        pause = float(draw.choice([0.1, 1.0, 4.0, LATEST, np.inf]))
-        events.append((at, i, pause))
-        report.inject("crashes")
-        if pause < np.inf:
-            report.inject("restarts")
+
+    def crashes(those: list[int]) -> None:
+        for i in those:
+            at = float(draw.uniform(0.5, EVENTS))
+            pause = float(draw.choice([0.1, 1.0, 4.0, LATEST, np.inf]))
+            events.append((at, i, pause))
+            report.inject("crashes")
+            if pause < np.inf:
+                report.inject("restarts")
+
+    order, few = draw.permutation(n).tolist(), int(draw.integers(0, n // 2 + 1))
+    crashes(order[:few])
     ahead = tuple(draw.uniform(-1e4, 1e4, int(draw.integers(2, 4)))) if draw.random() < 0.5 else ()
     if ahead:
         report.inject("clock skew")
+    if draw.random() < 0.5:  # the other seeds tell what they told when at most half were killed
+        crashes(order[few : int(draw.integers(few, n))])
 
     async def story(t: Team) -> None:
         heard: dict[int, Any] = {}

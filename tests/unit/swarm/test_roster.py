@@ -267,6 +267,27 @@ def test_two_coordinators_in_a_row_are_lost():
 
 
 @pytest.mark.parametrize("rules", [None, LOSSY], ids=["good", "lossy"])
+@pytest.mark.parametrize("apart", [0.0, 0.6, 2.0, 3.5])
+@pytest.mark.parametrize("gone", [(0, 1), (1, 0), (0, 1, 2, 3), (3, 2, 1, 0), (4, 0, 2, 1)], ids=str)
+def test_however_many_are_lost_the_others_go_on(gone, apart, rules):
+    n = 3 if len(gone) == 2 else 5
+
+    async def story(t: Team) -> Roster:
+        await formed([t.start(i, lost_after=1.0) for i in range(n)])
+        await t.clock.sleep(2.0)
+        for i in gone:
+            t.kill(i)
+            last = t.clock.now()
+            await t.clock.sleep(apart)
+        while any(roster.ids != tuple(t.members) for roster in t.rosters().values() if roster):
+            await t.clock.sleep(0.05)
+            assert t.clock.now() < last + 6.0, t.rosters()
+        return await settled(t, 2, 1.0)
+
+    assert team(graphs.complete(n), story, rules).ids == tuple(i for i in range(n) if i not in gone)
+
+
+@pytest.mark.parametrize("rules", [None, LOSSY], ids=["good", "lossy"])
 @pytest.mark.parametrize(("again", "pause"), [(0, 0.1), (0, 2.0), (3, 0.1), (3, 2.0), (0, 8.0), (3, 8.0)])
 def test_a_restarted_member_joins_with_a_new_epoch(again, pause, rules):
     async def story(t: Team) -> Roster:
@@ -597,6 +618,19 @@ def test_a_graph_that_comes_apart_is_told_until_it_is_mended():
         assert {member.barrier.apart for member in t.members.values()} == {""}
 
     team(graphs.path(5), story)
+
+
+def test_who_never_answers_is_given_up_though_nobody_else_is_heard():
+    """1 has never been heard, as by one who came just after 1 was killed."""
+
+    async def story(it: Alone) -> None:
+        it.barrier._changed(0, Presence.LOST)
+        assert it.sent == [(1, [2])]
+        await it.t.clock.sleep(5.5)
+        assert it.barrier.roster is not None
+        assert it.barrier.roster.ids == (2,)
+
+    alone(2, {0: 1, 1: 1, 2: 1}, story)
 
 
 def test_rosters_of_two_coordinators_are_replaced():
