@@ -218,6 +218,7 @@ class Pilot(Actor):
         self._goto_plan: Trajectory | None = None
         self._a = STILL  # m/s2, what the last command asks of the drone
         self._flown: FullState | None = None  # in the last tick, if it was a FullState
+        self._stops: Trajectory | None = None  # the plan that last brought it to rest
         self._lift_off = 0.0  # m, the height above which a drone that takes off flies
         self._rises_at = 0.0  # s, when it last was not on the floor while it should be in the air
         self._outside_at = math.inf  # s, since when its body is seen outside
@@ -515,7 +516,8 @@ class Pilot(Actor):
             self._rest()
 
     def _rest(self) -> None:
-        if self._reference is not None or self.remaining() > 0.0:
+        stops = self.flights.plan is self._stops  # who says so in each step would begin anew, and never get there
+        if self._reference is not None or (self.remaining() > 0.0 and not stops):
             self._brake()
         self._reference = None
         self._change(Event.HOLD)
@@ -902,6 +904,7 @@ class Pilot(Actor):
     def _brake(self) -> None:
         self._flown = start = self._departure()
         self.flights.brake(start, self.clock.now())
+        self._stops = self.flights.plan
 
     def _descend(self, beside: Vec | None = None) -> float:
         """Land from where it is, or over `beside`, (3,) m; s until its motors stop.

@@ -34,6 +34,8 @@ LONGEST = 120.0
 """s of virtual time in which every wait of a flight must be over."""
 OUTSIDE = 0.15
 """m beyond the fence with running motors that a safety table may need to stop a drone; the limit area is 0.5 m off."""
+ASTRAY, BLIND, BACK = 0.5, 0.1, 2.0
+"""m, the same for who was not seen for BLIND s, and for BACK s afterwards: where it was it could not know."""
 UNSEEN = 0.7
 """s without a pose after which a drone lands, or its motors are off: 0.5 by the safety table."""
 LOW = 0.1
@@ -47,7 +49,7 @@ class Invariants(Actor):
 
     def __init__(self, agent: Agent, report: Report, until: float) -> None:
         self.agent, self.report, self.until, self.killed = agent, report, until, dict[int, float]()
-        self.began, self.seen = np.inf, dict[int, float]()
+        self.began, self.seen, self.blind = np.inf, dict[int, float](), dict[int, float]()
         self.alone: int | None = None
         self._said: dict[Any, None] = {}
 
@@ -76,9 +78,12 @@ class Invariants(Actor):
         low, high = (np.array(side) for side in (agent.config.fence.min, agent.config.fence.max))
         for i in up:
             beyond = float(np.max(np.maximum(low - p[i], p[i] - high)))
-            if beyond > OUTSIDE and agent.drones[i].pilot.mode is not Mode.CUT:
-                self._wrong(("fence", i), f"drone {i} is {beyond:.2f} m outside the fence at {now:.2f} s, motors on")
             unseen = now - self.seen.get(i, now)
+            if unseen > BLIND:
+                self.blind[i] = now
+            allowed = ASTRAY if now - self.blind.get(i, -np.inf) < BACK else OUTSIDE
+            if beyond > allowed and agent.drones[i].pilot.mode is not Mode.CUT:
+                self._wrong(("fence", i), f"drone {i} is {beyond:.2f} m outside the fence at {now:.2f} s, motors on")
             if unseen > UNSEEN and agent.drones[i].pilot.mode not in (Mode.LAND, Mode.CUT):
                 self._wrong(("unseen", i), f"drone {i} flies on unseen for {unseen:.2f} s at {now:.2f} s")
         for a, i in enumerate(up):

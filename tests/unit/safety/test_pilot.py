@@ -350,6 +350,25 @@ async def test_an_acceleration_out_of_the_fence_ends_in_hovering_at_the_fence(cl
     await led_out(clock, lambda t: Acceleration([2.0, 0.0, 0.0]))
 
 
+@pytest.mark.parametrize("aside", [True, False])
+def test_to_hover_may_be_asked_for_in_each_step_also_by_who_was_pushed_aside(aside):
+    @virtual
+    async def case(clock):
+        drone = Flown(clock)
+        await drone.hovering()
+        await drone.fly(0.5, each=lambda: drone.pilot.follow(Acceleration([1.5, 0.0, 0.0])))
+
+        def hover():
+            drone.pilot.clearance.aside = aside
+            drone.pilot.hover()
+
+        await drone.fly(1.5, each=hover)
+        assert np.linalg.norm(drone.pilot.state.v) < 0.05
+        assert drone.p[0] < 0.6
+
+    case()
+
+
 @virtual
 async def test_when_guidance_has_failed_it_hovers_then_lands(clock):
     drone = Flown(clock)
