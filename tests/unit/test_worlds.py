@@ -1,6 +1,7 @@
 """The owner of a world and the agents of its drones, as two processes, in virtual time."""
 
 import asyncio
+import contextlib
 import logging
 import sys
 from importlib.metadata import EntryPoint
@@ -233,6 +234,31 @@ def test_an_emergency_stop_reaches_the_body_whatever_its_agent_goes_on_to_send()
     assert [result["success"] for result in results.values()] == [False, True]
 
 
+@contextlib.asynccontextmanager
+async def started_again(clock, config):
+    """The owner of a world, the agent that has flown its drones for 3 s, and what ends that and starts another one."""
+    world = WorldProcess(clock, config, "world", "here", 1)
+    first, second = (Agent(clock, config, ENDLESS, config.ids, incarnation=n, alone=False) for n in (1, 2))
+    tasks = [asyncio.create_task(world.serve()), asyncio.create_task(first.run())]
+    wires = wired(first.bus, world.bus)
+
+    def again():
+        for wire in wires:
+            wire.torn = True
+        tasks[1].cancel()
+        wired(second.bus, world.bus)
+        tasks.append(asyncio.create_task(second.run()))
+        return second
+
+    await clock.sleep(3.0)
+    try:
+        yield world, first, again
+    finally:
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+
+
 @pytest.mark.parametrize("sender", ["fpqr", "xyz"])
 def test_an_agent_that_is_started_again_lands_a_drone_that_is_in_the_air(sender):
     drones = [{"id": i, "home": [float(i), 0.0, 0.0], "uri": MOTORS} for i in range(2)]
@@ -241,28 +267,15 @@ def test_an_agent_that_is_started_again_lands_a_drone_that_is_in_the_air(sender)
     config = swarm(**tables)
 
     async def main(clock):
-        world = WorldProcess(clock, config, "world", "here", 1)
-        agents = [Agent(clock, config, ENDLESS, config.ids, incarnation=n, alone=False) for n in (1, 2)]
-        serving = asyncio.create_task(world.serve())
-        wires = wired(agents[0].bus, world.bus)
-        flying = asyncio.create_task(agents[0].run())
-        await clock.sleep(3.0)
-        height = world.owners[0].world.state(0).p[2]
-        for wire in wires:
-            wire.torn = True
-        flying.cancel()
-        wired(agents[1].bus, world.bus)
-        again = asyncio.create_task(agents[1].run())
-        await clock.sleep(0.1)
-        notes = [drone.pilot.note for drone in agents[1].drones.values()]
-        speeds = []
-        while any(drone.pilot.mode.value == "landing" for drone in agents[1].drones.values()):
-            await clock.sleep(0.05)
-            speeds.append(world.owners[0].world.state(0).v[2])
-        for task in (flying, again, serving):
-            task.cancel()
-        await asyncio.gather(flying, again, serving, return_exceptions=True)
-        return height, notes, min(speeds), world.report()
+        async with started_again(clock, config) as (world, _, again):
+            height = world.owners[0].world.state(0).p[2]
+            drones = again().drones.values()
+            await clock.sleep(0.1)
+            notes, speeds = [drone.pilot.note for drone in drones], []
+            while any(drone.pilot.mode.value == "landing" for drone in drones):
+                await clock.sleep(0.05)
+                speeds.append(world.owners[0].world.state(0).v[2])
+            return height, notes, min(speeds), world.report()
 
     height, notes, sinks, report = run_virtual(main)
     assert height > 0.4
@@ -275,28 +288,12 @@ def test_an_agent_that_is_started_again_hears_that_the_motors_were_cut_and_takes
     config = swarm()
 
     async def main(clock):
-        world = WorldProcess(clock, config, "world", "here", 1)
-        agents = [Agent(clock, config, ENDLESS, config.ids, incarnation=n, alone=False) for n in (1, 2)]
-        serving = asyncio.create_task(world.serve())
-        wires = wired(agents[0].bus, world.bus)
-        flying = asyncio.create_task(agents[0].run())
-        await clock.sleep(3.0)
-        agents[0].drones[1].pilot.cut("its estimate is wrong")
-        await clock.sleep(1.0)
-        for wire in wires:
-            wire.torn = True
-        flying.cancel()
-        await asyncio.gather(flying, return_exceptions=True)
-        await clock.sleep(5.0)
-        wired(agents[1].bus, world.bus)
-        again = asyncio.create_task(agents[1].run())
-        await clock.sleep(30.0)
-        results = {i: drone.result for i, drone in agents[1].drones.items()}
-        problems = [drone.pilot.unfit() for drone in agents[1].drones.values()]
-        for task in (again, serving):
-            task.cancel()
-        await asyncio.gather(again, serving, return_exceptions=True)
-        return results, problems
+        async with started_again(clock, config) as (_, first, again):
+            first.drones[1].pilot.cut("its estimate is wrong")
+            await clock.sleep(1.0)
+            drones = again().drones
+            await clock.sleep(30.0)
+            return {i: drone.result for i, drone in drones.items()}, [d.pilot.unfit() for d in drones.values()]
 
     results, problems = run_virtual(main)
     assert OFF in results[1]["reason"], results
