@@ -22,8 +22,7 @@ MAX_PEERS = 512
 MAX_TOKENS = 16
 """Of a peer."""
 
-ANOTHER: Final = "another swarm file"
-COPY: Final = "Copy one to every host"
+COPY: Final = "Copy one file to every host, and start both again."
 
 OnToken = Callable[[list[int], bool], None]
 """Called with the drones of a process whose token has gone (False), or is there and its HELLO has come (True)."""
@@ -143,9 +142,9 @@ class Peers:
         peer.since_ns = peer.since_ns or self.bus.clock.now_ns() - round(uptime * SECOND)
         if self._forbids(peer, hello):
             return False
-        refusal = self._refusal(hello)
+        refusal, do = self._refusal(hello, uptime)
         if refusal:
-            return self._refuse(peer, hello, refusal, uptime)
+            return self._refuse(peer, hello, refusal, do, uptime)
         self._take_in(peer, hello)
         return not self.mutual(peer)
 
@@ -194,33 +193,32 @@ class Peers:
         peer.refusal = refusal
         return True
 
-    def _refusal(self, hello: Hello) -> str:
-        who = f"process {hello.process} on host {hello.host}"
+    def _refusal(self, hello: Hello, uptime: float) -> tuple[str, str]:
+        """Why a process that is up for so many s is refused, and what the user is to do; or two empty texts."""
+        who, since = f"process {hello.process} on host {hello.host}", f"and has done so for {uptime:.1f} s"
+        stop = "Give this agent another --id, or stop that one." if self.bus.drones() else "Stop one of them."
         doubles = ", ".join(str(i) for i in hello.drones if i in self.bus.ports)
         if doubles:
-            return f"{who} flies drone(s) {doubles} too"
+            return f"{who} flies drone(s) {doubles} too {since}", stop
         for base, owns in ((EYES, "the motion capture"), (BODIES, "the world")):
             same = ", ".join(str(j - base) for j in hello.observers if j >= base and j in self.bus.ports)
             if same:
-                return f"{who} owns {owns} of drone(s) {same} too"
+                return f"{who} owns {owns} of drone(s) {same} too {since}", stop
         if hello.version != self.version:
-            return f"{who} runs version {hello.version}, this one runs {self.version}"
+            return f"{who} runs version {hello.version}, this one runs {self.version}", ""
         owner = any(j >= BODIES for j in (*hello.observers, *self.bus.ports))
         differ = [key for key, value in hello.agreed.items() if self.agreed.get(key, value) != value]
-        return f"{who} has {ANOTHER}, with another {', '.join(differ)}," if owner and differ else ""
+        if owner and differ:
+            return f"{who} has another swarm file than this process, with another {', '.join(differ)}", COPY
+        return "", ""
 
-    def _refuse(self, peer: Peer, hello: Hello, refusal: str, uptime: float) -> bool:
-        """Say so, once; of two agents with one id, the one that came later gives way."""
+    def _refuse(self, peer: Peer, hello: Hello, refusal: str, do: str, uptime: float) -> bool:
+        """Say so, once; of two that cannot both be there, the one that came later gives way."""
         said, peer.refusal = peer.refusal, refusal
         if said:
             return False
         if hello.version == self.version and hello.precedes(self.bus.process, uptime - self._uptime()):
-            if ANOTHER in refusal:
-                since, do = "than this process", f"{COPY}, and start both again."
-            else:
-                since = f"and has done so for {uptime:.1f} s"
-                do = "Give this agent another --id, or stop that one." if self.bus.drones() else "Stop one of them."
-            self.on_refused(Refused(f"swarm {self.swarm}", f"{refusal} {since}. {do}"))
+            self.on_refused(Refused(f"swarm {self.swarm}", f"{refusal}. {do}"))
         else:
             log.warning("%s: it is refused", refusal)
         return True

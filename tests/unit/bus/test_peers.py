@@ -65,10 +65,10 @@ WORLD = hello("world", (), observers=[BODIES], agreed={"drones": "ab", "plant": 
 def test_an_owner_with_another_swarm_file_and_who_flies_do_not_come_together(uptime, caplog) -> None:
     here = Here(uptime, {"drones": "ab", "plant": "ef"})
     here.hear(WORLD)
-    what = "process world on host there has another swarm file, with another plant,"
+    what = "process world on host there has another swarm file than this process, with another plant"
     if uptime < 1.0:
         assert [str(refused) for refused in here.refused] == [
-            f"swarm s: refused: {what} than this process. Copy one to every host, and start both again."
+            f"swarm s: refused: {what}. Copy one file to every host, and start both again."
         ]
     else:
         assert (here.refused, what in caplog.text) == ([], True), "who came later ends, and says so"
