@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from crazychoir.filters.motion import STANDING, Commanded, fly, stands
+from crazychoir.filters.motion import RATE_LAG, STANDING, Commanded, fly, stands
 from crazychoir.filters.velocity import ROUNDING, SOONEST, lateness, readable
 from crazychoir.math3d import (
     Mat,
@@ -31,25 +31,56 @@ UNKNOWN_V, UNKNOWN_D, UNKNOWN_W = 1.0, 5.0, 3.0  # m/s, m/s2, rad/s: standard de
 SHAKY_V, DOUBTFUL_D = 0.01, 0.5  # m/s, m/s2: the same of who stands on the floor
 FADE = 0.5  # s, in which d fades where nothing is measured
 HISTORY = 512  # commands that are remembered: 2.1 s at 240 Hz
+LATE = 0.02  # s, a lag in place of the delays of command and measurement, behind a rate loop that is known
+FINE, FORGOTTEN = 0.0025, 0.5  # s: of the integration of that loop at most; without a command it is at rest by then
 
 # The memory: x (13,) of the instant of the measurement, d (3,), the upper triangles of both covariances, the time of
-# the last call, the row of the newest command.
-D, P, A, CALLED, NEWEST, MEMORY = 13, 16, 22, 25, 26, 27
-# The figures: variances of a pose, densities, 1/s of the fading, whether commands are told, the floor, Platform.flat.
-R_P, R_ANGLE, JERK, PUSH, SWING, FADING, TOLD, FLOOR, PLATFORM = 0, 1, 2, 3, 4, 5, 6, 7, 8
+# the last call, the row of the newest command, the rates r and r' (3,) that the rate loop has by the commands alone.
+D, P, A, CALLED, NEWEST, RATE, TURN, MEMORY = 13, 16, 22, 25, 26, 27, 30, 33
+# The figures: variances of a pose, densities, 1/s of the fading, whether commands are told, the floor, the lag of the
+# rates behind what is recorded, whether their loop is known, its c_0 to c_2 an axis (9,), Platform.flat.
+R_P, R_ANGLE, JERK, PUSH, SWING, FADING, TOLD, FLOOR, LAG, LOOPED, LOOP, PLATFORM = 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 19
 
 
 @kernel()
-def _record(mem: Vec, history: Mat, u: Vec, now: float) -> None:
-    """The drone was told u from the last call until now: a new row (since s, thrust N, rates rad/s) if that is new."""
-    k = int(mem[NEWEST])
-    fresh = False
-    for c in range(4):
-        fresh = fresh or history[k, 1 + c] != u[c]
-    if fresh and finite(u):
-        k = (k + 1) % history.shape[0]
-        mem[NEWEST], history[k, 0] = k, mem[CALLED]
-        history[k, 1:5] = u
+def _respond(mem: Vec, loop: Vec, u: Vec, h: float) -> Triple:
+    """Carry the rates of the loop on by h s under u, by backward Euler; returns their means, rad/s."""
+    if not 0.0 < h < FORGOTTEN:
+        for c in range(3):
+            mem[RATE + c], mem[TURN + c] = u[1 + c], 0.0
+        return (u[1], u[2], u[3])
+    steps = math.ceil(h / FINE)
+    step, mean = h / steps, (0.0, 0.0, 0.0)
+    for _ in range(steps):
+        for c in range(3):
+            c0, c1, c2 = loop[3 * c] / step, loop[3 * c + 1], loop[3 * c + 2]
+            mem[TURN + c] = (c0 * mem[TURN + c] + c2 * (u[1 + c] - mem[RATE + c])) / (c0 + c1 + c2 * step)
+            mem[RATE + c] += step * mem[TURN + c]
+        r = (mem[RATE], mem[RATE + 1], mem[RATE + 2])
+        mean = (mean[0] + r[0] / steps, mean[1] + r[1] / steps, mean[2] + r[2] / steps)
+    return mean
+
+
+@kernel()
+def _record(mem: Vec, history: Mat, figures: Vec, u: Vec, now: float) -> None:
+    """The drone was told u from the last call until now: a new row (since s, thrust N, rates rad/s) if that is new.
+
+    Of a loop that is known the rates are those that it makes of what it was told.
+    """
+    if finite(u):
+        rates = (u[1], u[2], u[3])
+        if figures[LOOPED] > 0.0:
+            rates = _respond(mem, figures[LOOP:PLATFORM], u, now - mem[CALLED])
+        row = (u[0], rates[0], rates[1], rates[2])
+        k = int(mem[NEWEST])
+        fresh = False
+        for c in range(4):
+            fresh = fresh or history[k, 1 + c] != row[c]
+        if fresh:
+            k = (k + 1) % history.shape[0]
+            mem[NEWEST], history[k, 0] = k, mem[CALLED]
+            for c in range(4):
+                history[k, 1 + c] = row[c]
     mem[CALLED] = now
 
 
@@ -57,7 +88,7 @@ def _record(mem: Vec, history: Mat, u: Vec, now: float) -> None:
 def _move(x: Vec, d: Triple, u: Vec, figures: Vec, h: float) -> bool:
     """Replace x by what comes h s later under u and the acceleration d; returns whether it stands on the floor."""
     if figures[TOLD] > 0.0 and (u[0] > 0.0 or x[2] < figures[FLOOR] + STANDING):
-        return bool(fly(x, u, figures[PLATFORM:], figures[FLOOR], d, h))
+        return bool(fly(x, u, figures[PLATFORM:], figures[FLOOR], figures[LAG], d, h))
     for c in range(3):
         x[c] += h * (x[3 + c] + 0.5 * h * d[c])
         x[3 + c] += h * d[c]
@@ -173,7 +204,7 @@ def _measure(
 
     Returns the speed in m/s. For a pose that is not readable -1, for one beyond the gate -2: then only u is recorded.
     """
-    _record(mem, history, u, now)
+    _record(mem, history, figures, u, now)
     if not readable(pose):
         return -1.0
     out[:] = mem[0:D]
@@ -201,7 +232,7 @@ def _go_on(
     x: Vec, mem: Vec, history: Mat, figures: Vec, u: Vec, measured: float, t: float, end: float, now: float, out: Vec
 ) -> float:
     """Carry x (13,) from the instant t to `end` into out; measured: s, the instant of the memory; returns the speed."""
-    _record(mem, history, u, now)
+    _record(mem, history, figures, u, now)
     out[:] = x
     fade = figures[FADING]
     left = math.exp(fade * (measured - t))
@@ -213,7 +244,7 @@ class KalmanFilter:
     """Kalman filter of position and velocity, and an error-state one of attitude and body rates, right at any rate.
 
         p' = v,  v' = f(q, u) + d + n_s,  d' = n_j,      z_p = p + n_p
-        q' = 1/2 q (w, 0),  w' = (u_2..4 - w) / RATE_LAG + n_g,      z_q = q exp(n_a)
+        q' = 1/2 q (w, 0),  w' = (r - w) / lag + n_g,      z_q = q exp(n_a)
 
     f: acceleration of the paper's dynamics under the commands u, as in Commanded, d what is left: a thrust that is not
     what was commanded, wind. Without a `motion`, or with motors off, f = 0, d is the whole acceleration, and w' = n_g.
@@ -241,7 +272,8 @@ class KalmanFilter:
     jerk: m2/s5, density of n_j: a thrust that is 10 % off where the jerk is 10 m/s3, for some 0.1 s. A filter that is
     told no commands has all of the jerk in d: there 0.1 is right for eights at 1 m/s, 3 for those at 2 m/s;
     push: m2/s3, of n_s: what g times the noise of the attitude, 2 mrad behind the filter for 0.03 s, leaves in f;
-    swing: rad2/s3, of n_g: a lag of the rates off by 10 ms where they change by 20 rad/s2, for some 0.03 s.
+    swing: rad2/s3, of n_g: a lag of the rates off by 10 ms where they change by 20 rad/s2, for some 0.03 s;
+    loop: (3, 3), c_0 to c_2 of roll, pitch, yaw, None: not known.
     Source of Q: Bar-Shalom, Li & Kirubarajan 2001, the Wiener process acceleration model; of the error state: Lefferts,
     Markley & Shuster 1982.
     """
@@ -256,6 +288,7 @@ class KalmanFilter:
         jerk: float = 0.1,
         push: float = 3e-5,
         swing: float = 0.3,
+        loop: Mat | None = None,
     ) -> None:
         self.horizon, self.period = horizon, period
         self.cutoff = math.inf
@@ -263,7 +296,8 @@ class KalmanFilter:
         self.refused = 0
         self.speed = 0.0
         self.measured = -math.inf
-        model = (0.0,) if motion is None else (1.0, motion.floor, *motion.platform)
+        rates = (RATE_LAG, 0.0, *np.zeros(9)) if loop is None else (LATE, 1.0, *loop.ravel())
+        model = (0.0,) if motion is None else (1.0, motion.floor, *rates, *motion.platform)
         self._figures = np.array([noise_p**2, noise_angle**2, jerk, push, swing, 1.0 / FADE, *model])
         self._memory, self._history = np.zeros(MEMORY), np.zeros((HISTORY, 5))
         self._memory[CALLED] = -math.inf

@@ -68,10 +68,10 @@ def stands(x: Vec, u: Vec, platform: Vec, floor: float) -> bool:
 
 
 @kernel()
-def _turn(x: Vec, u: Vec, h: float) -> None:
+def _turn(x: Vec, u: Vec, lag: float, h: float) -> None:
     """Attitude and body rates of x, h s later: the lag of the rates is exact, and they turn about their mean axis."""
-    keep = math.exp(-h / RATE_LAG)
-    mean = RATE_LAG * (1.0 - keep)
+    keep = math.exp(-h / lag)
+    mean = lag * (1.0 - keep)
     turn = exponential(
         h * u[1] + mean * (x[10] - u[1]), h * u[2] + mean * (x[11] - u[2]), h * u[3] + mean * (x[12] - u[3])
     )
@@ -81,17 +81,17 @@ def _turn(x: Vec, u: Vec, h: float) -> None:
 
 
 @kernel()
-def fly(x: Vec, u: Vec, platform: Vec, floor: float, push: Triple, t: float) -> bool:
+def fly(x: Vec, u: Vec, platform: Vec, floor: float, lag: float, push: Triple, t: float) -> bool:
     """Replace x (13,) by what the law of Commanded makes of it in t s; returns whether it stands on the floor then.
 
-    push: m/s2, world, a constant acceleration that the law does not know.
+    lag: s, of the body rates;  push: m/s2, world, a constant acceleration that the law does not know.
     """
     steps = math.ceil(t / STEP)
     lowest = min(x[2], floor)  # who is seen below the floor stays there: it is not where it was thought to be
     standing = False
     for _ in range(steps):
         h = t / steps
-        _turn(x, u, 0.5 * h)
+        _turn(x, u, lag, 0.5 * h)
         standing = stands(x, u, platform, floor)
         if standing:
             _stand(x)
@@ -103,7 +103,7 @@ def fly(x: Vec, u: Vec, platform: Vec, floor: float, push: Triple, t: float) -> 
             a = -(drag[0] * bx[c] + drag[1] * by[c] + drag[2] * bz[c]) / platform[0] - (GRAVITY if c == 2 else 0.0)
             x[c] += h * (v[c] + 0.5 * h * (a + push[c]))
             x[3 + c] += h * (a + push[c])
-        _turn(x, u, 0.5 * h)
+        _turn(x, u, lag, 0.5 * h)
         if x[2] < lowest:
             x[2] = lowest
             _stand(x)
@@ -114,7 +114,7 @@ def fly(x: Vec, u: Vec, platform: Vec, floor: float, push: Triple, t: float) -> 
 def _fly(x: Vec, u: Vec, platform: Vec, floor: float, t: float, out: Vec) -> None:
     """The law of Commanded, t s on from x, into out (13,)."""
     out[:] = x
-    fly(out, u, platform, floor, (0.0, 0.0, 0.0), t)
+    fly(out, u, platform, floor, RATE_LAG, (0.0, 0.0, 0.0), t)
 
 
 class Commanded:

@@ -5,12 +5,14 @@ import math
 import numpy as np
 
 from crazychoir.control.choice import Controls
+from crazychoir.control.margin import rate_loop
 from crazychoir.control.senders import FPQRSender
 from crazychoir.filters.kalman import KalmanFilter
 from crazychoir.filters.motion import Commanded
 from crazychoir.filters.state_filter import StateFilter
 from crazychoir.filters.velocity import VelocityFilter
-from crazychoir.math3d import Vec
+from crazychoir.math3d import Mat, Vec
+from crazychoir.platforms import Platform
 from crazychoir.types import FullState, State
 
 SEEN = 0.1
@@ -26,8 +28,17 @@ def filter_of(name: str, chosen: Controls, ground: float, rate: float) -> StateF
     """
     motion = Commanded(chosen.platform.flat, ground) if isinstance(chosen.sender, FPQRSender) else None
     if name == "kalman":
-        return KalmanFilter(horizon=BLIND, period=1.0 / rate, motion=motion)
+        loop = rates_on_board(chosen.platform) if chosen.plant == "motors" else None
+        return KalmanFilter(horizon=BLIND, period=1.0 / rate, motion=motion, loop=loop)
     return VelocityFilter(horizon=BLIND, period=1.0 / rate, motion=motion)
+
+
+def rates_on_board(platform: Platform) -> Mat:
+    """(3, 3): c_0 to c_2 of KalmanFilter for roll, pitch and yaw behind the rate loop of its firmware.
+
+    Of `rate_loop`, without its integral: that only removes what is left over, later than a filter looks.
+    """
+    return np.array([rate_loop(platform, axis)[1][:3] for axis in range(3)])
 
 
 def believed(state: State, flown: FullState | None) -> Vec:

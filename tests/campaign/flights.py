@@ -34,8 +34,9 @@ LONGEST = 120.0
 """s of virtual time in which every wait of a flight must be over."""
 OUTSIDE = 0.15
 """m beyond the fence with running motors that a safety table may need to stop a drone; the limit area is 0.5 m off."""
-ASTRAY, BLIND, BACK = 0.5, 0.1, 2.0
-"""m, the same for who was not seen for BLIND s, and for BACK s afterwards: where it was it could not know."""
+BLIND, DRIFT, BACK = 0.1, 1.0, 2.0
+"""s, m/s2, s: who is not seen for t > BLIND strays by DRIFT t^2 / 2 from where it believes to be, as one that is tilted
+by 0.1 rad more than it knows; it has BACK s to mend that when it is seen again."""
 UNSEEN = 0.7
 """s without a pose after which a drone lands, or its motors are off: 0.5 by the safety table."""
 LOW = 0.1
@@ -49,7 +50,7 @@ class Invariants(Actor):
 
     def __init__(self, agent: Agent, report: Report, until: float) -> None:
         self.agent, self.report, self.until, self.killed = agent, report, until, dict[int, float]()
-        self.began, self.seen, self.blind = np.inf, dict[int, float](), dict[int, float]()
+        self.began, self.seen, self.blind = np.inf, dict[int, float](), dict[int, tuple[float, float]]()
         self.alone: int | None = None
         self._said: dict[Any, None] = {}
 
@@ -80,8 +81,9 @@ class Invariants(Actor):
             beyond = float(np.max(np.maximum(low - p[i], p[i] - high)))
             unseen = now - self.seen.get(i, now)
             if unseen > BLIND:
-                self.blind[i] = now
-            allowed = ASTRAY if now - self.blind.get(i, -np.inf) < BACK else OUTSIDE
+                self.blind[i] = (now, unseen)
+            when, gap = self.blind.get(i, (-np.inf, 0.0))
+            allowed = OUTSIDE + (0.5 * DRIFT * gap**2 if now - when < BACK else 0.0)
             if beyond > allowed and agent.drones[i].pilot.mode is not Mode.CUT:
                 self._wrong(("fence", i), f"drone {i} is {beyond:.2f} m outside the fence at {now:.2f} s, motors on")
             if unseen > UNSEEN and agent.drones[i].pilot.mode not in (Mode.LAND, Mode.CUT):

@@ -5,11 +5,14 @@ import math
 import numpy as np
 import pytest
 from scipy.linalg import expm
+from scipy.signal import lsim
 
-from crazychoir.filters.kalman import CALLED, UNKNOWN_D, UNKNOWN_V, UNKNOWN_W, A, D, KalmanFilter, P
+from crazychoir.control.margin import rate_loop
+from crazychoir.filters.kalman import CALLED, RATE, UNKNOWN_D, UNKNOWN_V, UNKNOWN_W, A, D, KalmanFilter, P
 from crazychoir.filters.motion import Commanded
 from crazychoir.math3d import exponential, product
 from crazychoir.platforms import PAPER
+from crazychoir.safety.estimate import rates_on_board
 from crazychoir.types import Pose
 
 JERK, PUSH, SWING, R_P, R_A = 0.7, 2e-3, 0.4, 1e-6, 2.5e-5
@@ -104,3 +107,41 @@ def test_a_constant_body_rate_about_any_axis_is_found():
         state = f.update(Pose(np.array([0.0, 0.0, 1.0, *((-1.0) ** k * np.array(q))])), k * h)
         q = product(q, exponential(*(h * w)))
     np.testing.assert_allclose(state.w, w, atol=1e-6)
+
+
+def swung(loop, seen=0.5, until=0.9, h=0.01):
+    """The largest error of the roll, rad, until `until` s, of which poses are seen for `seen` s only.
+
+    The truth: the whole rate loop of the firmware, which hears of commands that tilt it to and fro 20 ms late.
+    """
+    f, t = KalmanFilter(motion=Commanded(PAPER.flat, 0.0), loop=loop), np.arange(0.0, until, h)
+    told = 5.0 * np.sin(2.0 * math.pi * 2.5 * t)
+    fine = np.arange(0.0, until, h / 10)
+    _, w, _ = lsim(rate_loop(PAPER, 0), np.concatenate([np.zeros(20), np.repeat(told, 10)])[: len(fine)], fine)
+    roll = np.concatenate([[0.0], np.cumsum(0.5 * (w[1:] + w[:-1])) * h / 10])[::10]
+    errors = []
+    for k, now in enumerate(t):
+        q = np.array(exponential(roll[k], 0.0, 0.0))
+        state = f.update(Pose(np.array([0.0, 0.0, 9.0, *q])), now) if now < seen else f.predict(now)
+        errors.append(abs(2.0 * math.atan2(state.q[0], state.q[3]) - roll[k]))
+        f.commanded = np.array([PAPER.weight, told[k], 0.0, 0.0])
+    return max(errors)
+
+
+def test_who_is_not_seen_knows_its_tilt_if_it_knows_its_rate_loop():
+    assert swung(rates_on_board(PAPER)) < 0.1 < 0.2 < swung(None)
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_the_rates_are_those_of_the_loop_on_board_without_its_integral(axis):
+    loop, told = rates_on_board(PAPER), np.array([PAPER.weight, 0.0, 0.0, 0.0])
+    f, t = KalmanFilter(motion=Commanded(PAPER.flat, 0.0), loop=loop), np.arange(0.0, 0.5, 0.01)
+    told[1 + axis] = 2.0
+    found = []
+    for now in t:
+        f.update(Pose(np.array([0.0, 0.0, 9.0, 0.0, 0.0, 0.0, 1.0])), now)
+        found.append(f._memory[RATE + axis])
+        f.commanded = told
+    c0, c1, c2 = loop[axis]
+    _, w, _ = lsim(([c2], [c0, c1, c2]), np.full(len(t), 2.0), t)
+    np.testing.assert_allclose(found, w, atol=0.12)

@@ -15,7 +15,7 @@ from crazychoir.runtime.clock import run_virtual
 pytestmark = pytest.mark.system
 
 
-FOUND = [103, 272, 978, 4057, 5962, 6444, 8921]
+FOUND = [103, 272, 978, 4057, 5962, 6444, 6878, 8921, 9578]
 """Seeds that have found something."""
 
 
