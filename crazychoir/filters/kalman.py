@@ -10,6 +10,7 @@ from crazychoir.math3d import (
     Mat,
     Triple,
     Vec,
+    clip,
     conjugate,
     exponential,
     finite,
@@ -35,26 +36,32 @@ LATE = 0.02  # s, a lag in place of the delays of command and measurement, behin
 FINE, FORGOTTEN = 0.0025, 0.5  # s: of the integration of that loop at most; without a command it is at rest by then
 
 # The memory: x (13,) of the instant of the measurement, d (3,), the upper triangles of both covariances, the time of
-# the last call, the row of the newest command, the rates r and r' (3,) that the rate loop has by the commands alone.
-D, P, A, CALLED, NEWEST, RATE, TURN, MEMORY = 13, 16, 22, 25, 26, 27, 30, 33
+# the last call, the row of the newest command; r, r' and the integral of the rate loop by the commands alone, (3,) each.
+D, P, A, CALLED, NEWEST, RATE, TURN, SUM, MEMORY = 13, 16, 22, 25, 26, 27, 30, 33, 36
 # The figures: variances of a pose, densities, 1/s of the fading, whether commands are told, the floor, the lag of the
-# rates behind what is recorded, whether their loop is known, its c_0 to c_2 an axis (9,), Platform.flat.
-R_P, R_ANGLE, JERK, PUSH, SWING, FADING, TOLD, FLOOR, LAG, LOOPED, LOOP, PLATFORM = 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 19
+# rates behind what is recorded, whether their loop is known, its rows (15,), Platform.flat.
+R_P, R_ANGLE, JERK, PUSH, SWING, FADING, TOLD, FLOOR, LAG, LOOPED, LOOP, PLATFORM = 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 25
 
 
 @kernel()
 def _respond(mem: Vec, loop: Vec, u: Vec, h: float) -> Triple:
-    """Carry the rates of the loop on by h s under u, by backward Euler; returns their means, rad/s."""
+    """Carry the rates of the loop on by h s under u; returns their means, rad/s.
+
+    Euler's method, its lag backwards.
+    """
     if not 0.0 < h < FORGOTTEN:
         for c in range(3):
-            mem[RATE + c], mem[TURN + c] = u[1 + c], 0.0
+            mem[RATE + c], mem[TURN + c], mem[SUM + c] = u[1 + c], 0.0, 0.0
         return (u[1], u[2], u[3])
     steps = math.ceil(h / FINE)
     step, mean = h / steps, (0.0, 0.0, 0.0)
     for _ in range(steps):
         for c in range(3):
-            c0, c1, c2 = loop[3 * c] / step, loop[3 * c + 1], loop[3 * c + 2]
-            mem[TURN + c] = (c0 * mem[TURN + c] + c2 * (u[1 + c] - mem[RATE + c])) / (c0 + c1 + c2 * step)
+            lag, kp, ki, kd, most = loop[5 * c], loop[5 * c + 1], loop[5 * c + 2], loop[5 * c + 3], loop[5 * c + 4]
+            error = u[1 + c] - mem[RATE + c]
+            mem[SUM + c] += step * error
+            wanted = clip(kp * error + ki * mem[SUM + c] - kd * mem[TURN + c], -most, most)
+            mem[TURN + c] = (lag * mem[TURN + c] + step * wanted) / (lag + step)
             mem[RATE + c] += step * mem[TURN + c]
         r = (mem[RATE], mem[RATE + 1], mem[RATE + 2])
         mean = (mean[0] + r[0] / steps, mean[1] + r[1] / steps, mean[2] + r[2] / steps)
@@ -273,7 +280,7 @@ class KalmanFilter:
     told no commands has all of the jerk in d: there 0.1 is right for eights at 1 m/s, 3 for those at 2 m/s;
     push: m2/s3, of n_s: what g times the noise of the attitude, 2 mrad behind the filter for 0.03 s, leaves in f;
     swing: rad2/s3, of n_g: a lag of the rates off by 10 ms where they change by 20 rad/s2, for some 0.03 s;
-    loop: (3, 3), c_0 to c_2 of roll, pitch, yaw, None: not known.
+    loop: (3, 5), lag_r s, kp 1/s2, ki 1/s3, kd 1/s, most rad/s2 of roll, pitch, yaw; None: not known.
     Source of Q: Bar-Shalom, Li & Kirubarajan 2001, the Wiener process acceleration model; of the error state: Lefferts,
     Markley & Shuster 1982.
     """
@@ -296,7 +303,7 @@ class KalmanFilter:
         self.refused = 0
         self.speed = 0.0
         self.measured = -math.inf
-        rates = (RATE_LAG, 0.0, *np.zeros(9)) if loop is None else (LATE, 1.0, *loop.ravel())
+        rates = (RATE_LAG, 0.0, *np.zeros(15)) if loop is None else (LATE, 1.0, *loop.ravel())
         model = (0.0,) if motion is None else (1.0, motion.floor, *rates, *motion.platform)
         self._figures = np.array([noise_p**2, noise_angle**2, jerk, push, swing, 1.0 / FADE, *model])
         self._memory, self._history = np.zeros(MEMORY), np.zeros((HISTORY, 5))

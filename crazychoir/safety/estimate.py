@@ -17,6 +17,8 @@ from crazychoir.types import FullState, State
 
 SEEN = 0.1
 """s, the age of a state beyond which it is a prediction, of which the controllers learn nothing."""
+MOST_TURN = 32767.0
+"""The largest command about an axis that the firmware gives to its motors: it is an int16."""
 BLIND = 2.0
 """s, how far it predicts its own motion without a pose: as long as the safety table lets it fly so."""
 
@@ -34,11 +36,12 @@ def filter_of(name: str, chosen: Controls, ground: float, rate: float) -> StateF
 
 
 def rates_on_board(platform: Platform) -> Mat:
-    """(3, 3): c_0 to c_2 of KalmanFilter for roll, pitch and yaw behind the rate loop of its firmware.
-
-    Of `rate_loop`, without its integral: that only removes what is left over, later than a filter looks.
-    """
-    return np.array([rate_loop(platform, axis)[1][:3] for axis in range(3)])
+    """(3, 5): the loop of KalmanFilter for roll, pitch and yaw, of the firmware's rate controllers; see `rate_loop`."""
+    firmware, rows = platform.firmware, []
+    for axis, (gain, _, _) in enumerate((firmware.rate_pid, firmware.rate_pid, firmware.yaw_rate_pid)):
+        lag, damped, kp, ki = rate_loop(platform, axis)[1]
+        rows.append((lag, kp, ki, damped - 1.0, kp * MOST_TURN / (gain * math.degrees(1.0))))
+    return np.array(rows)
 
 
 def believed(state: State, flown: FullState | None) -> Vec:
