@@ -36,7 +36,7 @@ LATE = 0.02  # s, a lag in place of the delays of command and measurement, behin
 FINE, FORGOTTEN = 0.0025, 0.5  # s: of the integration of that loop at most; without a command it is at rest by then
 
 # The memory: x (13,) of the instant of the measurement, d (3,), the upper triangles of both covariances, the time of
-# the last call, the row of the newest command; r, r' and the integral of e of the loop by the commands alone, (3,) each.
+# the last call, the row of the newest command; r, r' and the integral of e of the rate loop, (3,) each.
 D, P, A, CALLED, NEWEST, RATE, TURN, SUM, MEMORY = 13, 16, 22, 25, 26, 27, 30, 33, 36
 # The figures: variances of a pose, densities, 1/s of the fading, whether commands are told, the floor, the lag of the
 # rates behind what is recorded, whether their loop is known, its rows (15,), Platform.flat.
