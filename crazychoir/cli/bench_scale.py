@@ -81,14 +81,14 @@ class Fit:
     """A model of one figure: its coefficients, and how far it is off, as shares.
 
     error, worst: in the cells that it was fitted to, median and most;  left_out, left_out_worst: in cells of a number
-    of agents, or of processes, that it was not fitted to.
+    of agents, or of processes, that it was not fitted to, None where there are too few.
     """
 
     coefficients: dict[str, float]
     error: float
     worst: float
-    left_out: float
-    left_out_worst: float
+    left_out: float | None
+    left_out_worst: float | None
 
 
 def run(quick: bool, namespaces: bool, repeats: int, say: Callable[[str], None]) -> dict[str, Any]:
@@ -209,8 +209,8 @@ def fit(name: str, cells: list[Cell]) -> Fit:
             if len(others) >= len(coefficients):
                 outside += off(name, solved(name, others), [cell for cell in cells if getattr(cell, key) == value])
     named = dict(zip(TERMS[name], map(float, coefficients), strict=True))
-    outside = outside or [float("nan")]
-    return Fit(named, statistics.median(inside), max(inside), statistics.median(outside), max(outside))
+    unseen = (statistics.median(outside), max(outside)) if outside else (None, None)
+    return Fit(named, statistics.median(inside), max(inside), *unseen)
 
 
 def needs(fits: dict[str, Fit]) -> list[dict[str, float]]:
@@ -240,6 +240,11 @@ def needs(fits: dict[str, Fit]) -> list[dict[str, float]]:
 # What is shown ------------------------------------------------------------------------------------------------------
 
 
+def share(error: float | None) -> str:
+    """In per cent."""
+    return "-" if error is None else f"{error:.0%}"
+
+
 def table(result: dict[str, Any]) -> RenderableType:
     """Cells, model, and what it says of more."""
     columns = ("agents", "proc", "rounds/s", "us/msg", "B/msg", "msg/frame", "MiB", "start s", "threads")
@@ -256,7 +261,7 @@ def table(result: dict[str, Any]) -> RenderableType:
     fits = Table("model of", "coefficients", "off", "worst", "left out", "worst", title="Fitted")
     for name, one in result["fits"].items():
         said = ", ".join(f"{term} {value:.3g}" for term, value in one["coefficients"].items())
-        fits.add_row(name, said, *(f"{one[key]:.0%}" for key in ("error", "worst", "left_out", "left_out_worst")))
+        fits.add_row(name, said, *map(share, (one[key] for key in ("error", "worst", "left_out", "left_out_worst"))))
     more = Table("processes", "links", "cores/host", "MiB/host", "Mbit/s a host", "start, s",
                  title=f"{HOSTS * EACH:,} agents on {HOSTS} hosts, {RATE:g} rounds/s")  # fmt: skip
     for row in result["needs"]:

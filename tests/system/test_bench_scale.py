@@ -40,6 +40,12 @@ def test_a_model_says_how_far_it_is_off():
     assert fit.worst <= fit.left_out_worst
 
 
+def test_a_grid_too_small_to_leave_cells_out_says_no_error_of_them():
+    fit = bench_scale.fit("processor", [cell(10, 2), cell(20, 2)])
+    assert (fit.left_out, fit.left_out_worst) == (None, None)
+    assert bench_scale.share(fit.left_out) == "-"
+
+
 def test_what_more_agents_need_is_what_the_model_says():
     fits = {name: bench_scale.fit(name, [cell(n, p) for n, p in GRID]) for name in bench_scale.TERMS}
     one, each = bench_scale.needs(fits)
