@@ -56,7 +56,7 @@ def test_what_more_agents_need_is_what_the_model_says():
 
 
 @pytest.mark.real_time
-@pytest.mark.parametrize("namespaces", [False, True])
+@pytest.mark.parametrize("namespaces", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_cells_are_measured_and_shown(monkeypatch, namespaces):
     monkeypatch.setattr(bench_scale, "QUICK", ((10, 20), (1, 2)))
     said = []

@@ -53,7 +53,7 @@ async def test_who_is_chosen_stays_ticked_on_a_new_line(tmp_path):
         assert await page.evaluate("choir.chosen()") == [3]
 
 
-@pytest.mark.parametrize("width", [1366, 1024])
+@pytest.mark.parametrize("width", [1366, pytest.param(1024, marks=pytest.mark.slow)])
 async def test_nothing_that_the_header_says_moves_the_stop_or_the_table(tmp_path, width):
     async with looked_at(tmp_path) as (page, wire, _):
         await page.set_viewport_size({"width": width, "height": 768})
@@ -80,6 +80,7 @@ async def test_who_must_log_in_again_is_told_so(tmp_path):
         assert await page.inner_text("#connection") == "LOG IN AGAIN"
 
 
+@pytest.mark.slow
 async def test_those_that_are_ticked_are_commanded_after_the_server_was_started_again(tmp_path):
     async with looked_at(tmp_path, strict=False) as (page, _, program):
         await page.check('input[aria-label="drone 1"]')
@@ -238,6 +239,7 @@ async def test_space_stops_all_while_it_is_asked_whether_a_stop_is_to_end(tmp_pa
         await until(lambda: wire.asked[2:] == [{"ask": "stop", "clear": True}], 5.0)
 
 
+@pytest.mark.slow
 async def test_a_field_without_a_number_is_marked_and_nothing_is_sent(tmp_path):
     async with looked_at(tmp_path) as (page, wire, _):
         await page.check('input[aria-label="drone 1"]')
@@ -294,7 +296,7 @@ async def test_sliders_show_what_is_in_force_for_the_chosen_and_send_it_as_often
 SLIDERS = "`${document.getElementById('loss').value} ${document.getElementById('delay').value}`"
 
 
-@pytest.mark.parametrize("kind", ["csv", "svg"])
+@pytest.mark.parametrize("kind", ["csv", pytest.param("svg", marks=pytest.mark.slow)])
 async def test_a_drawing_is_saved_as_a_file_and_loaded_again(tmp_path, kind):
     strokes = "choir.sketch.strokes().map(stroke => stroke.map(([, x, y]) => [x, y]))"
     async with looked_at(tmp_path) as (page, _, _program):
@@ -361,6 +363,7 @@ CIRCLES = """
 """
 
 
+@pytest.mark.slow
 async def test_who_is_in_the_way_of_the_second_that_flies_a_drawing_is_named(tmp_path):
     async with looked_at(tmp_path) as (page, wire, _):
         wire.frame = hovering({5: (0.25, 1.5, 1.3)})
@@ -403,6 +406,7 @@ async def test_what_plans_cost_and_their_relaxations_are_drawn_by_round(tmp_path
         assert abs((places[1] - places[0]) / (places[2] - places[0]) - 28 / 55) < 1e-6, "a round is where its number is"
 
 
+@pytest.mark.slow
 async def test_curves_have_the_time_of_their_samples_and_are_open_where_nothing_was_heard(tmp_path):
     async with looked_at(tmp_path) as (page, wire, _):
         await page.click("#tab-plots")
@@ -427,6 +431,7 @@ def timed(later):
     return frame
 
 
+@pytest.mark.slow
 async def test_routes_are_drawn_from_where_their_drones_are(tmp_path):
     async with looked_at(tmp_path) as (page, wire, _):
         wire.frame = hovering({1: (0.0, 0.0, 1.0)})

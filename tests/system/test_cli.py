@@ -132,7 +132,9 @@ def test_a_mission_that_fails_lands_its_drone_and_the_others_go_on(here, tmp_pat
     assert result["flown_m"]["1"] == pytest.approx(2.0, abs=0.1), "up, and down again"
 
 
-@pytest.mark.parametrize("fast", [True, pytest.param(False, marks=pytest.mark.real_time)], ids=["fast", "real time"])
+@pytest.mark.parametrize(
+    "fast", [True, pytest.param(False, marks=(pytest.mark.real_time, pytest.mark.slow))], ids=["fast", "real time"]
+)
 def test_a_report_gets_the_same_results_in_both_worlds_whatever_a_mission_prints(tmp_path, fast):
     path = tmp_path / "telling.py"
     path.write_text(TELLING)
@@ -312,6 +314,7 @@ async def test_operating_and_looking_into_a_swarm_that_runs_then_landing_it(look
         assert "land" in ended["results"]["2"]["reason"]
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(120)
 async def test_beside_an_agent_that_waits(look_here, four, compiled):
     """The second agent of one drone is refused; and a stop says who has not acknowledged."""

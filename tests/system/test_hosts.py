@@ -91,6 +91,7 @@ async def fly_undisturbed(hosts: Hosts, folder: Path) -> None:
     check_served(config, ended)
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(300)  # the first test of a fresh clone waits for the compiler
 async def test_demo_on_two_hosts_whose_clocks_differ_through_a_partition(tmp_path, compiled):
     """Two processes on one host, one on the other."""

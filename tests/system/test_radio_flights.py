@@ -50,6 +50,7 @@ async def in_the_air(hall: Hall, run: Program, *ids: int) -> None:
     await asyncio.sleep(2.0)
 
 
+@pytest.mark.slow
 async def test_virtual_and_simulated_drones_fly_one_mission(tmp_path) -> None:
     config = reached(figures(2, "fpqr"), ids=(1,))
     result = await flown(config, tmp_path)

@@ -216,6 +216,7 @@ def test_a_cut_off_recording_is_plotted_with_a_warning(here, recorded, tmp_path)
     assert (tmp_path / "cut" / "top.png").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.real_time
 def test_a_replay_is_seen_as_a_swarm_and_recorded_anew(recorded, tmp_path):
     """Over Zenoh: what the one says again, the other records until it is gone, with the same values."""

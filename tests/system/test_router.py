@@ -70,7 +70,7 @@ def demo(folder, secured):
 
 
 @pytest.mark.timeout(300)  # the first test of a fresh clone waits for the compiler
-@pytest.mark.parametrize("secured", [True, False])
+@pytest.mark.parametrize("secured", [True, pytest.param(False, marks=pytest.mark.slow)])
 async def test_the_demo_flies_on_hosts_that_reach_the_router_alone(tmp_path, compiled, secured):
     config = demo(tmp_path, secured)
     file = tmp_path / "router.json"
