@@ -224,7 +224,8 @@ def members(report: Report, draw: Draw) -> None:
         roster = next(iter(rosters.values()), None)
         for k in sorted(heard) if roster is not None and len(checksums) == 1 else ():
             whole = k >= roster.first_round and all(i in heard[k] for i in roster.ids)
-            right = not whole or as_graph_says(roster.graph, k, heard)
+            theirs = {i: by for i, by in heard[k].items() if i in roster.members}  # who has died was in another, maybe
+            right = not whole or as_graph_says(roster.graph, k, {k: theirs})
             report.holds(right, f"in round {k} of an epoch since {roster.first_round} they hear {heard[k]}")
         report.simulated_s = t.clock.now()
         report.digest = digest(sorted(heard.items()), sorted(alive.items()), t.clock.now_ns())
