@@ -51,7 +51,10 @@ BACKLOG = 10_000
 SLICE = 64
 """Frames that are read in one pass of the event loop: ticks wait for no more,"""
 SLICE_NS = SECOND // 500
-"""nor, beyond the frame that is being read, for longer."""
+"""nor, beyond the frame that is being read, for longer;"""
+SLICE_MOST_NS = SECOND // 50
+"""unless the loop did other things for longer since it last left frames unread: then for as long as that, or this. So
+who is behind reads half of the time."""
 CLOSE_DEADLINE = 1.5
 """s; within what a supervisor grants."""
 CLOSING = "zenoh close"
@@ -162,7 +165,7 @@ class ZenohLink(Actor):
         self._now_ns = bus.clock.now_ns
         self._queue: deque[tuple[Handler, str, bytes, int]] = deque(maxlen=BACKLOG)
         self._budgets, self._token_budgets = Budgets(), Budgets()
-        self._armed = False
+        self._armed, self._behind_ns = False, 0
         self._flushing = False
         self._full: list[Lane] = []
         self._after: deque[Callable[[], None]] = deque()
@@ -473,7 +476,9 @@ class ZenohLink(Actor):
 
     def _drain(self) -> None:
         self._armed = False  # before the queue is read, else a wake-up is lost
-        queue, ends_ns = self._queue, self._now_ns() + SLICE_NS
+        queue, now = self._queue, self._now_ns()
+        busy = now - self._behind_ns if self._behind_ns else 0
+        ends_ns = now + max(SLICE_NS, min(busy, SLICE_MOST_NS))
         for _ in range(min(len(queue), SLICE)):
             handler, key, data, arrived_ns = queue.popleft()
             try:
@@ -484,6 +489,7 @@ class ZenohLink(Actor):
                     log.error("a frame at %s was not taken: %s", key, error, exc_info=error)
             if self._now_ns() > ends_ns:
                 break
+        self._behind_ns = self._now_ns() if queue else 0
         if queue and not self._armed:
             self._armed = True
             self._loop.call_soon(self._drain)

@@ -13,7 +13,7 @@ from crazychoir.bus.frames import Envelope, Frame, encode_frame
 from crazychoir.bus.hello import Hello
 from crazychoir.bus.local import Bus
 from crazychoir.bus.topics import LOG, STATE
-from crazychoir.bus.zenoh import BACKLOG, SLICE, SLICE_NS, ZenohLink, _speaker
+from crazychoir.bus.zenoh import BACKLOG, SLICE, SLICE_MOST_NS, SLICE_NS, ZenohLink, _speaker
 from crazychoir.runtime.clock import Clock
 
 OF_B = "choir/s/f/0-1/b/1-1/control"
@@ -64,6 +64,33 @@ async def test_frames_that_take_long_leave_the_loop_to_the_others():
     link._drain()
     assert read == ["0", "1"], "of SLICE that it might take"
     assert SLICE > 5
+    link._queue.clear()
+
+
+async def test_who_is_behind_reads_for_as_long_as_the_loop_does_other_things():
+    link, read = await link_of_a(), []
+
+    def slowly(key, data, arrived_ns):
+        read.append(key)
+        link.bus.clock.ns += SLICE_NS // 2
+
+    for k in range(200):
+        link._enqueue(slowly, str(k), b"")
+    counts = []
+    for others_ns in (0, 0, 5 * SLICE_NS, 1000 * SLICE_NS):
+        link.bus.clock.ns += others_ns
+        before = len(read)
+        link._drain()
+        counts.append(len(read) - before)
+    assert counts == [3, 3, 11, 2 * SLICE_MOST_NS // SLICE_NS + 1]
+    link._queue.clear()
+    link._drain()
+    link.bus.clock.ns += 1000 * SLICE_NS
+    for k in range(10):
+        link._enqueue(slowly, str(k), b"")
+    read.clear()
+    link._drain()
+    assert len(read) == 3, "who has read all is not behind, however long ago that was"
     link._queue.clear()
 
 
