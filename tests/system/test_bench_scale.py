@@ -55,8 +55,9 @@ def test_what_more_agents_need_is_what_the_model_says():
     assert each["memory_a_host"] == pytest.approx(8 * 3e7 + 100 * 2e4 + 8 * 799 * 5e5, rel=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.real_time
-@pytest.mark.parametrize("namespaces", [False, pytest.param(True, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("namespaces", [False, True])
 def test_cells_are_measured_and_shown(monkeypatch, namespaces):
     monkeypatch.setattr(bench_scale, "QUICK", ((10, 20), (1, 2)))
     said = []

@@ -53,7 +53,8 @@ async def test_who_is_chosen_stays_ticked_on_a_new_line(tmp_path):
         assert await page.evaluate("choir.chosen()") == [3]
 
 
-@pytest.mark.parametrize("width", [1366, pytest.param(1024, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("width", [1366, 1024])
 async def test_nothing_that_the_header_says_moves_the_stop_or_the_table(tmp_path, width):
     async with looked_at(tmp_path) as (page, wire, _):
         await page.set_viewport_size({"width": width, "height": 768})
@@ -72,6 +73,7 @@ async def test_nothing_that_the_header_says_moves_the_stop_or_the_table(tmp_path
         assert await page.inner_text("#connection") == "NOT CONNECTED"
 
 
+@pytest.mark.slow
 async def test_who_must_log_in_again_is_told_so(tmp_path):
     async with looked_at(tmp_path, strict=False) as (page, wire, _):
         await page.route("**/own/page.css", lambda route: route.fulfill(status=401))
@@ -167,6 +169,7 @@ async def test_a_stop_that_the_server_does_not_hear_is_sent_until_it_does_unless
         await page.locator("#kept").wait_for(state="hidden")
 
 
+@pytest.mark.slow
 async def test_what_is_stopped_is_told_as_drones_say_it_beside_the_stops_that_some_have_not_obeyed(tmp_path):
     async with looked_at(tmp_path) as (page, wire, _):
         await page.keyboard.press("Space")
@@ -263,6 +266,7 @@ async def test_a_field_without_a_number_is_marked_and_nothing_is_sent(tmp_path):
         assert wire.of("add-task") == wire.of("draw") == []
 
 
+@pytest.mark.slow
 async def test_sliders_show_what_is_in_force_for_the_chosen_and_send_it_as_often_as_is_asked(tmp_path):
     async with looked_at(tmp_path) as (page, wire, _):
         await page.click("#tab-network")
@@ -316,6 +320,7 @@ async def test_a_drawing_is_saved_as_a_file_and_loaded_again(tmp_path, kind):
             assert np.array(one) == pytest.approx(np.array(other), abs=2e-4)
 
 
+@pytest.mark.slow
 async def test_no_tab_moves_the_table_and_what_flies_a_drawing_is_in_sight(tmp_path):
     """Who has a box under his hand ticks that one."""
     async with looked_at(tmp_path, viewport={"width": 1280, "height": 800}) as (page, _, _program):
@@ -331,6 +336,7 @@ async def test_no_tab_moves_the_table_and_what_flies_a_drawing_is_in_sight(tmp_p
         assert button["y"] + button["height"] < panel["y"] + panel["height"]
 
 
+@pytest.mark.slow
 async def test_a_drawing_of_very_many_points_is_thinned_and_what_is_too_large_is_not_sent(tmp_path):
     async with looked_at(tmp_path) as (page, wire, _):
         await page.click("#tab-draw")
@@ -394,6 +400,7 @@ def hovering(places):
     return frame
 
 
+@pytest.mark.slow
 async def test_what_plans_cost_and_their_relaxations_are_drawn_by_round(tmp_path):
     async with looked_at(tmp_path) as (page, wire, _):
         await page.click("#tab-plots")
