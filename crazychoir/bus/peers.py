@@ -22,6 +22,8 @@ MAX_PEERS = 512
 MAX_TOKENS = 16
 """Of a peer."""
 
+NEW: Final = 10.0
+"""s that a process is up in which it ends if another one refuses it."""
 COPY: Final = "Copy one file to every host, and start both again."
 
 OnToken = Callable[[list[int], bool], None]
@@ -213,11 +215,15 @@ class Peers:
         return "", ""
 
     def _refuse(self, peer: Peer, hello: Hello, refusal: str, do: str, uptime: float) -> bool:
-        """Say so, once; of two that cannot both be there, the one that came later gives way."""
+        """Say so, once; of two that cannot both be there, the one that came later gives way, as long as it is new.
+
+        Later somebody may fly by it: a host that comes back, or says that it has been up for long, ends nobody's flight.
+        """
         said, peer.refusal = peer.refusal, refusal
         if said:
             return False
-        if hello.version == self.version and hello.precedes(self.bus.process, uptime - self._uptime()):
+        new = self._uptime() < NEW
+        if new and hello.version == self.version and hello.precedes(self.bus.process, uptime - self._uptime()):
             self.on_refused(Refused(f"swarm {self.swarm}", f"{refusal}. {do}"))
         else:
             log.warning("%s: it is refused", refusal)
@@ -225,7 +231,7 @@ class Peers:
 
     def _take_in(self, peer: Peer, hello: Hello) -> None:
         was_mutual = self.mutual(peer)
-        previous, peer.hello = peer.hello, hello
+        previous, peer.hello, peer.refusal = peer.hello, hello, ""
         if previous is None or previous.incarnation != hello.incarnation:
             peer.offset = Offset()
         if previous is None:

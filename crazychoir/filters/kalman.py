@@ -47,9 +47,11 @@ R_P, R_ANGLE, JERK, PUSH, SWING, FADING, TOLD, FLOOR, LAG, LOOPED, LOOP, PLATFOR
 def _respond(mem: Vec, loop: Vec, u: Vec, h: float) -> Triple:
     """Carry the rates of the loop on by h s under u; returns their means, rad/s.
 
-    Euler's method, its lag backwards.
+    Euler's method, its lag backwards. Without thrust the firmware resets its loops, and the rotors run down.
     """
-    if not 0.0 < h < FORGOTTEN:
+    if h <= 0.0:  # a pose that was refused: this tick has been recorded
+        return (mem[RATE], mem[RATE + 1], mem[RATE + 2])
+    if not h < FORGOTTEN:
         for c in range(3):
             mem[RATE + c], mem[TURN + c], mem[SUM + c] = u[1 + c], 0.0, 0.0
         return (u[1], u[2], u[3])
@@ -59,8 +61,8 @@ def _respond(mem: Vec, loop: Vec, u: Vec, h: float) -> Triple:
         for c in range(3):
             lag, kp, ki, kd, most = loop[5 * c], loop[5 * c + 1], loop[5 * c + 2], loop[5 * c + 3], loop[5 * c + 4]
             error = u[1 + c] - mem[RATE + c]
-            mem[SUM + c] += step * error
-            wanted = clip(kp * error + ki * mem[SUM + c] - kd * mem[TURN + c], -most, most)
+            mem[SUM + c] = mem[SUM + c] + step * error if u[0] > 0.0 else 0.0
+            wanted = clip(kp * error + ki * mem[SUM + c] - kd * mem[TURN + c], -most, most) if u[0] > 0.0 else 0.0
             mem[TURN + c] = (lag * mem[TURN + c] + step * wanted) / (lag + step)
             mem[RATE + c] += step * mem[TURN + c]
         r = (mem[RATE], mem[RATE + 1], mem[RATE + 2])
@@ -280,7 +282,7 @@ class KalmanFilter:
     told no commands has all of the jerk in d: there 0.1 is right for eights at 1 m/s, 3 for those at 2 m/s;
     push: m2/s3, of n_s: what g times the noise of the attitude, 2 mrad behind the filter for 0.03 s, leaves in f;
     swing: rad2/s3, of n_g: a lag of the rates off by 10 ms where they change by 20 rad/s2, for some 0.03 s;
-    loop: (3, 5), lag_r s, kp 1/s2, ki 1/s3, kd 1/s, most rad/s2 of roll, pitch, yaw; None: not known.
+    loop: (3, 5), lag_r s, kp 1/s, ki 1/s2, kd, most rad/s2 of roll, pitch, yaw; None: not known.
     Source of Q: Bar-Shalom, Li & Kirubarajan 2001, the Wiener process acceleration model; of the error state: Lefferts,
     Markley & Shuster 1982.
     """
@@ -303,8 +305,9 @@ class KalmanFilter:
         self.refused = 0
         self.speed = 0.0
         self.measured = -math.inf
-        rates = (RATE_LAG, 0.0, *np.zeros(15)) if loop is None else (LATE, 1.0, *loop.ravel())
-        model = (0.0,) if motion is None else (1.0, motion.floor, *rates, *motion.platform)
+        unknown = motion is None or loop is None
+        rates = (RATE_LAG, 0.0, *np.zeros(15)) if unknown else (LATE, 1.0, *np.ravel(loop))
+        model = (0.0, 0.0, *rates, *np.zeros(9)) if motion is None else (1.0, motion.floor, *rates, *motion.platform)
         self._figures = np.array([noise_p**2, noise_angle**2, jerk, push, swing, 1.0 / FADE, *model])
         self._memory, self._history = np.zeros(MEMORY), np.zeros((HISTORY, 5))
         self._memory[CALLED] = -math.inf

@@ -36,7 +36,11 @@ def filter_of(name: str, chosen: Controls, ground: float, rate: float) -> StateF
 
 
 def rates_on_board(platform: Platform) -> Mat:
-    """(3, 5): the loop of KalmanFilter for roll, pitch and yaw, of the firmware's rate controllers; see `rate_loop`."""
+    """(3, 5): the loop of KalmanFilter for roll, pitch and yaw, of the firmware's rate controllers; see `rate_loop`.
+
+    As the firmware is compiled: its parameters pid_rate may make it another. Left out: that it holds a heading rather
+    than a yaw rate, and the limit of its integrals.
+    """
     firmware, rows = platform.firmware, []
     for axis, (gain, _, _) in enumerate((firmware.rate_pid, firmware.rate_pid, firmware.yaw_rate_pid)):
         lag, damped, kp, ki = rate_loop(platform, axis)[1]

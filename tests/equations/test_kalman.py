@@ -8,7 +8,19 @@ from scipy.linalg import expm
 from scipy.signal import lsim
 
 from crazychoir.control.margin import rate_loop
-from crazychoir.filters.kalman import CALLED, RATE, UNKNOWN_D, UNKNOWN_V, UNKNOWN_W, A, D, KalmanFilter, P
+from crazychoir.filters.kalman import (
+    CALLED,
+    LOOPED,
+    PLATFORM,
+    RATE,
+    UNKNOWN_D,
+    UNKNOWN_V,
+    UNKNOWN_W,
+    A,
+    D,
+    KalmanFilter,
+    P,
+)
 from crazychoir.filters.motion import Commanded
 from crazychoir.math3d import exponential, product
 from crazychoir.platforms import PAPER
@@ -110,8 +122,8 @@ def test_a_constant_body_rate_about_any_axis_is_found():
     np.testing.assert_allclose(state.w, w, atol=1e-6)
 
 
-def swung(loop, seen=0.5, until=0.9, h=0.01):
-    """The largest error of the roll, rad, until `until` s, of which poses are seen for `seen` s only.
+def swung(loop, seen=0.5, until=0.9, h=0.01, rubbish=False):
+    """The largest error of the roll, rad, until `until` s, of which poses are seen for `seen` s only, or rubbish then.
 
     The truth: the whole rate loop of the firmware, which hears of commands that tilt it to and fro 20 ms late.
     """
@@ -123,7 +135,8 @@ def swung(loop, seen=0.5, until=0.9, h=0.01):
     errors = []
     for k, now in enumerate(t):
         q = np.array(exponential(roll[k], 0.0, 0.0))
-        state = f.update(Pose(np.array([0.0, 0.0, 9.0, *q])), now) if now < seen else f.predict(now)
+        pose = Pose(np.array([0.0, 0.0, 9.0, *(q if now < seen else np.full(4, np.nan))]))
+        state = f.update(pose, now) if now < seen or rubbish else f.predict(now)
         errors.append(abs(2.0 * math.atan2(state.q[0], state.q[3]) - roll[k]))
         f.commanded = np.array([PAPER.weight, told[k], 0.0, 0.0])
     return max(errors)
@@ -131,6 +144,28 @@ def swung(loop, seen=0.5, until=0.9, h=0.01):
 
 def test_who_is_not_seen_knows_its_tilt_if_it_knows_its_rate_loop():
     assert swung(rates_on_board(PAPER)) < 0.06 < 0.2 < swung(None)
+    assert swung(rates_on_board(PAPER), rubbish=True) == pytest.approx(swung(rates_on_board(PAPER)), abs=1e-9)
+
+
+def test_without_thrust_the_rotors_run_down_and_the_rates_stay():
+    """The firmware resets its loops meanwhile: r' fades with the lag of the rotors."""
+    f = KalmanFilter(motion=Commanded(PAPER.flat, 0.0), loop=rates_on_board(PAPER))
+    rates = []
+    for k in range(60):
+        f.update(Pose(np.array([0.0, 0.0, 9.0, 0.0, 0.0, 0.0, 1.0])), 0.01 * k)
+        rates.append(f._memory[RATE])
+        f.commanded = np.array([PAPER.weight if k < 5 else 0.0, 5.0, 0.0, 0.0])
+    slope = (rates[5] - rates[4]) / 0.01
+    assert rates[-1] == pytest.approx(rates[5] + slope * PAPER.rotor.lag, rel=0.1)
+    assert rates[-1] == pytest.approx(rates[-10], rel=0.01)
+
+
+@pytest.mark.parametrize("loop", [None, rates_on_board(PAPER)])
+@pytest.mark.parametrize("motion", [None, Commanded(PAPER.flat, 0.0)])
+def test_compiled_code_reads_no_figure_that_is_not_there(motion, loop):
+    figures = KalmanFilter(motion=motion, loop=loop)._figures
+    assert len(figures) == PLATFORM + len(PAPER.flat)
+    assert (figures[LOOPED] > 0.0) == (motion is not None and loop is not None)
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])

@@ -15,7 +15,7 @@ from crazychoir.bus.codec import encode
 from crazychoir.bus.hello import TIE, Hello
 from crazychoir.bus.local import BODIES, EYES, OBSERVER, Bus, Interest
 from crazychoir.bus.offset import Offset
-from crazychoir.bus.peers import MAX_PEERS, Peer, Peers
+from crazychoir.bus.peers import MAX_PEERS, NEW, Peer, Peers
 from crazychoir.bus.public import as_json
 from crazychoir.bus.topics import STATE, STATUS
 from crazychoir.errors import CodecError, ConfigError, Refused
@@ -209,6 +209,25 @@ def test_the_later_of_two_gives_way(here: Here) -> None:
     senior = Here(uptime=5.0)
     senior.hear(hello(drones=(0,), uptime=1.0))
     assert (senior.refused, senior.peers.directory) == ([], {})
+
+
+@pytest.mark.parametrize("said", [hello(drones=(0,), uptime=1e8), WORLD], ids=["our drone", "another swarm file"])
+def test_who_has_run_for_a_while_is_ended_by_nobody(said, caplog) -> None:
+    """A host whose cable is back, or that says that it was first: somebody may fly by this process."""
+    here = Here(NEW, {"drones": "ab", "plant": "ef"})
+    here.hear(said, age=1e8)
+    assert (here.refused, here.peers.directory) == ([], {})
+    assert "it is refused" in caplog.text
+    young = Here(NEW - 0.1, {"drones": "ab", "plant": "ef"})
+    young.hear(said, age=1e8)
+    assert len(young.refused) == 1
+
+
+def test_who_was_refused_and_has_mended_it_is_one_of_us(here: Here) -> None:
+    here.hear(hello(drones=(0,), uptime=0.0), age=-0.5)
+    assert here.peers.by_name["b"].refusal
+    here.hear(hello(drones=(1,), uptime=1.0))
+    assert here.peers.by_name["b"].refusal == ""
 
 
 def test_the_later_of_two_owners_of_a_world_gives_way(here: Here) -> None:
