@@ -217,7 +217,7 @@ class Peers:
     def _refuse(self, peer: Peer, hello: Hello, refusal: str, do: str, uptime: float) -> bool:
         """Say so, once; of two that cannot both be there, the one that came later gives way, as long as it is new.
 
-        Later somebody may fly by it: a host that comes back, or says that it has been up for long, ends nobody's flight.
+        Later somebody may fly by it: a host that comes back, or says that it is up for long, ends nobody's flight.
         """
         said, peer.refusal = peer.refusal, refusal
         if said:
