@@ -305,8 +305,8 @@ class KalmanFilter:
         self.refused = 0
         self.speed = 0.0
         self.measured = -math.inf
-        unknown = motion is None or loop is None
-        rates = (RATE_LAG, 0.0, *np.zeros(15)) if unknown else (LATE, 1.0, *np.ravel(loop))
+        known = None if motion is None or loop is None else loop.ravel()
+        rates = (RATE_LAG, 0.0, *np.zeros(15)) if known is None else (LATE, 1.0, *known)
         model = (0.0, 0.0, *rates, *np.zeros(9)) if motion is None else (1.0, motion.floor, *rates, *motion.platform)
         self._figures = np.array([noise_p**2, noise_angle**2, jerk, push, swing, 1.0 / FADE, *model])
         self._memory, self._history = np.zeros(MEMORY), np.zeros((HISTORY, 5))
