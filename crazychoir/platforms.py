@@ -9,6 +9,8 @@ from crazychoir.errors import ConfigError
 from crazychoir.math3d import GRAVITY, Vec
 
 Three = tuple[float, float, float]
+MOST_TURN = 32767.0
+"""The largest command about an axis that the firmware gives to its motors, an int16."""
 
 
 @dataclass(frozen=True)

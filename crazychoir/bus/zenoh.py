@@ -49,12 +49,11 @@ log = logging.getLogger(__name__)
 BACKLOG = 10_000
 """Frames that wait for the event loop; the oldest go when it hangs."""
 SLICE = 64
-"""Frames that are read in one pass of the event loop: ticks wait for no more,"""
-SLICE_NS = SECOND // 500
-"""nor, beyond the frame that is being read, for longer;"""
-SLICE_MOST_NS = SECOND // 50
-"""unless the loop did other things for longer since it last left frames unread: then for as long as that, or this. So
-who is behind reads half of the time."""
+"""Frames that are read in one pass of the event loop: ticks wait for no more."""
+SLICE_NS, SLICE_MOST_NS = SECOND // 500, SECOND // 50
+"""How long they are read for, beyond the one that is being read. Who is behind reads for as long as the loop did other
+things since it left frames unread, half of the time: the former at least, the latter at most.
+"""
 CLOSE_DEADLINE = 1.5
 """s; within what a supervisor grants."""
 CLOSING = "zenoh close"

@@ -257,6 +257,11 @@ class KalmanFilter:
 
     f: acceleration of the paper's dynamics under the commands u, as in Commanded, d what is left: a thrust that is not
     what was commanded, wind. Without a `motion`, or with motors off, f = 0, d is the whole acceleration, and w' = n_g.
+    r: the rates that are commanded, u_2..4, and lag = RATE_LAG; where the `loop` on board is known, what that makes of
+    them by the commands alone, and lag = LATE. An axis of it, which runs down where no thrust is commanded:
+
+        lag_r r'' + r' = sat(kp e + ki (integral of e) - kd r'),  e = u_2..4 - r,  |sat| <= most
+
     The white noises are the same in all axes, so one covariance (p, v, d) serves x, y and z, and one (a, w) the three
     angles of the error a, q = q_est exp(a). Both are discretised exactly for the measured time h between two poses:
 

@@ -12,13 +12,11 @@ from crazychoir.filters.motion import Commanded
 from crazychoir.filters.state_filter import StateFilter
 from crazychoir.filters.velocity import VelocityFilter
 from crazychoir.math3d import Mat, Vec
-from crazychoir.platforms import Platform
+from crazychoir.platforms import MOST_TURN, Platform
 from crazychoir.types import FullState, State
 
 SEEN = 0.1
 """s, the age of a state beyond which it is a prediction, of which the controllers learn nothing."""
-MOST_TURN = 32767.0
-"""The largest command about an axis that the firmware gives to its motors: it is an int16."""
 BLIND = 2.0
 """s, how far it predicts its own motion without a pose: as long as the safety table lets it fly so."""
 

@@ -175,7 +175,9 @@ def test_the_rates_are_those_of_the_loop_on_board(axis):
 
 
 def test_a_large_step_meets_the_limit_of_the_motors_commands():
-    most, lag, t = 102.97 * 32767.0 / (250.0 * math.degrees(1.0)), PAPER.rotor.lag, 0.04
+    """The motors' commands are int16, kp of them a degree/s; `rate_loop` has rad/s2 a rad/s."""
+    gain, lag, t = rate_loop(PAPER, 0)[1][2] / (PAPER.firmware.rate_pid[0] * math.degrees(1.0)), PAPER.rotor.lag, 0.04
+    most = gain * 32767.0
     assert stepped(0, 8.0)[4] == pytest.approx(most * (t - lag * (1.0 - math.exp(-t / lag))), rel=0.1)
     assert 8.0 * response(0)[4] > 3.0
 

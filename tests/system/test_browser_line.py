@@ -300,7 +300,8 @@ async def test_sliders_show_what_is_in_force_for_the_chosen_and_send_it_as_often
 SLIDERS = "`${document.getElementById('loss').value} ${document.getElementById('delay').value}`"
 
 
-@pytest.mark.parametrize("kind", ["csv", pytest.param("svg", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["csv", "svg"])
 async def test_a_drawing_is_saved_as_a_file_and_loaded_again(tmp_path, kind):
     strokes = "choir.sketch.strokes().map(stroke => stroke.map(([, x, y]) => [x, y]))"
     async with looked_at(tmp_path) as (page, _, _program):

@@ -314,7 +314,6 @@ async def test_operating_and_looking_into_a_swarm_that_runs_then_landing_it(look
         assert "land" in ended["results"]["2"]["reason"]
 
 
-@pytest.mark.slow
 @pytest.mark.timeout(120)
 async def test_beside_an_agent_that_waits(look_here, four, compiled):
     """The second agent of one drone is refused; and a stop says who has not acknowledged."""

@@ -8,12 +8,13 @@ import math
 import numpy as np
 
 from crazychoir.math3d import clip, kernel
+from crazychoir.platforms import MOST_TURN
 from crazychoir.simulation.onboard import pid
 from crazychoir.simulation.onboard.record import ABSOLUTE, DISABLE, LEGACY, VELOCITY, Record
 
 ATTITUDE_RATE, POSITION_RATE, POSITION_TICKS = 500.0, 100.0, 10  # Hz, Hz, ms
 OVERHEAD = 1.1  # of the limits inside the position and velocity PIDs
-THRUST_SCALE, MOST_THRUST, MOST_TURN = 1000.0, 65535.0, 32767.0
+THRUST_SCALE, MOST_THRUST = 1000.0, 65535.0
 SLOWEST_CLIMB = 0.5  # m/s, the least that the limit of the vertical speed is
 
 
