@@ -18,8 +18,8 @@ from crazychoir.errors import ConfigError
 from crazychoir.guidance.mission_options import Offset, Yaw, given, require_none
 from crazychoir.guidance.timed import Way, noted
 from crazychoir.planning.drawing import Drawing, Pen, drawing
+from crazychoir.planning.drawing_file import read_drawing
 from crazychoir.planning.feasibility import Limits
-from crazychoir.planning.stroke import read_strokes
 from crazychoir.swarm.tables import Scale, Table, Text
 
 Results = dict[int, dict[str, Any]]
@@ -32,8 +32,9 @@ Timing = Annotated[Literal["even", "drawn"], Meta(description='"even" or "drawn"
 class Options(Table, frozen=True, kw_only=True):
     """[mission_options].
 
-    drawing: a CSV file of rows stroke, t, x, y;  scale: of the drawing;  yaw: rad, or "along" the path;
-    timing: "drawn", as fast as the hand was where the limits allow;  lift: m between strokes.
+    drawing: a CSV file of rows stroke, t, x, y, or an SVG picture, a millimetre a unit;  scale: of the drawing;
+    yaw: rad, or "along" the path;  timing: "drawn", as fast as the hand was where the limits allow (CSV);
+    lift: m between strokes.
     """
 
     drawing: Text = str(WORD)
@@ -65,11 +66,11 @@ class Writer(CFGuidance):
 def drawn(config: SwarmConfig, i: int) -> Drawing:
     """What drone i flies: the drawing, its middle over the drone's home; no jerk that its attitude cannot follow."""
     options, flight, home = given(config, Options), config.flight, config.drone(i).home
-    strokes = read_strokes(options.drawing)
-    places = np.vstack([stroke[:, 1:] for stroke in strokes])
+    strokes = read_drawing(options.drawing).strokes
+    places = np.vstack([stroke[:, -2:] for stroke in strokes])
     middle = 0.5 * (places.min(axis=0) + places.max(axis=0))
     placed = [
-        np.column_stack([stroke[:, 0], home[:2] + options.scale * (stroke[:, 1:] - middle)]) for stroke in strokes
+        np.column_stack([stroke[:, :-2], home[:2] + options.scale * (stroke[:, -2:] - middle)]) for stroke in strokes
     ]
     pen = Pen(
         height=flight.ground + flight.takeoff_height, lift=options.lift, yaw=options.yaw, timing=options.timing
@@ -101,13 +102,14 @@ def swarm(drones: int | None) -> SwarmConfig:
 
 
 def check(config: SwarmConfig, force: bool = False) -> list[str]:
-    """The options are those that there are, and the drawing can be flown; says how it will be."""
-    given(config, Options)
+    """The options are those that there are, and the drawing can be flown; says how, and what of it is not."""
+    options = given(config, Options)
     require_none(config)
     flown, *_ = [_checked(config, i) for i in config.ids]
     return [
         f"the drawing takes {flown.path.duration:.1f} s, at most {flown.speed:.2f} m/s and "
-        f"{flown.acceleration:.2f} m/s2, {1e3 * flown.deviation:.1f} mm from what was drawn"
+        f"{flown.acceleration:.2f} m/s2, {1e3 * flown.deviation:.1f} mm from what was drawn",
+        *(f"{options.drawing}: {word}" for word in read_drawing(options.drawing).words),
     ]
 
 

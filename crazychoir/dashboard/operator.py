@@ -25,7 +25,7 @@ from crazychoir.dashboard.asks import (
 from crazychoir.dashboard.desk import Desk
 from crazychoir.dashboard.polls import TaskBoard
 from crazychoir.errors import ConfigError
-from crazychoir.guidance.sketch import Planned, loaded, messages, places, planned, saved
+from crazychoir.guidance.sketch import Planned, loaded_with_words, messages, places, planned, saved
 from crazychoir.planning.drawing import Pen
 from crazychoir.swarm.config import SwarmConfig
 from crazychoir.swarm.graph import span
@@ -142,7 +142,8 @@ class Operator:
 
 
 async def _loaded(name: str, text: str) -> dict[str, Any]:
-    return {"strokes": await _aside(loaded, text, name)}
+    strokes, words = await _aside(loaded_with_words, text, name)
+    return {"remarks": words, "strokes": strokes}
 
 
 async def _saved(strokes: Strokes, kind: str) -> dict[str, Any]:

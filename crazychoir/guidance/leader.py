@@ -12,9 +12,9 @@ from crazychoir.guidance.mission_options import Duration, HeightOption, Laps, Le
 from crazychoir.math3d import Mat, Vec
 from crazychoir.planning import feasibility
 from crazychoir.planning.drawing import Pen, drawing
+from crazychoir.planning.drawing_file import read_drawing
 from crazychoir.planning.feasibility import Limits
 from crazychoir.planning.figure import circle
-from crazychoir.planning.stroke import read_strokes
 from crazychoir.planning.trajectory import Trajectory
 from crazychoir.swarm.config import SwarmConfig
 from crazychoir.swarm.tables import Table, Text
@@ -32,8 +32,8 @@ class LeaderOptions(Table, frozen=True, kw_only=True):
     """[mission_options] of every mission whose leaders may move.
 
     leaders: what they do;  radius m, period s, laps, ramp s: of the circle;  drawing: a CSV file of rows stroke, t, x,
-    y;  begin: s of the law after which they begin;  duration: s of the law, without it SETTLING, or as long as their
-    path and 5 s more.
+    y, or an SVG picture;  begin: s of the law after which they begin;  duration: s of the law, without it SETTLING, or
+    as long as their path and 5 s more.
     """
 
     leaders: Kind = "still"
@@ -113,9 +113,10 @@ def path_of(config: SwarmConfig, options: LeaderOptions) -> Trajectory | None:
             return circle((0.0, 0.0, 0.0), options.radius, options.period, laps=options.laps, ramp=options.ramp)
     if not options.drawing:
         where = f"swarm {config.name}: mission_options.drawing"
-        raise ConfigError(where, "nothing", "a CSV file of rows stroke, t, x, y")
+        raise ConfigError(where, "nothing", "a CSV file of rows stroke, t, x, y, or an SVG picture")
     limits = Limits(v_max=0.5 * config.flight.speed_limit, a_max=0.25 * config.flight.acceleration_limit)
-    return drawing(read_strokes(options.drawing), Pen(timing="drawn"), limits).path
+    drawn = read_drawing(options.drawing)
+    return drawing(drawn.strokes, Pen(timing="drawn" if drawn.is_timed else "even"), limits).path
 
 
 def require_flyable(config: SwarmConfig, options: LeaderOptions) -> None:

@@ -11,10 +11,11 @@ from crazychoir.errors import ConfigError
 from crazychoir.guidance.steering import MOST_PIECES, path_message
 from crazychoir.math3d import Mat
 from crazychoir.planning.drawing import Pen, drawing
+from crazychoir.planning.drawing_file import parse_drawing
 from crazychoir.planning.feasibility import Limits, check, peaks, references
 from crazychoir.planning.piecewise import Piecewise
-from crazychoir.planning.stroke import csv_of, parse_strokes, thinned
-from crazychoir.planning.svg import parse_svg, svg_of
+from crazychoir.planning.stroke import csv_of, thinned
+from crazychoir.planning.svg import svg_of
 from crazychoir.swarm.config import SwarmConfig
 from crazychoir.swarm.tables import Collision
 
@@ -163,15 +164,16 @@ def _near(offset: Offset, collision: Collision) -> bool:
 
 def loaded(text: str, name: str) -> list[list[list[float]]]:
     """The strokes of a CSV or SVG text, rows t s, x, y m, thinned; raises ConfigError."""
-    if name.lower().endswith(".svg"):
-        strokes = [_timed(stroke) for stroke in parse_svg(text, name)]
-    elif name.lower().endswith(".csv"):
-        strokes = parse_strokes(text, name)
-    else:
-        raise ConfigError("file", name, "a name that ends in .csv or .svg")
+    return loaded_with_words(text, name)[0]
+
+
+def loaded_with_words(text: str, name: str) -> tuple[list[list[list[float]]], list[str]]:
+    """Return the strokes of `loaded`, and remarks on what is not flown of the drawing."""
+    drawn = parse_drawing(text, name)
+    strokes = [_timed(stroke) for stroke in drawn.strokes]
     length = sum(float(np.linalg.norm(np.diff(stroke[:, 1:], axis=0), axis=1).sum()) for stroke in strokes)
     step = max(STEP, length / max(LOADED - 2 * len(strokes), 1))
-    return [stroke[thinned(stroke[:, 1:], step)].round(4).tolist() for stroke in strokes]
+    return [stroke[thinned(stroke[:, 1:], step)].round(4).tolist() for stroke in strokes], drawn.words
 
 
 def saved(strokes: list[Mat], kind: str) -> str:

@@ -11,7 +11,8 @@ from crazychoir.planning.spline import spline, unwrapped
 from crazychoir.planning.table import TableError, check_increasing, read_table, write_table
 from crazychoir.planning.trajectory import Trajectory, setpoints
 
-PLACE = ("t", "x", "y", "z", "yaw")
+PLACE = ("t", "x", "y", "z")
+YAW = ("yaw",)
 DERIVATIVES = (("vx", "vy", "vz"), ("ax", "ay", "az"), ("jx", "jy", "jz"))
 YAW_RATE = ("yaw_rate",)
 PIECE = ("duration", *(f"{axis}^{n}" for axis in ("x", "y", "z", "yaw") for n in range(DEGREE + 1)))
@@ -21,27 +22,31 @@ LARGEST_JUMP = (0.01, 0.1)  # m and rad, m/s and rad/s, between two pieces: more
 def write_samples(path: str | Path, trajectory: Trajectory, rate: float = 100.0) -> None:
     """t, x, y, z, yaw, then v, a, j and the yaw rate, `rate` times a second and at the end; s, m, rad."""
     t, x = setpoints(trajectory, rate)
-    names = [*PLACE, *(name for group in DERIVATIVES for name in group), *YAW_RATE]
+    names = [*PLACE, *YAW, *(name for group in DERIVATIVES for name in group), *YAW_RATE]
     write_table(path, names, np.column_stack([t, x[:, 0:3], x[:, 12], x[:, 3:12], x[:, 13]]))
 
 
 def read_samples(path: str | Path) -> Piecewise:
     """The trajectory through the samples of a CSV file.
 
-    Columns t s, x, y, z m, yaw rad; then, if given, vx, vy, vz; with these ax, ay, az; with these jx, jy, jz; yaw_rate.
+    Columns t s, x, y, z m; then, if given, vx, vy, vz; with these ax, ay, az; with these jx, jy, jz; yaw rad, without
+    which it is 0 all the way; with it yaw_rate.
     With derivatives, the Hermite polynomials that have all of them at each sample; without, the clamped cubic spline,
     at rest at both ends. The yaw goes the short way from each row to the next; it is cubic.
     Errors: TableError naming file, line and column.
     """
-    table = read_table(path, PLACE, [*DERIVATIVES, YAW_RATE])
+    table = read_table(path, PLACE, [YAW, *DERIVATIVES, YAW_RATE])
     check_increasing(path, table, "t")
     t = table["t"] - table["t"][0]
     if len(t) < 2:
         raise TableError(f"{path}", "one row", "at least two: where it starts and where it ends")
     given = [np.column_stack([table[name] for name in group]) for group in DERIVATIVES if group[0] in table]
     if [group[0] in table for group in DERIVATIVES] != [n < len(given) for n in range(len(DERIVATIVES))]:
-        raise TableError(f"{path}, line 1", "a higher derivative without the lower ones", "v; v and a; v, a and j")
-    places, yaws = np.column_stack([table[name] for name in PLACE[1:4]]), unwrapped(table["yaw"], len(t))
+        raise TableError(f"{path}", "a higher derivative without the lower ones", "v; v and a; v, a and j")
+    if YAW_RATE[0] in table and YAW[0] not in table:
+        raise TableError(f"{path}", "a column yaw_rate without yaw", "yaw and yaw_rate, yaw alone, or neither")
+    places = np.column_stack([table[name] for name in PLACE[1:]])
+    yaws = unwrapped(table.get(YAW[0], np.zeros(len(t))), len(t))
     plain = spline(t, places, yaws, degree=3)
     coefficients = plain.coefficients.copy()
     if given:

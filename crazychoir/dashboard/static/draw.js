@@ -7,7 +7,7 @@ const find = (id) => document.getElementById(id);
 const SETTINGS = ["height", "lift", "smoothing", "v_max", "a_max", "slower"];
 const OFFSET = ["offset_x", "offset_y", "offset_z"];
 const STEP = 0.002; // m between two points: a hand means no less
-let strokes = [], current = null, plan = null, began = 0, waiting = 0, canvas, scale = 100, middle = [0, 0];
+let strokes = [], remarks = [], current = null, plan = null, began = 0, waiting = 0, canvas, scale = 100, middle = [0, 0];
 
 const toPixel = ([x, y]) => [canvas.clientWidth / 2 + scale * (x - middle[0]), canvas.clientHeight / 2 - scale * (y - middle[1])];
 const toMetres = (px, py) => [(px - canvas.clientWidth / 2) / scale + middle[0], middle[1] - (py - canvas.clientHeight / 2) / scale];
@@ -133,7 +133,8 @@ function show() {
   const paths = ways(), others = inTheWay(paths), { duration, speed, acceleration, deviation } = plan;
   showPaths(paths);
   const warning = others.length ? `. In the way, where they are now: drone ${others.join(", ")}` : "";
-  said(`${duration} s, at most ${speed} m/s and ${acceleration} m/s², at most ${Math.round(1000 * deviation)} mm beside what was drawn${warning}`);
+  const more = remarks.map((remark) => `. The file: ${remark}`).join("");
+  said(`${duration} s, at most ${speed} m/s and ${acceleration} m/s², at most ${Math.round(1000 * deviation)} mm beside what was drawn${warning}${more}`);
   paint();
 }
 
@@ -147,7 +148,7 @@ function download({ text, kind }) {
 
 export const sketch = {
   undo: () => { strokes.pop(); changed(); },
-  clear: () => { strokes = []; changed(); },
+  clear: () => { strokes = []; remarks = []; changed(); },
   save: (kind) => (strokes.length ? ask({ ask: "save", strokes, kind }) : said("Nothing is drawn.")),
   strokes: () => strokes,
   fly: () => {
@@ -174,6 +175,7 @@ export function start() {
   on("connected", (there) => there && strokes.length && changed()); // a new line begins without a plan
   on("plan", planned);
   on("selected", show);
+  on("remarks", (words) => { remarks = words; });
   on("strokes", (loaded) => { strokes = loaded; changed(); });
   on("saved", download);
   on("refused", (why) => strokes.length && !plan && said(why));

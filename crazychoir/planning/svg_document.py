@@ -1,0 +1,144 @@
+"""SVG documents as trees of elements, read without following entities or files."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from xml.parsers import expat
+
+from crazychoir.errors import ConfigError
+
+SVG_NAMESPACE = "http://www.w3.org/2000/svg"
+XLINK_NAMESPACE = "http://www.w3.org/1999/xlink"
+GZIP_BEGINNING = b"\x1f\x8b"
+LARGEST_FILE = 20_000_000  # bytes
+MOST_ELEMENTS = 200_000
+DEEPEST_NESTING = 100  # elements within elements
+LONGEST_ENTITY = 200  # characters: namespaces, as Illustrator names them
+
+READABLE = "a readable SVG file"
+UNPACK = "Unpack it: gunzip -S .svgz FILE.svgz, or save it as plain SVG."
+
+
+@dataclass
+class Element:
+    """One element of a document."""
+
+    name: str
+    """Its local name in the namespace of SVG; empty for an element of another namespace."""
+    attributes: dict[str, str]
+    line: int
+    children: list["Element"] = field(default_factory=list)
+    text: str = ""
+    """The text directly in it."""
+
+    @property
+    def label(self) -> str:
+        """What errors call it."""
+        name = f' id="{self.attributes["id"]}"' if self.attributes.get("id") else ""
+        return f"<{self.name}{name}> in line {self.line}"
+
+    def walk(self) -> Iterator["Element"]:
+        """Yield this element and all below it, in the order of the document."""
+        waiting = [self]
+        while waiting:
+            element = waiting.pop()
+            yield element
+            waiting.extend(reversed(element.children))
+
+
+def read_document(data: str | bytes, where: str) -> Element:
+    """Return the root of an SVG document.
+
+    Nothing is loaded: no DTD, no external entity. Entities of the document itself are short texts without others.
+    data: bytes in the encoding that they declare (UTF-8 without), or a text that is decoded already.
+    Errors: ConfigError, with `where` and the line.
+    """
+    raw = data.lstrip("\ufeff \t\r\n").encode("utf-8", "surrogatepass") if isinstance(data, str) else data
+    if raw.startswith(GZIP_BEGINNING) or (isinstance(data, str) and data.startswith("\x1f")):
+        raise ConfigError(where, "a compressed file (.svgz)", READABLE, UNPACK)
+    if len(raw) > LARGEST_FILE:
+        raise ConfigError(where, f"{len(raw)} bytes", f"at most {LARGEST_FILE}")
+    builder = _Builder(where, "utf-8" if isinstance(data, str) else None)
+    return builder.build(raw if isinstance(data, str) else raw.lstrip(b" \t\r\n"))
+
+
+class _Builder:
+    """Builds the tree of a document from the events of the parser.
+
+    where: what errors call the file;  encoding: of the bytes; None as they declare.
+    """
+
+    def __init__(self, where: str, encoding: str | None) -> None:
+        self.where = where
+        self._open: list[Element] = []
+        self._root: Element | None = None
+        self._count = 0
+        parser = expat.ParserCreate(encoding, namespace_separator=" ")
+        parser.buffer_text = True
+        parser.StartElementHandler = self._start
+        parser.EndElementHandler = self._end
+        parser.CharacterDataHandler = self._read_text
+        parser.EntityDeclHandler = self._check_entity
+        parser.SkippedEntityHandler = self._refuse_entity
+        self._parser = parser
+
+    def build(self, raw: bytes) -> Element:
+        """Return the root."""
+        try:
+            self._parser.Parse(raw, True)
+        except ConfigError:
+            raise
+        except (expat.ExpatError, ValueError, LookupError) as error:
+            found = f"a text that is no SVG, so no line of it can be flown: {error}"
+            raise ConfigError(self.where, found, "well-formed XML") from error
+        assert self._root is not None  # noqa: S101 - a document without a root is an ExpatError
+        return self._root
+
+    def _start(self, name: str, attributes: dict[str, str]) -> None:
+        self._count += 1
+        if self._count > MOST_ELEMENTS:
+            raise ConfigError(self.where, f"more than {MOST_ELEMENTS} elements", f"at most {MOST_ELEMENTS}")
+        if len(self._open) >= DEEPEST_NESTING:
+            found = f"elements {DEEPEST_NESTING + 1} deep in line {self._parser.CurrentLineNumber}"
+            raise ConfigError(self.where, found, f"at most {DEEPEST_NESTING}", "Ungroup the drawing.")
+        element = Element(_local(name, SVG_NAMESPACE), _local_attributes(attributes), self._parser.CurrentLineNumber)
+        if self._open:
+            self._open[-1].children.append(element)
+        else:
+            self._check_root(name, element)
+            self._root = element
+        self._open.append(element)
+
+    def _check_root(self, name: str, element: Element) -> None:
+        if not element.name or element.name == "html":
+            found = f"a document of <{name.rpartition(' ')[2]}>"
+            raise ConfigError(self.where, found, f'an <svg xmlns="{SVG_NAMESPACE}"> document')
+
+    def _end(self, _: str) -> None:
+        self._open.pop()
+
+    def _read_text(self, text: str) -> None:
+        self._open[-1].text += text
+
+    def _check_entity(
+        self, name: str, is_parameter: bool, value: str | None, _base: object, _system: object, _public: object,
+        _notation: object,
+    ) -> None:  # fmt: skip
+        if is_parameter or value is None or len(value) > LONGEST_ENTITY or any(mark in value for mark in "&%<"):
+            self._refuse_entity(name, is_parameter)
+
+    def _refuse_entity(self, name: str, _: object) -> None:
+        found = f"entity {name!r} in line {self._parser.CurrentLineNumber}"
+        allowed = f"entities that the document declares as texts of at most {LONGEST_ENTITY} characters"
+        raise ConfigError(self.where, found, allowed, "Save the drawing as plain SVG.")
+
+
+def _local(name: str, namespace: str) -> str:
+    """Return the local name in the namespace, or without one; empty in another."""
+    space, _, local = name.rpartition(" ")
+    return local if space in ("", namespace) else ""
+
+
+def _local_attributes(attributes: dict[str, str]) -> dict[str, str]:
+    own = {name: value for name, value in attributes.items() if " " not in name}
+    link = attributes.get(f"{XLINK_NAMESPACE} href")
+    return own if link is None else {"href": link} | own
