@@ -58,6 +58,8 @@ def strokes_of(d: str, tolerance: float, most: int) -> list[Places]:
             strokes.append([here])
         elif not strokes:
             raise PathDataError(f"path data that begins with {name!r}, not with M first")
+        elif kind == "Z" and before == "Z":
+            continue
         elif kind == "Z":
             here = strokes[-1][0]
             handle = here

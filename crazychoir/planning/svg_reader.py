@@ -23,7 +23,16 @@ from crazychoir.planning.svg_shapes import (
     transform_of,
     view_of,
 )
-from crazychoir.planning.svg_style import INITIAL_WORDS, MARKERS, Styles, handed_down, hidden_by, is_painted, is_visible
+from crazychoir.planning.svg_style import (
+    INITIAL_WORDS,
+    MARKERS,
+    Styles,
+    handed_down,
+    has_dots,
+    hidden_by,
+    is_painted,
+    is_visible,
+)
 
 TOLERANCE = 0.002
 """m between a curve and the straight lines that are flown."""
@@ -222,7 +231,11 @@ class Reader:
         if not is_painted(element.name, scene.inherited):
             self._leave_out(element, "neither fill nor stroke")
             return
-        strokes = self._outline(element, scene)
+        strokes = [
+            stroke
+            for stroke in self._outline(element, scene)
+            if has_dots(scene.inherited) or np.ptp(stroke, axis=0).any()
+        ]
         if not strokes:
             self._leave_out(element, "it has no size")
             return

@@ -9,7 +9,8 @@ from crazychoir.planning.svg_document import Element
 INITIAL_WORDS = ("initial", "unset", "revert", "revert-layer")
 FOLLOWED_PROPERTIES = (
     "display", "visibility", "opacity", "overflow", "fill", "fill-opacity", "stroke", "stroke-opacity",
-    "stroke-width", "clip-path", "mask", "marker", "marker-start", "marker-mid", "marker-end", "transform-origin",
+    "stroke-width", "stroke-linecap", "clip-path", "mask", "marker", "marker-start", "marker-mid", "marker-end",
+    "transform-origin",
 )  # fmt: skip
 """Properties that decide what is seen and where; each may be an attribute, too."""
 EVERYTHING = ""
@@ -24,7 +25,9 @@ GEOMETRY_PROPERTIES = {
     "d": ("path",),
 }
 """Properties of CSS that would move or reshape these elements; they are refused: attributes say the same."""
-INHERITED_PROPERTIES = ("visibility", "fill", "stroke", "fill-opacity", "stroke-opacity", "stroke-width")
+INHERITED_PROPERTIES = (
+    "visibility", "fill", "stroke", "fill-opacity", "stroke-opacity", "stroke-width", "stroke-linecap",
+)  # fmt: skip
 MARKERS = ("marker", "marker-start", "marker-mid", "marker-end")
 INVISIBLE_PAINTS = ("none", "transparent")
 
@@ -169,6 +172,11 @@ def hidden_by(style: dict[str, str]) -> str:
 def is_visible(inherited: dict[str, str]) -> bool:
     """Does `visibility` show an element?"""
     return inherited.get("visibility", "visible") not in ("hidden", "collapse")
+
+
+def has_dots(inherited: dict[str, str]) -> bool:
+    """Is a line without length seen, as a dot of the width of the stroke?"""
+    return inherited.get("stroke", "none").lower() != "none" and inherited.get("stroke-linecap") in ("round", "square")
 
 
 def is_painted(name: str, inherited: dict[str, str]) -> bool:

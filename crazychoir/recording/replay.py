@@ -42,7 +42,7 @@ def states_of(uri: str, drone: int, dt: float) -> Mat:
     if number and not number.isdecimal():
         raise ConfigError(f"drone {drone}: uri", uri, f'{REPLAY}FILE, or {REPLAY}FILE?drone=NUMBER')
     path = Path(name)
-    if path.suffix == ".csv":
+    if path.suffix.lower() == ".csv":
         return _of_samples(path, dt)
     if path.suffix == ".mcap":
         return _of_flight(path, int(number) if number else drone, dt)

@@ -71,7 +71,14 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
         return config
 
     def dumps(self) -> str:
-        """JSON text for `loads`, defaults and all: hands a swarm to another process."""
+        """JSON text for `loads`, defaults and all: hands a swarm to another process.
+
+        Errors: ConfigError for a file whose name is not UTF-8, which no JSON text can say.
+        """
+        for key, path in self.files.items():
+            if not _is_text(str(path)):
+                do = "Rename the file or the folder that it is in, or fly with --fast, in one process."
+                raise ConfigError(f"swarm {self.name}: {key}", ascii(str(path)), "a name of UTF-8 characters", do)
         return msgspec.json.format(msgspec.json.encode(self), indent=2).decode()
 
     def replace(self, **changes: Any) -> Self:
@@ -87,7 +94,7 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
 
     def _with_files_from(self, folder: Path) -> Self:
         named = {key: value for key, value in self.mission_options.items() if key in FILES and isinstance(value, str)}
-        found = {key: str((folder / value).resolve()) for key, value in named.items()}
+        found = {key: _resolved(folder, value, f"mission_options.{key}") for key, value in named.items()}
         drones = tuple(_replaying(drone, folder) for drone in self.drones)
         mocap = self.mocap
         if mocap.file:
@@ -315,7 +322,23 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
 def _replaying(drone: Drone, folder: Path) -> Drone:
     """The drone, with the recording that it replays, if it does, found from a folder."""
     name = drone.uri.removeprefix(REPLAY)
-    return drone if name == drone.uri else msgspec.structs.replace(drone, uri=f"{REPLAY}{(folder / name).resolve()}")
+    if name == drone.uri:
+        return drone
+    return msgspec.structs.replace(drone, uri=f"{REPLAY}{_resolved(folder, name, f'drone {drone.id}: uri')}")
+
+
+def _resolved(folder: Path, name: str, key: str) -> str:
+    """Return the whole path of a file. Errors: ConfigError with `key` for a name that no file here can have."""
+    try:
+        return str((folder / name).resolve())
+    except (ValueError, OSError, RuntimeError) as error:
+        do = "Rename the file; or, for letters that this system does not know, set PYTHONUTF8=1 or LC_ALL=C.UTF-8."
+        raise ConfigError(key, ascii(name), f"the name of a file ({error})", do) from error
+
+
+def _is_text(name: str) -> bool:
+    """Is it text? The bytes of a file's name that are not UTF-8 are half characters in Python, which no text has."""
+    return not any("\ud800" <= letter <= "\udfff" for letter in name)
 
 
 def _content(value: Any) -> Any:

@@ -189,6 +189,28 @@ def test_targets_are_reached_one_after_the_other_by_one_command(here):
     assert times == sorted(times)
 
 
+PICTURE = """<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 600 600"><defs><path id="n" d="M0 0H9000"/></defs>
+<g transform="translate(300 300)" fill="none" stroke="#000"><path id="arc" d="M-200 0a200 200 0 01400 0"/>
+<rect x="-50" y="50" width="100" height="80" rx="20"/><path id="off" display="none" d="M0 0H9000"/></g></svg>"""
+
+
+def test_an_svg_picture_is_flown_as_it_is_seen(tmp_path):
+    file = tmp_path / "picture.svg"
+    file.write_text(PICTURE)
+    mission = load("drawn_path")
+    config = mission.swarm(1).replace(mission_options={"drawing": str(file)})
+    said = mission.check(config)
+    assert said[1:] == [f'{file}: <path id="off"> in line 3: left out: display: none']
+    result = fly_fast(config, mission)
+    assert result["success"], result["reasons"]
+    x, y = np.array(result["results"][0]["way"])[:, 1:3].T
+    assert np.ptp(x) == pytest.approx(0.4, abs=0.03)
+    assert np.ptp(y) == pytest.approx(0.33, abs=0.03)
+    assert x[np.argmax(y)] == pytest.approx(0.0, abs=0.03), "the arc is above the rectangle"
+    with pytest.raises(ConfigError, match='"drawn"'):
+        mission.check(config.replace(mission_options={"drawing": str(file), "timing": "drawn"}))
+
+
 def test_a_word_that_is_not_flown_as_it_was_drawn_is_no_success():
     mission = load("drawn_path")
     config = mission.swarm(1)

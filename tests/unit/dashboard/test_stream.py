@@ -529,4 +529,8 @@ async def test_what_was_planned_and_shown_is_flown(clock):
     page.asks.put_nowait({"ask": "load", "name": "a.svg", "text": made["text"]})
     await clock.sleep(0.2)
     assert [row[1:] for row in page.told("strokes")[0][0]] == [row[1:] for row in stroke]
+    assert page.told("remarks") == [[]]
+    page.asks.put_nowait({"ask": "load", "name": "a.svg", "text": '<svg><path id="e"/><path d="M0 0h9"/></svg>'})
+    await clock.sleep(0.2)
+    assert page.told("remarks")[-1] == ['<path id="e"> in line 1: left out: it has no size']
     await server.end()

@@ -11,6 +11,7 @@ from crazychoir.bus.commands import DONE, REFUSED, Commander
 from crazychoir.bus.local import OBSERVER
 from crazychoir.errors import ConfigError, Refused
 from crazychoir.guidance.feedback import LAW
+from crazychoir.guidance.leader import LeaderOptions, path_of
 from crazychoir.guidance.mission import load
 from crazychoir.guidance.steering import path_message
 from crazychoir.planning.spline import spline
@@ -142,3 +143,13 @@ def test_leaders_take_a_path_that_an_operator_has_drawn_into_their_mission(repos
     for i in config.ids:
         assert between[i] - before[i] == pytest.approx([0.5, 0.5, 0.0], abs=0.05), i
         assert after[i] - before[i] == pytest.approx([1.0, 1.0, 0.0], abs=0.05), i
+
+
+def test_leaders_fly_an_svg_picture(tmp_path):
+    file = tmp_path / "arc.svg"
+    file.write_text('<svg xmlns="http://www.w3.org/2000/svg"><path d="M0 0a200 200 0 01400 0"/></svg>')
+    _, config = swarm("containment", leaders="drawn", drawing=str(file))
+    path = path_of(config, LeaderOptions(leaders="drawn", drawing=str(file)))
+    places = path.samples(np.linspace(0.0, path.duration, 100))[:, 0:2]
+    assert places.max(axis=0) == pytest.approx((0.4, 0.2), abs=0.01)
+    assert places.min(axis=0) == pytest.approx((0.0, 0.0), abs=0.01)

@@ -238,7 +238,8 @@ LONG = '<path d="M0 0L9 9"/>'
         f'<g visibility="hidden">{LONG}</g>', f'<g opacity="0">{LONG}</g>', f'<g fill="none">{LONG}</g>',
         f'<g transform="scale(0)">{LONG}</g>', f'<g style="fill:none;stroke:red;stroke-width:0">{LONG}</g>',
         '<path class="h v" d="M0 0L9 9"/>', '<rect id="hide" width="9" height="9"/>', '<use href="#nothing"/>',
-        '<path d=""/>', '<path d="M3 3"/>', "<path/>", '<rect width="0" height="4"/>', '<circle r="0"/>',
+        '<path d=""/>', '<path d="M3 3"/>', '<path d="M3 3Z"/>', '<path d="M3 3L3 3"/>',
+        '<path stroke="red" d="M3 3h0"/>', "<path/>", '<rect width="0" height="4"/>', '<circle r="0"/>',
         '<ellipse rx="0" ry="3"/>', '<polyline points=""/>', '<polygon points=""/>', '<rect width="-1" height="4"/>',
         '<text> </text>', '<text display="none">Hi</text>', '<g visibility="hidden"><text>Hi</text></g>',
         '<pth d="M0 0L9 9"/>', '<other:path xmlns:other="urn:x" d="M0 0L9 9"/>',
@@ -374,6 +375,11 @@ def test_hostile_and_damaged_files_are_refused_at_once(tmp_path, data, words):
     with pytest.raises(ConfigError, match=words) as raised:
         read_svg(path)
     assert str(path) in str(raised.value)
+
+
+def test_a_line_without_length_is_a_dot_where_its_ends_are_round():
+    assert seen('<g stroke-linecap="round" stroke="red"><path d="M3 4h0M5 5Z"/></g>') == [[[3, 4]] * 2, [[5, 5]] * 2]
+    assert seen('<path stroke-linecap="round" d="M3 4h0"/>' + ONE) == [[[0, 0], [1, 0]]]
 
 
 def test_large_curves_are_flown_as_closely_as_small_ones():

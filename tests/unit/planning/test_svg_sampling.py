@@ -221,7 +221,7 @@ def sampled(d):
             handle = places[-2] if kind in "CSQT" else 0j
             here = places[-1]
         before = kind
-    return [np.array(stroke) for stroke in strokes if len(stroke) > 1]
+    return [np.array(stroke) for stroke in strokes if any(place != stroke[0] for place in stroke)]
 
 
 def bezier(points):

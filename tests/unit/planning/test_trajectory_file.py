@@ -71,7 +71,9 @@ def test_the_files_of_others_have_capitals_spaces_and_a_comma_at_the_end(tmp_pat
         ("", "empty file"),
         (f"{HEAD}\n", "no row"),
         (f"{HEAD}\n0,0,0,1,0\n", "at least two"),
-        ("t,x,y,z\n0,0,0,1\n", "line 1: found no column yaw"),
+        ("t,x,y,yaw\n0,0,0,1\n", "line 1: found no column z"),
+        ("t,x,y,z,yaw_rate\n0,0,0,1,0\n1,0,0,1,0\n", "a column yaw_rate without yaw"),
+        ("t,x,y,z\n0,0,0,1\n", "at least two"),
         (f"{HEAD},q\n", "line 1, column 6: found 'q'"),
         (f"{HEAD},x\n", "line 1, column 6: found 'x'.*once"),
         (f"{HEAD}\n0,0,0,1,0\n\n1,0,abc,1,0\n", r"line 4, column 3 \(y\): found 'abc'"),
@@ -87,6 +89,23 @@ def test_bad_samples_are_refused_with_file_line_and_column(tmp_path, text, compl
     file.write_text(text)
     with pytest.raises(TableError, match=f"bad.csv.*{complaint}"):
         read_samples(file)
+
+
+def test_without_a_yaw_column_the_yaw_is_zero(tmp_path):
+    file = tmp_path / "places.csv"
+    file.write_text("t,x,y,z,vx,vy,vz\n0,0,0,1,0,0,0\n1,1,0,1,0,0.3,0\n2,1,1,1,0,0,0\n")
+    flight = read_samples(file)
+    yaws = [flight.sample(t).flat[12:14] for t in np.linspace(0.0, 2.0, 20)]
+    np.testing.assert_array_equal(yaws, np.zeros((20, 2)))
+    np.testing.assert_allclose(flight.sample(1.0).p, (1, 0, 1), atol=1e-12)
+
+
+def test_a_trajectory_as_numpy_saves_it_is_read(tmp_path):
+    file = tmp_path / "numpy.csv"
+    rows = [[0.0, 0.0, 0.0, 1.0, 0.0], [1.0, 1.0, 0.0, 1.0, 0.5]]
+    for header, separator in (("t,x,y,z,yaw", ","), ("t x y z yaw", " "), ("t x y z yaw", ",")):
+        np.savetxt(file, rows, header=header, delimiter=separator)
+        assert read_samples(file).sample(1.0).yaw == pytest.approx(0.5)
 
 
 @pytest.mark.parametrize(

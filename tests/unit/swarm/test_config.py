@@ -1,5 +1,6 @@
 """The swarm file: what it says, round trips, digests, endpoints, the built-in swarms."""
 
+import json
 import os
 import re
 import subprocess
@@ -314,6 +315,44 @@ def test_files_of_options_are_relative_to_the_swarm_file(tmp_path: Path, monkeyp
     found = {"instance": str(tmp_path / "own.json"), "drawing": str(tmp_path / "lab" / "a.csv"), "method": "x"}
     assert config.mission_options == found
     assert SwarmConfig.loads(config.dumps()) == config
+
+
+@pytest.mark.parametrize("key", ["drawing", "instance", "uri"])
+def test_a_file_name_that_is_no_text_is_refused_where_another_process_would_need_it(tmp_path: Path, key: str) -> None:
+    folder = tmp_path / "l\udce4b"
+    folder.mkdir()
+    uri = "replay://a.csv" if key == "uri" else "sim://"
+    drones = [{"id": 0, "home": [0, 0, 0], "uri": uri}, {"id": 1, "home": [1, 0, 0]}]
+    options = {} if key == "uri" else {key: "a.csv"}
+    (folder / "own.json").write_text(square().replace(drones=drones, graph="path", mission_options=options).dumps())
+    config = SwarmConfig.load(folder / "own.json")
+    assert config.files
+    with pytest.raises(ConfigError, match=rf"{key}: found .*l\\udce4b.*UTF-8.*Rename") as raised:
+        config.dumps()
+    str(raised.value).encode()
+
+
+def test_a_name_that_no_file_can_have_is_refused_with_its_key(tmp_path: Path) -> None:
+    for key, changes in (("mission_options.drawing", {}), ("drone 0: uri", {"uri": "replay://a\0b.csv"})):
+        drones = [{"id": 0, "home": [0, 0, 0], **changes}]
+        options = {} if changes else {"drawing": "a\0b.csv"}
+        raw = {"name": "one", "drones": drones, "graph": "empty", "mission_options": options}
+        (tmp_path / "own.json").write_text(json.dumps(raw))
+        with pytest.raises(ConfigError, match=rf"^{key}: found 'a\\x00b.csv'"):
+            SwarmConfig.load(tmp_path / "own.json")
+
+
+def test_a_name_that_the_locale_cannot_say_is_refused_with_a_way_out(tmp_path: Path) -> None:
+    raw = {"name": "one", "drones": [{"id": 0, "home": [0, 0, 0]}], "graph": "empty"}
+    (tmp_path / "own.json").write_text(json.dumps(raw | {"mission_options": {"drawing": "h\xf6rz.csv"}}))
+    code = "import sys; from crazychoir.swarm.config import SwarmConfig; SwarmConfig.load(sys.argv[1])"
+    ascii_only = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
+    said = subprocess.run(
+        [sys.executable, "-c", code, str(tmp_path / "own.json")], env=os.environ | ascii_only, capture_output=True,
+        text=True, check=False,
+    )  # fmt: skip
+    assert "ConfigError: mission_options.drawing: found 'h\\xf6rz.csv'" in said.stderr.splitlines()[-1]
+    assert "PYTHONUTF8=1" in said.stderr.splitlines()[-1]
 
 
 def test_recordings_that_drones_replay_are_relative_to_the_swarm_file_and_count_by_content(tmp_path: Path) -> None:
