@@ -79,6 +79,7 @@ class _Builder:
         parser.CharacterDataHandler = self._read_text
         parser.EntityDeclHandler = self._check_entity
         parser.SkippedEntityHandler = self._refuse_entity
+        parser.ProcessingInstructionHandler = self._check_instruction
         self._parser = parser
 
     def build(self, raw: bytes) -> Element:
@@ -125,6 +126,11 @@ class _Builder:
     ) -> None:  # fmt: skip
         if is_parameter or value is None or len(value) > LONGEST_ENTITY or any(mark in value for mark in "&%<"):
             self._refuse_entity(name, is_parameter)
+
+    def _check_instruction(self, target: str, said: str) -> None:
+        if target == "xml-stylesheet":
+            found = f"a style sheet in another file, <?{target} {said}?> in line {self._parser.CurrentLineNumber}"
+            raise ConfigError(self.where, found, "styles in the file itself", "Save the drawing as plain SVG.")
 
     def _refuse_entity(self, name: str, _: object) -> None:
         found = f"entity {name!r} in line {self._parser.CurrentLineNumber}"

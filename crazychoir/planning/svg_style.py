@@ -29,8 +29,9 @@ INHERITED_PROPERTIES = (
     "visibility", "fill", "stroke", "fill-opacity", "stroke-opacity", "stroke-width", "stroke-linecap",
 )  # fmt: skip
 MARKERS = ("marker", "marker-start", "marker-mid", "marker-end")
-INVISIBLE_PAINTS = ("none", "transparent")
 
+_NO_PAINT = re.compile(r"none|transparent|#[0-9a-f]{3}0|#[0-9a-f]{6}00", re.IGNORECASE)
+_ALPHA = re.compile(r"(?:rgb|hsl)a\([^()]*,([^(),]*)\)|(?:rgb|hsl)a?\([^()]*/([^()/]*)\)", re.IGNORECASE)
 _RULE = re.compile(r"([^{}]*)\{([^{}]*)\}")
 _SIMPLE_SELECTOR = re.compile(r"(\*|[A-Za-z][\w-]*)?((?:[.#][\w-]+)*)\Z", re.ASCII)
 _POINTED_AT = re.compile(r":(hover|focus|active|visited|focus-within|focus-visible)\b")
@@ -73,15 +74,12 @@ class Styles:
         self._root = root
         self._rules: list[Rule] = []
         for element in root.walk():
-            if element.name == "style" and element.attributes.get("type", "text/css").strip() in ("", "text/css"):
+            if element.name == "style" and _is_followed(element):
                 self._rules += self._read_sheet(element)
         self._rules.sort(key=lambda rule: rule.specificity)
 
     def of(self, element: Element) -> dict[str, str]:
-        """Return the values of the properties that are followed, by name.
-
-        A property with the value `inherit` or `initial` is left out, after it has hidden weaker ones.
-        """
+        """Return the values of the properties that are followed, by name; words in small letters."""
         found = {name: element.attributes[name] for name in FOLLOWED_PROPERTIES if name in element.attributes}
         sheets = [rule.declarations for rule in self._rules if rule.applies_to(element)]
         own = _declarations(element.attributes.get("style", ""))
@@ -89,8 +87,9 @@ class Styles:
             for declarations in (*sheets, own):
                 chosen = {name: value for name, (value, is_strong) in declarations.items() if is_strong is important}
                 found |= chosen
+        found = {name: value.strip() for name, value in found.items()}
         self._check_geometry(element, found)
-        return {name: value.strip() for name, value in found.items()}
+        return {name: value if "(" in value else value.lower() for name, value in found.items()}
 
     def _check_geometry(self, element: Element, found: dict[str, str]) -> None:
         """Raise a ConfigError for a style that moves or reshapes the element; the size of the page changes nothing."""
@@ -135,6 +134,12 @@ class Styles:
         raise ConfigError(self.where, f"{element.label} with {what}", "selectors of an element, .class or #id", do)
 
 
+def _is_followed(sheet: Element) -> bool:
+    """Is a <style> element CSS for what is seen on a screen?"""
+    media = sheet.attributes.get("media", "all").strip().lower()
+    return sheet.attributes.get("type", "text/css").strip() in ("", "text/css") and media in ("", "all", "screen")
+
+
 def _declarations(body: str) -> dict[str, tuple[str, bool]]:
     """Return the values of `name: value; ...` by name, and whether they are important."""
     found: dict[str, tuple[str, bool]] = {}
@@ -176,21 +181,19 @@ def is_visible(inherited: dict[str, str]) -> bool:
 
 def has_dots(inherited: dict[str, str]) -> bool:
     """Is a line without length seen, as a dot of the width of the stroke?"""
-    return inherited.get("stroke", "none").lower() != "none" and inherited.get("stroke-linecap") in ("round", "square")
+    return _is_paint(inherited.get("stroke", "none")) and inherited.get("stroke-linecap") in ("round", "square")
 
 
 def is_painted(name: str, inherited: dict[str, str]) -> bool:
     """Has a shape a fill or a stroke? A line has no fill, but without a word on its stroke it counts as drawn."""
-    stroke = inherited.get("stroke", "none").lower()
     has_stroke = (
-        stroke not in INVISIBLE_PAINTS
+        _is_paint(inherited.get("stroke", "none"))
         and _share(inherited.get("stroke-opacity", "1")) > 0.0
         and _share(inherited.get("stroke-width", "1")) > 0.0
     )
     if name == "line" and "stroke" in inherited:
         return has_stroke
-    fill = inherited.get("fill", "black").lower()
-    has_fill = fill not in INVISIBLE_PAINTS and _share(inherited.get("fill-opacity", "1")) > 0.0
+    has_fill = _is_paint(inherited.get("fill", "black")) and _share(inherited.get("fill-opacity", "1")) > 0.0
     return has_stroke or has_fill
 
 
@@ -198,3 +201,11 @@ def _share(text: str) -> float:
     """Return the number at the begin of a value, such as 50% or 2px; 1 without one, as for a value in error."""
     found = re.match(r"[-+]?[0-9]*\.?[0-9]+(?:e[-+]?[0-9]+)?", text.strip().lower())
     return float(found.group()) if found else 1.0
+
+
+def _is_paint(value: str) -> bool:
+    """Is it a colour or a pattern that is seen?"""
+    if _NO_PAINT.fullmatch(value):
+        return False
+    alpha = _ALPHA.fullmatch(value)
+    return alpha is None or _share(alpha[1] or alpha[2]) > 0.0
