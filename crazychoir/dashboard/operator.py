@@ -141,9 +141,14 @@ class Operator:
         return tuple(dict.fromkeys(drones))
 
 
-async def _loaded(name: str, text: str) -> dict[str, Any]:
-    strokes, words = await _aside(loaded_with_words, text, name)
+def loaded(text: str, name: str) -> dict[str, Any]:
+    """Return what a page is told of a file: its strokes, and remarks on what of it is not flown."""
+    strokes, words = loaded_with_words(text, name)
     return {"remarks": words, "strokes": strokes}
+
+
+async def _loaded(name: str, text: str) -> dict[str, Any]:
+    return await _aside(loaded, text, name)
 
 
 async def _saved(strokes: Strokes, kind: str) -> dict[str, Any]:
