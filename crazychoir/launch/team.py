@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from crazychoir.bus.rules import Rule
-from crazychoir.cache import say_once
+from crazychoir.cache import say_once, shared_by_children, tell
 from crazychoir.errors import ConfigError, ProcessFailed
 from crazychoir.launch.group import Ended, Group
 from crazychoir.launch.network import free_ports
@@ -75,7 +75,7 @@ def solve_in_processes(
         common = {"instance": str(file), "method": method, "seed": seed, "deadline": deadline, "effects": rule.effects,
                   "settings": asdict(settings or Settings())}  # fmt: skip
         common |= {"neighbors": {i: links.neighbors(i) for i in links.ids}, "watched": watch is not None}
-        with Group(_commands(parts, common)) as group:
+        with shared_by_children(Path(folder)), Group(_commands(parts, common)) as group:
             run = _Run(group, parts, watch or (lambda progress: None))
             run.wait("ready", START_DEADLINE, "do not find each other")
             started = time.perf_counter() - began
@@ -118,6 +118,8 @@ class _Run:
         number, answer = heard
         if "compiles" in answer:
             say_once()
+        if "warning" in answer:
+            tell(answer["warning"])
         if "error" in answer:
             raise ProcessFailed(f"robots {span(self._parts[number])}", f"{answer['kind']}: {answer['error']}")
         if "progress" in answer:

@@ -22,7 +22,7 @@ LAB = default_swarm(2).replace(name="lab")
 @pytest.fixture(autouse=True)
 def own_place(tmp_path, monkeypatch):
     """Records of these tests alone, and a working folder with a swarm file lab.toml."""
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    monkeypatch.setenv("CRAZYCHOIR_RUNTIME_DIR", str(tmp_path / "crazychoir"))
     monkeypatch.chdir(tmp_path)
     (tmp_path / "lab.toml").write_text(LAB.dumps())
     return tmp_path
@@ -120,7 +120,7 @@ def test_who_was_killed_left_nothing(own_place):
 
 
 def test_a_run_flies_though_no_record_can_be_left(own_place, monkeypatch):
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(own_place / "missing"))
+    monkeypatch.setenv("CRAZYCHOIR_RUNTIME_DIR", str(own_place / "missing" / "crazychoir"))
     with recorded(run_of(own_place, "lab-1")):
         assert runs() == []
 

@@ -17,7 +17,7 @@ LAND_FIRST = "has it, and may fly drones: land them first (Ctrl-C there, or `cra
 @pytest.fixture(autouse=True)
 def own_place(tmp_path, monkeypatch):
     """Locks of these tests alone."""
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    monkeypatch.setattr("crazychoir.radio.ownership.PREFIX", f"crazychoir-{tmp_path}-")
 
 
 def swarm(scheme: str = "udp") -> SwarmConfig:
