@@ -156,10 +156,11 @@ def prepare_matplotlib() -> None:
         return
     folder = private_folder()
     try:
-        if not make_private(folder) and os.access(folder, os.W_OK):
-            os.environ["MPLCONFIGDIR"] = str(folder / "matplotlib")
+        fault = make_private(folder) or write_fault(folder / "matplotlib")
     except OSError:  # matplotlib looks for a temporary folder itself
         return
+    if not fault:
+        os.environ["MPLCONFIGDIR"] = str(folder / "matplotlib")
 
 
 def _may_write(folder: Path) -> bool:

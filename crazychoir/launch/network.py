@@ -6,7 +6,6 @@ import errno
 import random
 import resource
 import socket
-import tempfile
 from collections.abc import AsyncIterator, Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -20,6 +19,7 @@ from crazychoir.bus.zenoh import ZenohLink
 from crazychoir.errors import ConfigError
 from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import Clock
+from crazychoir.runtime.places import scratch_folder
 from crazychoir.runtime.supervisor import Supervisor
 from crazychoir.swarm.checks import LOWEST_PORT
 from crazychoir.swarm.config import LOCAL, SwarmConfig
@@ -82,8 +82,8 @@ async def attached(link: ZenohLink, *actors: Actor) -> AsyncIterator[None]:
 @contextlib.contextmanager
 def swarm_file(config: SwarmConfig) -> Iterator[Path]:
     """The swarm as a file, while it flies: for its processes, and for who wants to look into it."""
-    with tempfile.TemporaryDirectory(prefix=f"crazychoir-{config.name}-") as folder:
-        path = Path(folder) / "swarm.json"
+    with scratch_folder(f"crazychoir-{config.name}-") as folder:
+        path = folder / "swarm.json"
         path.write_text(config.dumps())
         yield path
 

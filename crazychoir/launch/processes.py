@@ -15,7 +15,7 @@ import numpy as np
 
 from crazychoir.bus.codec import decode, encode
 from crazychoir.cache import COMPILES, shared_by_children
-from crazychoir.errors import CodecError
+from crazychoir.errors import CodecError, ProcessFailed
 from crazychoir.guidance.life import LANDING_DEADLINE
 from crazychoir.planning.point_to_point import PEAK_SPEED, duration_for
 from crazychoir.swarm.config import SwarmConfig
@@ -158,8 +158,15 @@ async def _owner(owner: Owner, path: Path, agents: Children, say: Say) -> AsyncI
 
 
 def write_results(path: Path, results: Results) -> None:
-    """What a process has come to, for who started it: as messages travel, and apart from what its mission prints."""
-    path.write_bytes(encode(results, LARGEST))
+    """What a process has come to, for who started it: as messages travel, and apart from what its mission prints.
+
+    Raises ProcessFailed where there is no room for it.
+    """
+    try:
+        path.write_bytes(encode(results, LARGEST))
+    except OSError as error:
+        reason = f"its result is lost: {path.parent}: {error.strerror or error}. Set TMPDIR to a folder with more room."
+        raise ProcessFailed(f"drones {', '.join(map(str, results))}", reason) from error
 
 
 def read_results(path: Path) -> Results:

@@ -3,11 +3,9 @@
 import json
 import secrets
 import sys
-import tempfile
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,6 +21,7 @@ from crazychoir.routing.pickup_delivery import METHODS
 from crazychoir.routing.plan import Solution
 from crazychoir.routing.schedule import outcome
 from crazychoir.routing.solve import joined
+from crazychoir.runtime.places import scratch_folder
 from crazychoir.swarm.config import LOCAL
 from crazychoir.swarm.graph import Graph, named, span
 from crazychoir.swarm.impairment import changes
@@ -70,15 +69,15 @@ def solve_in_processes(
     losses = changes({"loss": loss, "burst": burst})
     rule = Rule({name: value for name, value in losses.items() if value is not None})
     parts = [part.tolist() for part in np.array_split(np.arange(instance.robots), processes)]
-    with tempfile.TemporaryDirectory(prefix="crazychoir-solve-") as folder:
-        file = Path(folder) / "instance.json"
+    with scratch_folder("crazychoir-solve-") as folder:
+        file = folder / "instance.json"
         file.write_text(json.dumps(instance.to_json()))
         common = {"instance": str(file), "method": method, "seed": seed, "deadline": deadline, "effects": rule.effects,
                   "settings": asdict(settings or Settings())}  # fmt: skip
         common |= {"neighbors": {i: links.neighbors(i) for i in links.ids}, "watched": watch is not None}
         with (
             held_ports(dict.fromkeys(range(len(parts)), LOCAL)) as base,
-            shared_by_children(Path(folder)),
+            shared_by_children(folder),
             Group(_commands(parts, common | {"base": base})) as group,
         ):
             run = _Run(group, parts, watch or (lambda progress: None))

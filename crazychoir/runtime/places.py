@@ -1,10 +1,13 @@
 """Where processes of one user leave word for each other."""
 
+import contextlib
 import os
+import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 
 from crazychoir.errors import ConfigError
-from crazychoir.user_folders import RUNTIME_VARIABLE, make_private, owner_fault, private_folder
+from crazychoir.user_folders import RUNTIME_VARIABLE, make_private, owner_fault, private_folder, write_fault
 
 ALLOWED = "a folder of this user alone"
 REMOVE_IT = (
@@ -36,3 +39,25 @@ def existing_runtime_folder() -> Path | None:
     if fault:
         raise ConfigError(str(folder), fault, ALLOWED, REMOVE_IT)
     return folder
+
+
+@contextlib.contextmanager
+def scratch_folder(prefix: str) -> Iterator[Path]:
+    """A temporary folder of this user alone, removed at the end; raises ConfigError where none can be made or is full.
+
+    prefix: how its name begins.
+    """
+    try:
+        made = tempfile.TemporaryDirectory(prefix=prefix)
+    except OSError as error:
+        raise _no_scratch(str(error)) from error
+    with made as folder:
+        fault = write_fault(Path(folder))
+        if fault:
+            raise _no_scratch(f"{Path(folder).parent}: {fault}")
+        yield Path(folder)
+
+
+def _no_scratch(found: str) -> ConfigError:
+    do = "Free some room, or set TMPDIR to another folder."
+    return ConfigError("temporary folder", found, "a folder that can be written and has room", do)
