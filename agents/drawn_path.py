@@ -6,7 +6,6 @@ crazychoir run drawn_path --fast --picture out/casy.png
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import matplotlib.pyplot as plt
 import numpy as np
 from msgspec import Meta
 from scipy.interpolate import CubicSpline
@@ -151,6 +150,8 @@ def written(config: SwarmConfig, i: int, result: dict[str, Any]) -> float:
 
 def picture(config: SwarmConfig, results: Results, path: str) -> None:
     """What is to be flown, broad, and what was flown."""
+    import matplotlib.pyplot as plt  # 1 s, and a folder for its list of fonts, that a flight does not need
+
     shown, axes = plt.subplots(figsize=(7.0, 3.5))
     for i in config.ids:
         wanted = drawn(config, i).path

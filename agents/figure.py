@@ -5,7 +5,6 @@ crazychoir run figure --fast --drones 4 --picture out/figure.png
 
 from typing import Annotated, Any, Literal
 
-import matplotlib.pyplot as plt
 import numpy as np
 from msgspec import Meta
 
@@ -92,6 +91,8 @@ def report(config: SwarmConfig, results: Results) -> dict[str, Any]:
 
 def picture(config: SwarmConfig, results: Results, path: str) -> None:
     """The figures from above."""
+    import matplotlib.pyplot as plt  # 1 s, and a folder for its list of fonts, that a flight does not need
+
     shown, axes = plt.subplots(figsize=(3.5, 3.5))
     for i in config.ids:
         x, y, _ = _path(config, i).T

@@ -7,6 +7,8 @@ or a program that needs one room, does not spend.
 from importlib import import_module
 from typing import TYPE_CHECKING
 
+from crazychoir import user_folders
+
 if TYPE_CHECKING:
     from crazychoir.errors import CrazyChoirError
     from crazychoir.guidance.base import CFGuidance
@@ -49,6 +51,8 @@ _ROOM_OF = {
     "Round": "swarm.round",
     **dict.fromkeys(("FPQR", "Acceleration", "FullState", "Goto", "PerNeighbor", "Pose", "State", "Velocity"), "types"),
 }
+
+user_folders.prepare_matplotlib()  # before a mission imports it
 
 if not TYPE_CHECKING:  # with it, a type checker would take every name for one of ours
 

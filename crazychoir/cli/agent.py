@@ -51,7 +51,10 @@ def agent(
         fail(error, as_json)
     results = flight["results"]
     if child is not None:
-        write_results(child, results)
+        try:
+            write_results(child, results)
+        except CrazyChoirError as error:
+            fail(error, as_json)
     elif as_json:
         write_json(flight)
     else:

@@ -19,7 +19,8 @@ from rich.table import Table
 from rich.text import Text
 
 from crazychoir.launch.group import Group
-from crazychoir.launch.network import free_ports
+from crazychoir.launch.network import held_ports
+from crazychoir.swarm.config import LOCAL
 from crazychoir.swarm.graph import Graph, k_regular, ring
 
 GRAPHS: dict[str, Callable[[int], Graph]] = {"ring": ring, "4-regular": lambda n: k_regular(n, 4)}
@@ -136,10 +137,11 @@ def measure(row: Row, seconds: float) -> None:
     common = {"neighbors": neighbors, "warm": WARM, "seconds": seconds, "swarm": f"bench{secrets.token_hex(4)}"}
     common |= row.options
     ranks = row.extra == "mpi4py"
-    commands = _mpi_command(row, common) if ranks else _commands(row, common)
-    answers = row.agents if ranks else len(commands)
+    answers = row.agents if ranks else row.processes
     try:
-        with Group(commands) as group:
+        with held_ports(dict.fromkeys(range(row.processes), LOCAL)) as base, Group(
+            _mpi_command(row, common) if ranks else _commands(row, common, base)
+        ) as group:
             list(group.answers(answers, START_DEADLINE, "do not find each other"))
             group.tell("go")
             found = [answer for _, answer in group.answers(answers, WARM + seconds + 20.0, "do not answer")]
@@ -152,10 +154,12 @@ def measure(row: Row, seconds: float) -> None:
         row.cpu.append(1e6 * sum(one["cores"] for one in found) / messages)
 
 
-def _commands(row: Row, common: dict[str, Any]) -> list[list[str]]:
-    """One command a process, each with a contiguous part of the agents, and a core of its own if there are enough."""
-    base = free_ports(list(range(row.processes)))
-    endpoints = [f"tcp/127.0.0.1:{base + p}" for p in range(row.processes)]
+def _commands(row: Row, common: dict[str, Any], base: int) -> list[list[str]]:
+    """One command a process, each with a contiguous part of the agents, and a core of its own if there are enough.
+
+    base: the port of the first process.
+    """
+    endpoints = [f"tcp/{LOCAL}:{base + p}" for p in range(row.processes)]
     domain = 1 + secrets.randbelow(100)  # ports of higher ones may be anybody's
     cores = sorted(os.sched_getaffinity(0))
     commands = []

@@ -31,7 +31,8 @@ from rich.text import Text
 from crazychoir.cli.bench_exchange import BARE, PACKAGE
 from crazychoir.launch.group import Group
 from crazychoir.launch.namespaces import Switched, switched
-from crazychoir.launch.network import free_ports
+from crazychoir.launch.network import held_ports
+from crazychoir.swarm.config import LOCAL
 from crazychoir.swarm.graph import k_regular
 
 AGENTS, PROCESSES = (10, 30, 100, 300, 1000), (1, 2, 4, 8)
@@ -129,7 +130,8 @@ def measure(n: int, p: int, seconds: float, namespaces: bool) -> Cell:
         addresses = {f"h{k}": f"10.76.0.{k + 1}" for k in range(p)}
         hosts = stack.enter_context(switched(addresses)) if namespaces else None
         began = time.perf_counter()
-        group = stack.enter_context(Group(commands(neighbors, p, seconds, hosts, addresses)))
+        base = stack.enter_context(held_ports(dict.fromkeys(range(p), LOCAL)))
+        group = stack.enter_context(Group(commands(neighbors, p, seconds, hosts, addresses, base)))
         list(group.answers(p, START_DEADLINE, "do not find each other"))
         start = time.perf_counter() - began
         group.tell("go")
@@ -144,11 +146,12 @@ def measure(n: int, p: int, seconds: float, namespaces: bool) -> Cell:
 
 
 def commands(
-    neighbors: Mapping[int, list[int]], p: int, seconds: float, hosts: Switched | None, addresses: dict[str, str]
+    neighbors: Mapping[int, list[int]], p: int, seconds: float, hosts: Switched | None, addresses: dict[str, str],
+    base: int,
 ) -> list[list[str]]:
-    """One a process, each with a contiguous part of the agents."""
-    n, base = len(neighbors), free_ports(list(range(p)))
-    at = list(addresses.values()) if hosts is not None else ["127.0.0.1"] * p
+    """One a process, each with a contiguous part of the agents, on a port from `base` on."""
+    n = len(neighbors)
+    at = list(addresses.values()) if hosts is not None else [LOCAL] * p
     ends = [f"tcp/{address}:{base + k}" for k, address in enumerate(at)]
     common = {"neighbors": neighbors, "warm": WARM, "seconds": seconds, "processes": p,
               "swarm": f"bench{secrets.token_hex(4)}"}  # fmt: skip

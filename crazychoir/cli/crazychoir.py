@@ -1,5 +1,6 @@
 """crazychoir: run missions, solve instances, look into a running swarm."""
 
+from contextlib import nullcontext
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -132,7 +133,7 @@ def run(
     )
     from crazychoir.guidance.mission import look_before
     from crazychoir.launch.flight import dongles, fly_fast, fly_real
-    from crazychoir.launch.network import apart, swarm_file
+    from crazychoir.launch.network import set_apart, swarm_file
     from crazychoir.launch.recording import recording_file
     from crazychoir.launch.running import Run, recorded
     from crazychoir.radio.ownership import require_free
@@ -152,8 +153,9 @@ def run(
             with Progress(status_table, enabled=not as_json) as progress:
                 for text in warned:
                     progress.say(text)
-                config = config if fast or only is not None else apart(config, processes)
-                with recording_file(record, config, mission, virtual=fast) as file:
+                as_it_is = fast or only is not None
+                own = nullcontext(config) if as_it_is else set_apart(config, processes, keeps_port=True)
+                with own as config, recording_file(record, config, mission, virtual=fast) as file:
                     if fast:
                         result = fly_fast(config, mission, progress, file)
                     else:

@@ -4,7 +4,7 @@ import socket
 from pathlib import Path
 
 from crazychoir.errors import Refused
-from crazychoir.launch.running import Run, of_file, runs
+from crazychoir.launch.running import Run, every_run, of_file, runs
 from crazychoir.swarm.config import LOCAL, SwarmConfig, find_swarm
 
 LOCAL_FILE = "swarm.toml"
@@ -49,7 +49,7 @@ def choose(found: list[Run]) -> str:
 
 def runs_here(config: SwarmConfig) -> bool:
     """Whether a run of this machine flies, or starts, this swarm."""
-    return any(run.swarm == config.name for run in runs())
+    return any(run.swarm == config.name for run in every_run())
 
 
 def patience(config: SwarmConfig) -> float:

@@ -33,7 +33,7 @@ def replay(
 ) -> None:
     """Say a recorded flight again: status, echo, hz and record see it as they see a swarm that flies."""
     set_up_logging()
-    from crazychoir.launch.network import apart, swarm_file  # kernels and network: 1 s that --help does not need
+    from crazychoir.launch.network import set_apart, swarm_file  # kernels and network: 1 s that --help does not need
     from crazychoir.launch.running import Run, recorded
     from crazychoir.recording.reading import header
     from crazychoir.runtime.clock import run_wall
@@ -42,8 +42,12 @@ def replay(
     try:
         recording = header(file)
         warn_of(recording, "what lies before is said")
-        config = apart(_here(SwarmConfig.loads(recording.swarm, f"{file}: swarm.json")), 1)
-        with swarm_file(config) as path, recorded(Run(config.name, str(file), None, str(path))):
+        recorded_swarm = _here(SwarmConfig.loads(recording.swarm, f"{file}: swarm.json"))
+        with (
+            set_apart(recorded_swarm, 1) as config,
+            swarm_file(config) as path,
+            recorded(Run(config.name, str(file), None, str(path))),
+        ):
             STDERR.print(f"Look at it (or echo, hz, record): crazychoir status --swarm {path}", soft_wrap=True)
             told = run_wall(lambda clock: _replay(clock, config, file, speed, step, wait))
     except CrazyChoirError as error:

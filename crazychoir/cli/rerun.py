@@ -2,7 +2,6 @@
 
 import contextlib
 import json
-import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -81,8 +80,10 @@ def _check(recording: "Recording") -> None:
 @contextlib.contextmanager
 def _into(record: Path | None) -> Iterator[Path]:
     """The file for the repetition: that one, or one that nobody keeps."""
-    with tempfile.TemporaryDirectory(prefix="crazychoir-rerun-") as folder:
-        yield record or Path(folder) / "again.mcap"
+    from crazychoir.runtime.places import scratch_folder
+
+    with scratch_folder("crazychoir-rerun-") as folder:
+        yield record or folder / "again.mcap"
 
 
 def _other_versions(recording: "Recording") -> dict[str, str]:

@@ -68,6 +68,7 @@ def set_up_logging(level: int = logging.WARNING) -> None:
         handler = logging.StreamHandler()
     handler.setFormatter(TracesOnce())
     logging.basicConfig(level=level, handlers=[handler], force=True)
+    logging.getLogger("matplotlib").setLevel(logging.ERROR)  # it says where it keeps its list of fonts
 
 
 @contextlib.contextmanager

@@ -2,10 +2,11 @@
 
 import asyncio
 import contextlib
+import errno
 import random
+import resource
 import socket
-import tempfile
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import AsyncIterator, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -18,13 +19,20 @@ from crazychoir.bus.zenoh import ZenohLink
 from crazychoir.errors import ConfigError
 from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import Clock
+from crazychoir.runtime.places import scratch_folder
 from crazychoir.runtime.supervisor import Supervisor
-from crazychoir.swarm.config import SwarmConfig
+from crazychoir.swarm.checks import LOWEST_PORT
+from crazychoir.swarm.config import LOCAL, SwarmConfig
+from crazychoir.swarm.tables import BASE_PORT
 
 REPLAY = "Replay"
 """The host of what a recording says: no host of a swarm file can have this name."""
 LOWEST = 10_000
 """Of the ports that are drawn: below it are those of well-known services, and the default base_port."""
+HIGHEST_PORT = 65_535
+ATTEMPTS = 200  # draws below the ports of connections
+FILES_BESIDE, FILES_PER_PROCESS = 256, 4
+"""Open files of a run: a port, two pipes and a process handle for each process, and what else it needs."""
 
 
 def observer(clock: Clock, config: SwarmConfig) -> ZenohLink:
@@ -74,36 +82,90 @@ async def attached(link: ZenohLink, *actors: Actor) -> AsyncIterator[None]:
 @contextlib.contextmanager
 def swarm_file(config: SwarmConfig) -> Iterator[Path]:
     """The swarm as a file, while it flies: for its processes, and for who wants to look into it."""
-    with tempfile.TemporaryDirectory(prefix=f"crazychoir-{config.name}-") as folder:
-        path = Path(folder) / "swarm.json"
+    with scratch_folder(f"crazychoir-{config.name}-") as folder:
+        path = folder / "swarm.json"
         path.write_text(config.dumps())
         yield path
 
 
 def apart(config: SwarmConfig, processes: int | None) -> SwarmConfig:
     """The same swarm under a name and on ports of its own, in so many processes: two runs side by side never meet."""
+    with set_apart(config, processes) as changed:
+        return changed
+
+
+@contextlib.contextmanager
+def set_apart(config: SwarmConfig, processes: int | None, *, keeps_port: bool = False) -> Iterator[SwarmConfig]:
+    """Give a swarm a name and ports of its own, in so many processes, and hold the ports for them meanwhile.
+
+    keeps_port: whether a base_port of the swarm file is used, if it is another than the default. Raises ConfigError if
+    one of its ports is taken.
+    """
     groups = [list(map(int, part)) for part in np.array_split(config.ids, processes)] if processes else None
     suffix = f"{random.SystemRandom().getrandbits(32):08x}"
     changes: dict[str, Any] = {"name": f"{config.name[:30]}-{suffix}"}
     if groups:
         changes["processes"] = [group for group in groups if group]
     changed = config.replace(**changes)
-    return changed.replace(base_port=free_ports(list(changed.endpoints())))
+    places = {process: _address(endpoint) for process, endpoint in changed.endpoints().items()}
+    given = config.base_port if keeps_port and config.base_port != BASE_PORT else None
+    with held_ports(places, given, highest=max(config.ids)) as base:
+        yield changed.replace(base_port=base)
 
 
-def free_ports(offsets: list[int], attempts: int = 200) -> int:
-    """A base port such that base + offset is free for each offset, also when it is used a second later.
+@contextlib.contextmanager
+def held_ports(places: Mapping[int, str], given: int | None = None, highest: int = 0) -> Iterator[int]:
+    """Choose a base port such that base + offset is free for each offset, and hold these ports meanwhile.
 
-    Below the ports that the system gives to who connects: one that calls a port of those before anybody listens on it
-    may be given this very port, is then connected to itself, and the port is taken.
+    places: the address for each offset;  given: the base port to use, None to choose one;
+    highest: offset, of which no process listens, and that must be a port, too.
+
+    While a socket is bound to a port, no connection of this machine is given that port, and no other run chooses it.
+    The socket does not listen and may be shared (SO_REUSEADDR), so that the process that the port is for can listen on
+    it, and can do so again if it is started again. Raises ConfigError if no block of ports is free.
     """
-    draw = random.SystemRandom()
-    end = _first_of_connections() - max(offsets)
-    for _ in range(attempts):
-        base = draw.randrange(min(LOWEST, end // 2), end)
+    _allow_files(len(places))
+    for base in _bases([*places, highest]) if given is None else [given]:
+        with contextlib.ExitStack() as kept:
+            taken = next((n for n, address in places.items() if not _held(address, base + n, kept)), None)
+            if taken is None:
+                yield base
+                return
+        if given is not None:
+            name = f"drone {taken}" if taken >= 0 else "the router, or of what owns the world, the cameras or a dongle"
+            do = f"End what has it (`ss -anp sport = :{base + taken}`), set another, or leave it out: a run chooses."
+            problem = f"port {base + taken}, that of {name}, is taken"
+            raise ConfigError("base_port", given, "each process needs a free port", do, problem)
+    raise _no_block(len(places))
+
+
+def free_ports(offsets: list[int]) -> int:
+    """A base port such that base + offset is free for each offset now; `held_ports` keeps them free."""
+    for base in _bases(offsets):
         if all(_free(base + offset) for offset in offsets):
             return base
-    raise ConfigError("base_port", f"no free block for {len(offsets)} processes", "free ports", "Set base_port.")
+    raise _no_block(len(offsets))
+
+
+def _no_block(count: int) -> ConfigError:
+    found = f"no free block for {count} processes"
+    return ConfigError("base_port", found, "free ports", "Let drones share processes (--processes), or set base_port.")
+
+
+def _bases(offsets: list[int]) -> Iterator[int]:
+    """Base ports to try: first some below the ports that the system gives to connections, then all that there are.
+
+    Below, because a port that is held is one less for connections. Where the system gives them from 1024 on, only
+    root could listen below, so there every port may be chosen.
+    """
+    draw = random.SystemRandom()
+    lowest, end = LOWEST_PORT - min(0, *offsets), _first_of_connections() - max(offsets)
+    below = range(max(lowest, min(LOWEST, end // 2)), end)
+    if below:
+        for _ in range(ATTEMPTS):
+            yield draw.choice(below)
+    every = range(lowest, HIGHEST_PORT + 1 - max(offsets))
+    yield from draw.sample(every, len(every))
 
 
 def _first_of_connections() -> int:
@@ -114,9 +176,36 @@ def _first_of_connections() -> int:
 
 
 def _free(port: int) -> bool:
-    with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as probe:
-        try:
-            probe.bind(("127.0.0.1", port))
-        except OSError:
-            return False
+    with contextlib.ExitStack() as kept:
+        return _held(LOCAL, port, kept)
+
+
+def _held(address: str, port: int, kept: contextlib.ExitStack) -> bool:
+    """Bind a port, until the stack is left; False if it is taken. An address of another machine is not held."""
+    family = socket.AF_INET6 if ":" in address else socket.AF_INET
+    holder = kept.enter_context(socket.socket(family, socket.SOCK_STREAM))
+    try:
+        holder.bind((address, port))
+    except socket.gaierror:
+        return True
+    except OSError as error:
+        return error.errno == errno.EADDRNOTAVAIL
+    holder.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # not before: bound like this it could be shared
     return True
+
+
+def _address(endpoint: str) -> str:
+    """The address of an endpoint such as tcp/127.0.0.1:7460."""
+    return endpoint.partition("/")[2].rpartition(":")[0].strip("[]")
+
+
+def _allow_files(processes: int) -> None:
+    """Let this process open as many files as a run of so many processes needs: a port and pipes for each of them."""
+    needed = FILES_BESIDE + FILES_PER_PROCESS * processes
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    if soft == resource.RLIM_INFINITY or soft >= needed:
+        return
+    if hard != resource.RLIM_INFINITY and hard < needed:
+        do = f"Raise it as root (`ulimit -Hn {needed}`), or let drones share processes: --processes."
+        raise ConfigError("limit of open files", hard, f"{needed} for {processes} processes", do)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (needed, hard))

@@ -14,12 +14,13 @@ from typing import Any
 import numpy as np
 
 from crazychoir.bus.codec import decode, encode
-from crazychoir.cache import COMPILES
-from crazychoir.errors import CodecError
+from crazychoir.cache import COMPILES, shared_by_children
+from crazychoir.errors import CodecError, ProcessFailed
 from crazychoir.guidance.life import LANDING_DEADLINE
 from crazychoir.planning.point_to_point import PEAK_SPEED, duration_for
 from crazychoir.swarm.config import SwarmConfig
 from crazychoir.types import FullState
+from crazychoir.user_folders import WARNING
 
 GRACE = 20.0
 """s that processes get to end after SIGTERM beside the time of their landings, before they are killed."""
@@ -74,10 +75,11 @@ async def run_children(
     then one that ends without a result ends all, for nobody would come that they could wait for;  owners: of their
     world, cameras and dongles, that are started here too.
     """
-    say = _once(COMPILES, say)
+    say = _once(say)
     files = {group: path.with_name(f"result-{group[0]}") for group in groups}
     children: Children = {}
     async with contextlib.AsyncExitStack() as stack:
+        stack.enter_context(shared_by_children(path.parent))
         for owner in owners:
             await stack.enter_async_context(_owner(owner, path, children, say))
         await _run_agents(children, path, files, config, options, say, all_wait)
@@ -156,8 +158,15 @@ async def _owner(owner: Owner, path: Path, agents: Children, say: Say) -> AsyncI
 
 
 def write_results(path: Path, results: Results) -> None:
-    """What a process has come to, for who started it: as messages travel, and apart from what its mission prints."""
-    path.write_bytes(encode(results, LARGEST))
+    """What a process has come to, for who started it: as messages travel, and apart from what its mission prints.
+
+    Raises ProcessFailed where there is no room for it.
+    """
+    try:
+        path.write_bytes(encode(results, LARGEST))
+    except OSError as error:
+        reason = f"its result is lost: {path.parent}: {error.strerror or error}. Set TMPDIR to a folder with more room."
+        raise ProcessFailed(f"drones {', '.join(map(str, results))}", reason) from error
 
 
 def read_results(path: Path) -> Results:
@@ -208,15 +217,17 @@ async def _listen(child: Process, say: Say) -> None:
     await child.wait()
 
 
-def _once(text: str, say: Say) -> Say:
-    """What all processes say that wait for the same is passed on from the first."""
-    told = False
+def _once(say: Say) -> Say:
+    """Pass on lines that all processes say for one reason from the first of them: of each cache what it lacks."""
+    told: list[str] = []
 
     def passed(line: str) -> None:
-        nonlocal told
-        if line != text or not told:
+        cache = line.removeprefix(WARNING).partition(":")[0]
+        reason = line if line == COMPILES else cache if line.startswith(WARNING) else None
+        if reason is None or reason not in told:
             say(line)
-        told = told or line == text
+        if reason is not None:
+            told.append(reason)
 
     return passed
 

@@ -3,26 +3,26 @@
 import json
 import secrets
 import sys
-import tempfile
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from crazychoir.bus.rules import Rule
-from crazychoir.cache import say_once
+from crazychoir.cache import say_once, shared_by_children, tell
 from crazychoir.errors import ConfigError, ProcessFailed
 from crazychoir.launch.group import Ended, Group
-from crazychoir.launch.network import free_ports
+from crazychoir.launch.network import held_ports
 from crazychoir.routing.instance import Instance
 from crazychoir.routing.member import Settings
 from crazychoir.routing.pickup_delivery import METHODS
 from crazychoir.routing.plan import Solution
 from crazychoir.routing.schedule import outcome
 from crazychoir.routing.solve import joined
+from crazychoir.runtime.places import scratch_folder
+from crazychoir.swarm.config import LOCAL
 from crazychoir.swarm.graph import Graph, named, span
 from crazychoir.swarm.impairment import changes
 
@@ -69,13 +69,17 @@ def solve_in_processes(
     losses = changes({"loss": loss, "burst": burst})
     rule = Rule({name: value for name, value in losses.items() if value is not None})
     parts = [part.tolist() for part in np.array_split(np.arange(instance.robots), processes)]
-    with tempfile.TemporaryDirectory(prefix="crazychoir-solve-") as folder:
-        file = Path(folder) / "instance.json"
+    with scratch_folder("crazychoir-solve-") as folder:
+        file = folder / "instance.json"
         file.write_text(json.dumps(instance.to_json()))
         common = {"instance": str(file), "method": method, "seed": seed, "deadline": deadline, "effects": rule.effects,
                   "settings": asdict(settings or Settings())}  # fmt: skip
         common |= {"neighbors": {i: links.neighbors(i) for i in links.ids}, "watched": watch is not None}
-        with Group(_commands(parts, common)) as group:
+        with (
+            held_ports(dict.fromkeys(range(len(parts)), LOCAL)) as base,
+            shared_by_children(folder),
+            Group(_commands(parts, common | {"base": base})) as group,
+        ):
             run = _Run(group, parts, watch or (lambda progress: None))
             run.wait("ready", START_DEADLINE, "do not find each other")
             started = time.perf_counter() - began
@@ -118,6 +122,8 @@ class _Run:
         number, answer = heard
         if "compiles" in answer:
             say_once()
+        if "warning" in answer:
+            tell(answer["warning"])
         if "error" in answer:
             raise ProcessFailed(f"robots {span(self._parts[number])}", f"{answer['kind']}: {answer['error']}")
         if "progress" in answer:
@@ -129,8 +135,7 @@ class _Run:
 def _commands(parts: list[list[int]], common: dict[str, Any]) -> list[list[str]]:
     """One command a process; each listens on a port of its own and connects to those before it."""
     swarm = f"solve-{secrets.token_hex(4)}"
-    base = free_ports(list(range(len(parts))))
-    endpoints = [f"tcp/127.0.0.1:{base + p}" for p in range(len(parts))] if len(parts) > 1 else [""]
+    endpoints = [f"tcp/{LOCAL}:{common['base'] + p}" for p in range(len(parts))] if len(parts) > 1 else [""]
     commands = []
     for p, mine in enumerate(parts):
         own = {"mine": mine, "swarm": swarm, "process": f"{p}-{swarm}", "connect": endpoints[:p]}

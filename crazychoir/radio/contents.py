@@ -1,6 +1,7 @@
 """What drones have told of their log variables and parameters, by checksum: kept on disk, shared by all links."""
 
 import contextlib
+import hashlib
 import json
 import logging
 import os
@@ -12,12 +13,17 @@ from typing import Any
 from cflib.crazyflie.log import LogTocElement
 from cflib.crazyflie.param import ParamTocElement
 
+from crazychoir.user_folders import WARNING, cache_home
+
 log = logging.getLogger(__name__)
 PATIENCE, LOOKS = 60.0, 0.25
 """s that a link waits for what another one is being told, longer than each is given to open; and after which it looks
 whether that one, or itself, has been closed meanwhile."""
 FIELDS = ("ident", "group", "name", "ctype", "pytype", "access")
 KINDS = {"log": LogTocElement, "param": ParamTocElement}
+
+NAME = "tables of contents"
+"""What this cache holds, in warnings."""
 
 Contents = dict[str, dict[str, Any]]
 
@@ -27,10 +33,14 @@ class TableOfContents:
 
     Drones with the same firmware have the same tables, so the first link asks and the others wait for its answer. A
     file is there whole or not at all, whoever writes at the same time.
+
+    folder: where they are kept, None where there is no place: then they are known to this process alone.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path | None) -> None:
         self.folder = folder
+        self._damaged: list[int] = []
+        self._warned = False
         self._known: dict[int, Contents] = {}
         self._asked: dict[int, int] = {}
         self._closed: dict[int, None] = {}
@@ -57,10 +67,20 @@ class TableOfContents:
             self._known[crc] = contents
             self._asked.pop(crc, None)
             self._told.notify_all()
+        if self.folder is None:
+            self._warn("no home folder")
+            return
         try:
-            self._write(crc, contents)
+            self._write(self.folder, crc, contents)
         except OSError as error:
-            log.warning("%s: %s: tables of contents are not kept; connecting takes longer", self.folder, error.strerror)
+            self._warn(f"{self.folder}: {error.strerror or error}")
+
+    def _warn(self, fault: str) -> None:
+        """Say once why nothing is kept."""
+        if not self._warned:
+            self._warned = True
+            do = "Set XDG_CACHE_HOME to a folder that can be written and has room."
+            log.warning("%s%s: %s: they are not kept, connecting takes longer. %s", WARNING, NAME, fault, do)
 
     def forget(self, thread: int) -> None:
         """The link of this thread is closed: who waits for what it was being told asks itself."""
@@ -69,36 +89,47 @@ class TableOfContents:
             self._closed[thread] = None
             self._told.notify_all()
 
-    def _file(self, crc: int) -> Path:
-        return self.folder / f"{crc:08X}.json"
-
     def _read(self, crc: int) -> Contents | None:
+        if self.folder is None or crc in self._damaged:
+            return None
+        file = _file(self.folder, crc)
         try:
-            return decoded(self._file(crc).read_text())
+            return decoded(file.read_text())
         except FileNotFoundError:
             return None
-        except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-            log.warning("%s: %s: asked of the drone again", self._file(crc), error)
+        except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+            self._damaged.append(crc)  # waiting links look again and again
+            log.warning("%s: %s: asked of the drone again", file, error)
             return None
 
-    def _write(self, crc: int, contents: Contents) -> None:
-        self.folder.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(dir=self.folder, prefix=".")
+    def _write(self, folder: Path, crc: int, contents: Contents) -> None:
+        folder.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(dir=folder, prefix=".")
         try:
             with os.fdopen(handle, "w") as file:
                 file.write(encoded(contents))
-            os.replace(name, self._file(crc))
+            os.replace(name, _file(folder, crc))
         except BaseException:
             with contextlib.suppress(OSError):
                 os.unlink(name)
             raise
 
 
+def _file(folder: Path, crc: int) -> Path:
+    return folder / f"{crc:08X}.json"
+
+
+def _check(kind: str, elements: list[Any]) -> str:
+    """Return the digest of a table: a file that is damaged and still JSON is found by it."""
+    return hashlib.blake2b(json.dumps([kind, elements]).encode(), digest_size=8).hexdigest()
+
+
 def encoded(contents: Contents) -> str:
     """As text."""
     elements = [element for group in contents.values() for element in group.values()]
     kind = "param" if any(isinstance(element, ParamTocElement) for element in elements) else "log"
-    return json.dumps({"kind": kind, "elements": [[getattr(element, f) for f in FIELDS] for element in elements]})
+    values = [[getattr(element, f) for f in FIELDS] for element in elements]
+    return json.dumps({"kind": kind, "check": _check(kind, values), "elements": values})
 
 
 def decoded(text: str) -> Contents:
@@ -108,6 +139,8 @@ def decoded(text: str) -> Contents:
     """
     raw = json.loads(text)
     kind, found = KINDS[raw["kind"]], Contents()
+    if raw["check"] != _check(raw["kind"], raw["elements"]):
+        raise ValueError("it is damaged: its digest is another")
     for values in raw["elements"]:
         element = kind()
         for name, value in zip(FIELDS, values, strict=True):
@@ -116,7 +149,7 @@ def decoded(text: str) -> Contents:
     return found
 
 
-def folder() -> Path:
-    """Where this user keeps them."""
-    kept = os.environ.get("XDG_CACHE_HOME")
-    return (Path(kept) if kept else Path.home() / ".cache") / "crazychoir" / "contents"
+def folder() -> Path | None:
+    """Where this user keeps them, None without a place for caches."""
+    own = cache_home()
+    return None if own is None else own / "crazychoir" / "contents"

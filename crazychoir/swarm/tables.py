@@ -425,6 +425,9 @@ class Security(Table, frozen=True, kw_only=True):
     operators: Names = ()
 
 
+BASE_PORT = 7460  # without one in the swarm file
+
+
 class Swarm(Table, frozen=True, kw_only=True):
     """A swarm file. SI units, world frame; see deploy/README.md."""
 
@@ -440,7 +443,7 @@ class Swarm(Table, frozen=True, kw_only=True):
     start_deadline: Timeout = 30.0
     lost_after: Timeout = 5.0
     lease: Timeout = 1.0
-    base_port: Port = 7460
+    base_port: Port = BASE_PORT
     processes: Groups | None = None
     hosts: Hosts = field(default_factory=dict)
     router: Name | None = None

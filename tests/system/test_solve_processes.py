@@ -78,6 +78,15 @@ def test_that_processes_compile_is_told_once(demo, monkeypatch, capsys):
     assert capsys.readouterr().err == f"{cache.COMPILES}\n"
 
 
+def test_that_processes_keep_nothing_is_told_once(demo, monkeypatch, capsys):
+    monkeypatch.setenv("CRAZYCHOIR_TOLD", "")
+    words = "import json; print(json.dumps({'warning': 'cache: compiled laws: none'})); raise SystemExit('done')"
+    monkeypatch.setattr(team, "_commands", lambda parts, common: [[sys.executable, "-c", words]] * 2)
+    with pytest.raises(ProcessFailed, match="done"):
+        team.solve_in_processes(Instance.load(demo), 2)
+    assert capsys.readouterr().err == "cache: compiled laws: none\n"
+
+
 def test_no_robot_outlives_who_started_it(demo):
     words = [sys.executable, "-m", "crazychoir.cli.crazychoir", "solve", str(demo), "--processes", "2", "--loss", "0.9"]
     with subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as parent:

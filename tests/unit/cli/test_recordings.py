@@ -87,7 +87,7 @@ def test_a_replay_says_what_is_not_said(tmp_path, monkeypatch, harm, complete):
         return {"messages": 1, "seconds": 0.0}
 
     monkeypatch.setattr("crazychoir.cli.replay._replay", replaying)
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    monkeypatch.setenv("CRAZYCHOIR_RUNTIME_DIR", str(tmp_path / "crazychoir"))
     path = tmp_path / "a.mcap"
     path.write_bytes(harm(written(tmp_path / "whole.mcap", lost=2)))
     code, told, aside = said("replay", path)

@@ -53,7 +53,7 @@ class Swarm:
 @pytest.fixture(autouse=True)
 def no_other_runs(monkeypatch, tmp_path):
     """What runs on this machine meanwhile is nobody's business here."""
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    monkeypatch.setenv("CRAZYCHOIR_RUNTIME_DIR", str(tmp_path / "crazychoir"))
 
 
 def play(scene):

@@ -1,13 +1,23 @@
 """Two runs never meet; observers come and go."""
 
 import asyncio
+import os
+import random
+import resource
 import socket
+import subprocess
+import sys
+import tempfile
 
 import pytest
+from other_user import as_user, in_own_namespace
+from typer.testing import CliRunner
 
 from crazychoir.bus.local import OBSERVER, Bus
+from crazychoir.cli.crazychoir import app
+from crazychoir.errors import ConfigError
 from crazychoir.launch import network
-from crazychoir.launch.network import apart, attached, free_ports, observer, swarm_file
+from crazychoir.launch.network import apart, attached, free_ports, held_ports, observer, set_apart, swarm_file
 from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import run_virtual
 from crazychoir.swarm.config import SwarmConfig, default_swarm
@@ -96,3 +106,162 @@ def test_actors_work_while_the_link_is_open_and_stop_before_it():
 
     run_virtual(main)
     assert said == ["opens", "link runs", "score runs", "score stops", "link stops"]
+
+
+# Ports that are held --------------------------------------------------------------------------------------------------
+
+LOCAL = "127.0.0.1"
+LOW_RANGE = """if True:
+    import sys
+    from crazychoir.launch.network import set_apart
+    from crazychoir.swarm.config import default_swarm
+    for given in (None, 7999):
+        config = default_swarm(int(sys.argv[1]))
+        config = config if given is None else config.replace(base_port=given)
+        with set_apart(config, None, keeps_port=True) as changed:
+            print(changed.base_port)
+"""
+
+
+def listens_at(port):
+    """Listen as Zenoh does."""
+    with socket.socket() as server:
+        server.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        server.bind((LOCAL, port))
+        server.listen()
+        socket.create_connection((LOCAL, port), 1.0).close()
+
+
+def test_ports_are_held_for_those_who_listen_there_and_for_no_other():
+    with held_ports(dict.fromkeys([-1, 0, 3], LOCAL)) as base:
+        for port in (base - 1, base, base + 3):
+            assert not network._free(port), "another run does not choose it"
+            with pytest.raises(ConnectionRefusedError):
+                socket.create_connection((LOCAL, port), 1.0)
+            for _ in range(2):
+                listens_at(port)
+        assert network._free(base + 2)
+    assert all(network._free(base + offset) for offset in (-1, 0, 3))
+
+
+def test_no_connection_is_given_a_port_that_is_held_where_the_system_gives_all():
+    """With ten ports for connections, nine of them held, all connections get the tenth."""
+    program = f"""if True:
+        import contextlib, socket
+        from crazychoir.launch import network
+        network._bases = lambda offsets: [40_000]
+        server = socket.create_server(({LOCAL!r}, 50_000))
+        with network.held_ports(dict.fromkeys(range(9), {LOCAL!r})), contextlib.suppress(OSError):
+            while True:
+                print(socket.create_connection(({LOCAL!r}, 50_000)).getsockname()[1])
+    """
+    assert in_low_range(program, "40000 40009").split() == ["40009"]
+
+
+def in_low_range(program, span, *words, user=()):
+    """What a program says in a network of its own, where the system gives these ports to connections."""
+    prepare = 'ip link set lo up && echo "$0" >/proc/sys/net/ipv4/ip_local_port_range && exec "$@"'
+    command = [*in_own_namespace("--net"), "sh", "-c", prepare, span, *user, sys.executable, "-c", program, *words]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    answer = subprocess.run(command, env=environment, capture_output=True, text=True, check=False, cwd="/")
+    assert answer.returncode == 0, answer.stderr
+    return answer.stdout
+
+
+@pytest.mark.parametrize("span", ["1024 65535", "2048 65535"])
+def test_a_user_gets_ports_where_the_system_gives_nearly_all_to_connections(span):
+    said = [int(word) for word in in_low_range(LOW_RANGE, span, "40", user=as_user()).split()]
+    assert 1024 <= said[0] <= 65535 - 40
+    assert said[1] == 7999, "the swarm file's own"
+
+
+@pytest.mark.parametrize("first", [1024, 1500, 32768, 60999])
+@pytest.mark.parametrize("drones", [1, 1200, 2500])
+def test_so_many_processes_get_ports_wherever_those_of_connections_begin(monkeypatch, first, drones):
+    monkeypatch.setattr(network, "_first_of_connections", lambda: first)
+    monkeypatch.setattr(network, "_held", lambda address, port, kept: True)
+    monkeypatch.setattr(network, "_allow_files", lambda processes: None)
+    with held_ports(dict.fromkeys(range(-3, drones), LOCAL)) as base:
+        assert base - 3 >= 1024
+        assert base + drones - 1 <= 65535
+
+
+def test_1200_processes_hold_their_ports():
+    before = resource.getrlimit(resource.RLIMIT_NOFILE)
+    try:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (1024, before[1]))
+        with held_ports(dict.fromkeys(range(1200), LOCAL)) as base:
+            assert not network._free(base + 1199)
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, before)
+
+
+def test_too_few_open_files_are_told_before_anything_starts(monkeypatch):
+    monkeypatch.setattr(resource, "getrlimit", lambda _: (1024, 2048))
+    with pytest.raises(ConfigError, match=r"limit of open files: found 2048; allowed: 5056 for 1200 processes.*--proc"):
+        held_ports(dict.fromkeys(range(1200), LOCAL)).__enter__()
+
+
+def test_wide_ids_have_ports_too(monkeypatch):
+    monkeypatch.setattr(network, "_first_of_connections", lambda: 2048)
+    for highest in random.Random(1).sample(range(2000, 10_000), 5):  # noqa: S311 - the same each time
+        drones = [{"id": 0, "home": [0, 0, 0]}, {"id": highest, "home": [1, 0, 0]}]
+        config = SwarmConfig.of({"name": "wide", "drones": drones, "processes": [[0, highest]]})
+        for processes in (None, 1, 2):
+            assert apart(config, processes).base_port + highest <= 65535
+
+
+def test_a_block_is_found_where_few_are_free(monkeypatch):
+    draw = random.Random(7)  # noqa: S311 - the same each time
+    free = draw.randrange(33_000, 60_000)
+    monkeypatch.setattr(network, "_held", lambda address, port, kept: free <= port < free + 5)
+    with held_ports(dict.fromkeys(range(5), LOCAL)) as base:
+        assert base == free
+    with pytest.raises(ConfigError, match="no free block for 6 processes"):
+        held_ports(dict.fromkeys(range(6), LOCAL)).__enter__()
+
+
+def test_the_base_port_of_a_file_is_used_or_who_needs_the_port_that_is_taken_is_named():
+    with held_ports(dict.fromkeys(range(4), LOCAL)) as base:
+        pass
+    config = default_swarm(4).replace(base_port=base)
+    with set_apart(config, None, keeps_port=True) as changed:
+        assert changed.base_port == base
+        with set_apart(config, None) as other:
+            assert other.base_port != base, "a replay flies beside it"
+        with pytest.raises(ConfigError, match=rf"base_port = {base}: port {base}, that of drone 0, is taken;.*sport"):
+            set_apart(config, None, keeps_port=True).__enter__()
+    with socket.create_server((LOCAL, base + 2)), pytest.raises(ConfigError, match=rf"{base + 2}, that of drone 2"):
+        set_apart(config, None, keeps_port=True).__enter__()
+
+
+def test_run_flies_at_the_base_port_of_its_file(tmp_path, monkeypatch):
+    flown = []
+
+    def fly_real(path, config, *arguments, **options):
+        flown.append((config.base_port, network._free(config.base_port), SwarmConfig.load(path).base_port))
+        raise ConfigError("flown", "so far", "no further")
+
+    with held_ports({0: LOCAL, 1: LOCAL}) as base:
+        pass
+    file = tmp_path / "lab.json"
+    file.write_text(default_swarm(2).replace(base_port=base, mission="figure").dumps())
+    monkeypatch.setattr("crazychoir.launch.flight.fly_real", fly_real)
+    monkeypatch.setenv("CRAZYCHOIR_RUNTIME_DIR", str(tmp_path / "crazychoir"))
+    said = CliRunner().invoke(app, ["run", str(file), "--json"])
+    assert said.exit_code == 2
+    assert flown == [(base, False, base)]
+
+
+def test_a_temporary_folder_that_cannot_be_or_is_full_is_told_with_what_to_do(monkeypatch):
+    def none(**_):
+        raise FileNotFoundError(2, "No usable temporary directory found in ['/tmp']")
+
+    expected = r"temporary folder: found .*{}.*; allowed: .* has room\. Free some room, or set TMPDIR"
+    with monkeypatch.context() as patch:
+        patch.setattr("crazychoir.runtime.places.write_fault", lambda folder: "No space left on device")
+        with pytest.raises(ConfigError, match=expected.format("No space left on device")):
+            swarm_file(default_swarm(2)).__enter__()
+    monkeypatch.setattr(tempfile, "TemporaryDirectory", none)
+    with pytest.raises(ConfigError, match=expected.format("No usable temporary directory")):
+        swarm_file(default_swarm(2)).__enter__()

@@ -11,6 +11,7 @@ import pytest
 
 from crazychoir.agent import Agent
 from crazychoir.cache import COMPILES
+from crazychoir.errors import ProcessFailed
 from crazychoir.guidance.base import CFGuidance
 from crazychoir.guidance.life import LANDING_DEADLINE
 from crazychoir.launch import processes
@@ -88,6 +89,26 @@ async def test_what_all_wait_for_is_said_once(tmp_path, monkeypatch):
     monkeypatch.setattr(processes, "_spawn", spawn)
     await run_children([(0,), (1,)], tmp_path / "swarm.json", default_swarm(2), [], said.append)
     assert sorted(said[:3]) == sorted([COMPILES, "other", "other"])
+
+
+async def test_each_cache_that_is_not_kept_is_warned_of_once_in_a_run(tmp_path, monkeypatch):
+    """Each process names the folder of the law that it compiled first: the lines differ."""
+
+    async def spawn(group, path, result, options):
+        lines = [f"cache: compiled laws: no folder, {group}", f"cache: tables of contents: /a: full, {group}", "cache"]
+        return await child("; ".join(f"print({line!r})" for line in lines))
+
+    said = []
+    monkeypatch.setattr(processes, "_spawn", spawn)
+    await run_children([(0,), (1,)], tmp_path / "swarm.json", default_swarm(2), [], said.append)
+    assert sum(line.startswith("cache: compiled laws: ") for line in said) == 1
+    assert sum(line.startswith("cache: tables of contents: ") for line in said) == 1
+    assert said.count("cache") == 2
+
+
+def test_a_result_for_which_there_is_no_room_is_told(tmp_path):
+    with pytest.raises(ProcessFailed, match=r"drones 0: its result is lost: .*/nowhere: .* Set TMPDIR to a folder"):
+        write_results(tmp_path / "nowhere" / "result", {0: {"success": True}})
 
 
 @pytest.mark.parametrize(("number", "name"), [(15, "SIGTERM"), (40, "signal 40")])

@@ -86,3 +86,48 @@ def test_nothing_half_written_is_left(tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(contents.os, "replace", fails)
     TableOfContents(tmp_path).insert(7, log_table())
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_file_that_is_damaged_and_still_json_is_asked_for_again(tmp_path, caplog) -> None:
+    table = TableOfContents(tmp_path)
+    table.insert(7, log_table())
+    (file,) = tmp_path.iterdir()
+    for damaged in (file.read_text().replace("vbat", "vbaz"), "[" * 100_000, '{"kind": "log", "elements": []}'):
+        file.write_text(damaged)
+        caplog.clear()
+        reader = TableOfContents(tmp_path)
+        assert [reader.fetch(7), reader.fetch(7)] == [None, None]
+        assert caplog.text.count("asked of the drone again") == 1, "once, though links look again and again"
+
+
+def test_bytes_that_are_no_text_are_asked_for_again(tmp_path) -> None:
+    for content in (b"", b"\xff\xfe" * 50, bytes(400)):
+        (tmp_path / "00000007.json").write_bytes(content)
+        assert TableOfContents(tmp_path).fetch(7) is None
+
+
+def test_without_a_home_they_are_known_to_this_process_and_one_line_says_so(monkeypatch, caplog) -> None:
+    def no_home():
+        raise RuntimeError("Could not determine home directory.")
+
+    for name in ("HOME", "XDG_CACHE_HOME"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr("pathlib.Path.home", no_home)
+    assert contents.folder() is None
+    table = TableOfContents(contents.folder())
+    for crc in (7, 8):
+        assert table.fetch(crc) is None
+        table.insert(crc, told := log_table())
+        assert table.fetch(crc) is told
+    assert caplog.text.count("cache: tables of contents: no home folder: they are not kept") == 1
+
+
+def test_a_full_disk_is_told_once(tmp_path, monkeypatch, caplog) -> None:
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(contents.os, "replace", full)
+    table = TableOfContents(tmp_path)
+    for crc in (7, 8):
+        table.insert(crc, log_table())
+    assert caplog.text.count("No space left on device") == 1
