@@ -58,7 +58,7 @@ def with_source(config: "SwarmConfig", source: str | None) -> "SwarmConfig":
     from msgspec import to_builtins  # --help does not need it
 
     changes: dict[str, Any] = to_builtins(config.mocap)
-    if source.endswith(".csv"):
+    if source.lower().endswith(".csv"):
         changes |= {"source": "replay", "file": str(Path(source).resolve())}
     else:
         changes["source"], _, host = source.partition("@")
