@@ -52,9 +52,10 @@ def replay(
         raise typer.Exit(130) from None
     if as_json:
         of_file = {"file": file, **recording.lacks}
-        write_json({"success": True, **of_file, **told})
+        write_json({"success": told["messages"] > 0, **of_file, **told})
     else:
         STDOUT.print(f"{told['messages']} messages, {told['seconds']:.2f} s of flight", highlight=False)
+    raise typer.Exit(0 if told["messages"] else 1)
 
 
 def _here(config: "SwarmConfig") -> "SwarmConfig":

@@ -40,7 +40,8 @@ def _send_frames(system: Any, out: socket.socket) -> None:
     clock, number = Stopwatch(), 0
     while True:
         system.waitForNextFrame()
-        frame = frame_of(number, clock.now(), [(_short(name), _flat(body)) for name, body in system.rigidBodies.items()])
+        bodies = [(_short(name), _flat(body)) for name, body in system.rigidBodies.items()]
+        frame = frame_of(number, clock.now(), bodies)
         number += 1
         try:
             out.send(frame.packed(), socket.MSG_DONTWAIT)

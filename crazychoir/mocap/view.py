@@ -83,8 +83,8 @@ class View:
     Times may count from any origin. A frame that comes after a later one is told from a clock that was set back by its
     number.
     rate: Hz, at most;  blur: of exact poses, None for cameras;  lost: frames that never came, by their numbers;
-    late: frames that came after a later one;  timeless: frames whose time is no time in seconds. Poses that are no poses
-    are left out.
+    late: frames that came after a later one;  timeless: frames whose time is no time in seconds.
+    Poses that are no poses are left out.
     """
 
     def __init__(self, rate: float, blur: Blur | None = None) -> None:

@@ -125,7 +125,7 @@ def test_times_in_another_unit_are_refused_with_the_unit_that_they_seem_to_have(
 
 @pytest.mark.parametrize(
     ("jump", "words"),
-    [(-0.3, "or more, as before"), (-1.76e9, "or more, as before"), (1.76e9, "after the frame before"), (3600.0, "600")],
+    [(-0.3, "or more, as before"), (-1.76e9, "or more, as before"), (1.76e9, "after the frame before"), (3600, "600")],
 )
 def test_a_clock_that_is_set_within_a_recording_is_refused_with_its_line(tmp_path, jump, words):
     path = written(tmp_path / "a.csv", [1.76e9 + 0.01 * k + (jump if k >= 5 else 0.0) for k in range(9)])
