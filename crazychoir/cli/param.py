@@ -1,10 +1,12 @@
 """crazychoir param: read and change the parameters of drones that fly."""
 
 import json
+from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.table import Table
+from rich.text import Text
 
 from crazychoir.cli.look import JsonOption, SwarmOption, looking
 from crazychoir.cli.show import STDERR, STDOUT, fail, write_json
@@ -67,15 +69,24 @@ def _conclude(answers: "Answers", as_json: bool) -> None:
 
 
 def _table(answers: "Answers") -> Table:
-    """A row a parameter, a column a drone; who refuses says why, below."""
+    """A row a parameter, a column a drone; a cell is empty where a drone has no such parameter.
+
+    A drone that refuses says why, below.
+    """
     good = {i: said if isinstance(said, dict) else {"value": said} for i, (done, said) in answers.items() if done}
     table = Table("parameter", *(f"drone {i}" for i in good))
-    for name in next(iter(good.values()), {}):
-        table.add_row(name, *(_shown(said[name]) for said in good.values()))
+    for name in _names(good.values()):
+        table.add_row(Text(name), *(Text(_shown(said[name]) if name in said else "") for said in good.values()))
     for i, (done, said) in answers.items():
         if not done:
             STDERR.print(f"drone {i}: {said}", markup=False)
     return table
+
+
+def _names(answers: Iterable[Mapping[str, Any]]) -> list[str]:
+    """The parameters that any of the drones has: first those of the drone that has most, in its order."""
+    most_first = sorted(answers, key=len, reverse=True)
+    return list(dict.fromkeys(name for said in most_first for name in said))
 
 
 def _shown(value: Any) -> str:

@@ -202,10 +202,9 @@ def ping(
     from crazychoir.radio import ping as echo
 
     try:
-        for uri in uris:
-            echo.require_uri(uri)
+        wanted = [echo.require_uri(uri) for uri in uris]
         with prints_aside():
-            found = echo.ping(list(dict.fromkeys(uris)), time.perf_counter, count, deadline)
+            found = echo.ping(list(dict.fromkeys(wanted)), time.perf_counter, count, deadline)
     except CrazyChoirError as error:
         fail(error, as_json)
     except KeyboardInterrupt:

@@ -55,7 +55,7 @@ class VirtualServer(Actor):
             for seat in self.seats
         }
         self.cameras = Cameras(clock, poses, self.answer)
-        self._names = {seat.id: seat.body for seat in self.seats}
+        self._names = {seat.id: seat.body for seat in self.seats if seat.body}
         self._noise = random.Random(f"{seed} decks")  # noqa: S311 - of a simulated sensor
 
     def _drone(self, seat: Seat) -> VirtualCrazyflie:

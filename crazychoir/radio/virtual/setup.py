@@ -16,8 +16,8 @@ from crazychoir.simulation.crazyflies import CrazyflieWorld
 from crazychoir.simulation.world import WorldSetup
 from crazychoir.swarm.checks import WORLD_STEP
 from crazychoir.swarm.config import SwarmConfig, default_swarm
-from crazychoir.swarm.radios import UDP_URI
 from crazychoir.swarm.tables import Drone
+from crazychoir.swarm.uris import udp_uri
 
 ADDRESS = 0xE7
 """Last byte of the address of drone 0; each next one has the next."""
@@ -31,7 +31,9 @@ OF_FILE = (
 
 @dataclass(frozen=True)
 class Seat:
-    """Where a drone is reached and what it is. at: host and port;  body: its name for the cameras."""
+    """Where a drone is reached and what it is. at: host and port;  body: its name for the cameras, empty for one that
+    they do not show.
+    """
 
     id: int
     at: tuple[str, int]
@@ -87,9 +89,9 @@ def of_swarm(config: SwarmConfig, decks: Sequence[str] | None, release: str = RE
     """The drones of a swarm whose uri is udp:// on this machine, at the ports that their uris name."""
     places = []
     for drone in config.drones:
-        found = UDP_URI.fullmatch(drone.uri)
-        if found and _ours(found[1]):
-            places.append((drone, (found[1], int(found[2]))))
+        found = udp_uri(drone.uri)
+        if found and _ours(found.host):
+            places.append((drone, (found.host, found.port)))
     if not places:
         uris = ", ".join(sorted({drone.uri for drone in config.drones}))
         do = 'Write uri = "udp://127.0.0.1:19850" into its [[drones]], each with a port of its own.'
@@ -112,9 +114,15 @@ def _ours(host: str) -> bool:
 def _seats(
     config: SwarmConfig, places: Sequence[tuple[Drone, tuple[str, int]]], decks: Sequence[str] | None, release: str
 ) -> tuple[Seat, ...]:
+    seen = {config.body_name(i) for i in config.seen}
+
+    def body(drone: Drone) -> str:
+        name = config.body_name(drone.id)
+        return "" if name in seen and drone.id not in config.seen else name  # it is the name of another drone's body
+
     return tuple(
         Seat(
-            drone.id, at, config.body_name(drone.id), (ADDRESS + drone.id) % 256,
+            drone.id, at, body(drone), (ADDRESS + drone.id) % 256,
             _decks(drone) if decks is None else tuple(decks), release, device_of(platform(drone.platform)),
         )
         for drone, at in places
