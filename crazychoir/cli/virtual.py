@@ -115,7 +115,7 @@ def fault(
 ) -> None:
     """Change what is wrong with a drone that flies."""
     wanted = _wanted(changes, as_json)
-    _ask({"faults": {who: wanted for who in drone.split(",")}}, port, swarm, as_json)
+    _ask({"faults": {drone: wanted}}, port, swarm, as_json)
     if as_json:
         write_json({"success": True})
 

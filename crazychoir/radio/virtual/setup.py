@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import msgspec
 
 from crazychoir.errors import ConfigError
+from crazychoir.mocap.frames import MOST
 from crazychoir.platforms import Platform, platform
 from crazychoir.radio.thrust import MEASURED_UNTIL
 from crazychoir.radio.virtual.drone import DECKS, POSITIONING, RELEASE, device_of
@@ -96,6 +97,9 @@ def of_swarm(config: SwarmConfig, decks: Sequence[str] | None, release: str = RE
         uris = ", ".join(sorted({drone.uri for drone in config.drones}))
         do = 'Write uri = "udp://127.0.0.1:19850" into its [[drones]], each with a port of its own.'
         raise ConfigError("virtual Crazyflies: uris of the swarm", uris, "udp://HOST:PORT on this machine", do)
+    if len(places) > MOST:
+        do = "Serve the others by another file, or on another machine."
+        raise ConfigError("virtual Crazyflies", f"{len(places)} drones", f"at most {MOST} at once: cameras see no more", do)
     drones = tuple(drone for drone, _ in places)
     poses = (places[0][1][0], config.mocap.port)
     return Hall(config, drones, _seats(config, places, decks, release), poses, OF_FILE)
