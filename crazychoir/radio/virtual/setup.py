@@ -99,7 +99,8 @@ def of_swarm(config: SwarmConfig, decks: Sequence[str] | None, release: str = RE
         raise ConfigError("virtual Crazyflies: uris of the swarm", uris, "udp://HOST:PORT on this machine", do)
     if len(places) > MOST:
         do = "Serve the others by another file, or on another machine."
-        raise ConfigError("virtual Crazyflies", f"{len(places)} drones", f"at most {MOST} at once: cameras see no more", do)
+        allowed = f"at most {MOST} at once: cameras see no more"
+        raise ConfigError("virtual Crazyflies", f"{len(places)} drones", allowed, do)
     drones = tuple(drone for drone, _ in places)
     poses = (places[0][1][0], config.mocap.port)
     return Hall(config, drones, _seats(config, places, decks, release), poses, OF_FILE)
