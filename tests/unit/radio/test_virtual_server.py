@@ -522,7 +522,7 @@ def test_what_answers_no_json_is_refused(stand_in):
 
 def test_more_drones_than_the_cameras_see_are_refused():
     drones = [
-        {"id": i, "home": [float(i % 30), float(i // 30), 0.0], "uri": f"udp://127.0.0.1:{20_000 + i}", "dongle": i % 16}
+        {"id": i, "home": [i % 30, i // 30, 0], "uri": f"udp://127.0.0.1:{20_000 + i}", "dongle": i % 16}
         for i in range(451)
     ]
     fence = {"min": [-1.0, -1.0, 0.0], "max": [40.0, 40.0, 2.0]}
