@@ -1,6 +1,5 @@
 """crazychoir param: read and change the parameters of drones that fly."""
 
-import json
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -8,6 +7,7 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
+from crazychoir.cli import options
 from crazychoir.cli.look import JsonOption, SwarmOption, looking
 from crazychoir.cli.show import STDERR, STDOUT, fail, write_json
 from crazychoir.errors import ConfigError
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from crazychoir.cli.window import Answers, Window
 
 app = typer.Typer(no_args_is_help=True, help="Read and change the parameters of drones that fly.")
-DroneOption = Annotated[int | None, typer.Option(help="Only this drone.")]
+DroneOption = Annotated[int | None, options.drone("Only this drone.")]
 
 
 @app.command(name="get")
@@ -54,9 +54,10 @@ def _asked(swarm: str | None, drone: int | None, verb: str, as_json: bool, **arg
 def _value(text: str) -> Any:
     """A number, or a list of numbers."""
     try:
-        return json.loads(f"[{text.strip('[]()')}]" if "," in text else text)
-    except ValueError:
-        fail(ConfigError("VALUE", text, "a number, or three as 8,8,4"), as_json=False)
+        found = options.finite_numbers(text, "VALUE", "a number, or three as 8,8,4")
+    except ConfigError as error:
+        fail(error, as_json=False)
+    return found if len(found) > 1 else found[0]
 
 
 def _conclude(answers: "Answers", as_json: bool) -> None:

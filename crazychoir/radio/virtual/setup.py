@@ -17,6 +17,7 @@ from crazychoir.simulation.crazyflies import CrazyflieWorld
 from crazychoir.simulation.world import WorldSetup
 from crazychoir.swarm.checks import WORLD_STEP
 from crazychoir.swarm.config import SwarmConfig, default_swarm
+from crazychoir.swarm.spans import parse_spans
 from crazychoir.swarm.tables import Drone
 from crazychoir.swarm.uris import udp_uri
 
@@ -174,12 +175,11 @@ def groups(hall: Hall, text: str | None, each: int | None) -> list[tuple[tuple[i
 
 
 def _told(text: str, ids: tuple[int, ...]) -> list[tuple[int, ...]]:
-    try:
-        found = [tuple(int(i) for i in group.split(",")) for group in text.split("|")]
-    except ValueError:
-        found = []
+    allowed = f"groups of drones, as 0,1|2,3, each of {', '.join(map(str, ids))} at most once"
+    found = [tuple(parse_spans(group, "--dongles", allowed, repeats=False)) for group in text.split("|")]
     named = [i for group in found for i in group]
-    if not named or len(set(named)) < len(named) or any(i not in ids for i in named):
-        allowed = f"groups of drones, as 0,1|2,3, each of {', '.join(map(str, ids))} at most once"
-        raise ConfigError("--dongles", text, allowed)
+    for i in named:
+        if i not in ids or named.count(i) > 1:
+            do = f"There is no drone {i}." if i not in ids else f"Drone {i} is there {named.count(i)} times."
+            raise ConfigError("--dongles", text, allowed, do)
     return found
