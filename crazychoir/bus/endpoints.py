@@ -1,5 +1,6 @@
 """How a process is reached: endpoints, Zenoh's settings, and what is said when one cannot be used."""
 
+import ipaddress
 import re
 from collections.abc import Iterable
 from typing import Any
@@ -17,13 +18,16 @@ frames.MAX_FRAME is 10 of them: of 12 at once Zenoh drops some, also on an idle 
 """
 
 _ENDPOINT = re.compile(
-    r"(tcp|udp|tls|quic|ws)/(\[[0-9A-Fa-f:.%]+\]|[^/:\[\]\s]+):(?P<port>\d{1,5})([?#]\S*)?|unixsock-stream/\S+"
+    r"(tcp|udp|tls|quic|ws)/(\[(?P<ipv6>[^/\[\]\s]+)\]|(?P<host>[^/:\[\]\s]+)):(?P<port>\d{1,5})([?#]\S*)?"
+    r"|unixsock-stream/\S+"
 )
+_LABEL = r"[A-Za-z0-9]([A-Za-z0-9-]{0,61}[A-Za-z0-9])?"
+_NAME = re.compile(rf"{_LABEL}(\.{_LABEL}){{0,20}}")
+"""Of a host, as DNS has it."""
 _PRIORITIES = (
     *("control", "real_time", "interactive_high", "interactive_low"),
     *("data_high", "data", "data_low", "background"),
 )
-_LOOPBACK = re.compile(r"unixsock-stream/|\w+/(127\.[\d.]+:|localhost:|\[::1\])")
 _CHUNK = re.compile(r"[A-Za-z0-9_.-]{1,100}")
 _REASON = re.compile(r"([A-Z][\w ]+) \(os error|message: \"([^\"]+)\"")
 _DROP = "transport/link/tx/queue/congestion_control/drop"
@@ -64,7 +68,53 @@ def of_router(listen: list[str], lease: float) -> dict[str, Any]:
 
 def are_local(endpoints: Iterable[str]) -> bool:
     """Whether all of them are this machine's own."""
-    return all(_LOOPBACK.match(endpoint) for endpoint in endpoints)
+    return all(map(_is_local, endpoints))
+
+
+def _is_local(endpoint: str) -> bool:
+    found = _ENDPOINT.fullmatch(endpoint)
+    if found is None:
+        return False
+    return endpoint.startswith("unixsock-stream/") or is_loopback(found["ipv6"] or found["host"])
+
+
+def is_loopback(address: str) -> bool:
+    """Whether only this machine reaches the address of a host, without brackets."""
+    try:
+        return ipaddress.ip_address(address).is_loopback
+    except ValueError:
+        return address.lower() == "localhost"
+
+
+def address_fault(address: str) -> str:
+    """Return what to do about the address of a host in a file that all hosts read; empty for a good one.
+
+    Good are an IPv4 address, an IPv6 address without brackets and without a zone, and a DNS name, all without a port.
+    """
+    bare, percent, zone = address.strip("[]").partition("%")
+    if percent and _is_ip(bare):
+        return (
+            f"Leave out %{zone}: it names a network card of one host alone, and all hosts read this. Write an address "
+            "that needs no card, as fd00::2 or 10.0.0.2, or a name."
+        )
+    if address != address.strip("[]") and _is_ip(bare):
+        return "Leave out the brackets."
+    try:
+        found = ipaddress.ip_address(address)
+    except ValueError:
+        is_name = _NAME.fullmatch(address) and not re.fullmatch(r"[\d.]+", address)
+        return "" if is_name else "Ports come from base_port."
+    if found.is_unspecified or found.is_multicast:
+        return "Write the address by which the others reach this one host."
+    return ""
+
+
+def _is_ip(text: str) -> bool:
+    try:
+        ipaddress.ip_address(text)
+    except ValueError:
+        return False
+    return True
 
 
 def check(listen: Iterable[str], connect: Iterable[str]) -> None:
@@ -72,10 +122,22 @@ def check(listen: Iterable[str], connect: Iterable[str]) -> None:
     for where, endpoints in (("listen", listen), ("connect", connect)):
         for endpoint in endpoints:
             found = _ENDPOINT.fullmatch(endpoint)
+            allowed = "tcp/<address>:<port>, as tcp/192.168.1.10:7460, port 0 to 65535; also udp, tls, quic, ws"
             if found is None or int(found["port"] or 0) > 65535:
-                allowed = "tcp/<address>:<port>, as tcp/192.168.1.10:7460, port 0 to 65535; also udp, tls, quic, ws"
                 do = "Look at base_port and [hosts] in the swarm file."
                 raise ConfigError(f"{where} endpoint", endpoint, allowed, do)
+            if found["ipv6"] and (do := _ipv6_fault(found["ipv6"])):
+                raise ConfigError(f"{where} endpoint", endpoint, allowed, do)
+
+
+def _ipv6_fault(address: str) -> str:
+    """Return what to do about an address in brackets; empty for a good one. Zenoh takes the zone as a number alone."""
+    bare, percent, zone = address.partition("%")
+    if ":" not in bare or not _is_ip(bare):
+        return "Only an IPv6 address is in brackets."
+    if percent and not (zone.isascii() and zone.isdecimal()):
+        return f"Write the number of the network card {zone} instead of its name, as %2: `ip link` has it."
+    return ""
 
 
 def is_name(text: str) -> bool:

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from crazychoir.cli import ending
+from crazychoir.cli import ending, options
 from crazychoir.cli.show import STDERR, STDOUT, fail, prints_aside, result_table, set_up_logging, write_json
 from crazychoir.errors import CrazyChoirError
 
@@ -16,11 +16,11 @@ app = typer.Typer(add_completion=False)
 
 @app.command()
 def agent(
-    ids: Annotated[list[int], typer.Option("--id", help="Drone to fly; several times for several drones.")],
+    ids: Annotated[list[int], options.drone("Drone to fly; several times for several drones.", "--id")],
     swarm: Annotated[str | None, typer.Option(help="Swarm file; else ./swarm.toml, else the demo swarm.")] = None,
     mission: Annotated[str | None, typer.Option(help="Mission, instead of the swarm file's.")] = None,
-    loss: Annotated[float | None, typer.Option(help="Share of messages between drones that is lost.")] = None,
-    seed: Annotated[int | None, typer.Option(help="Seed, instead of the swarm file's.")] = None,
+    loss: Annotated[float | None, options.share("Share of messages between drones that is lost.")] = None,
+    seed: Annotated[int | None, options.seed("Seed, instead of the swarm file's.")] = None,
     force: Annotated[bool, typer.Option(help="Fly a formation that is very slow.")] = False,
     listen: Annotated[str | None, typer.Option(help="Zenoh endpoint to listen on.")] = None,
     connect: Annotated[list[str] | None, typer.Option(help="Zenoh endpoint to connect to; several times.")] = None,

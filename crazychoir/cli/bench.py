@@ -11,6 +11,7 @@ import typer
 from rich.console import RenderableType
 from rich.markup import escape
 
+from crazychoir.cli import options
 from crazychoir.cli.bench_latency import latency
 from crazychoir.cli.show import STDERR, STDOUT, fail, set_up_logging
 from crazychoir.errors import CrazyChoirError
@@ -36,7 +37,7 @@ def scale(
     as_json: JsonOption = False,
     quick: QuickOption = False,
     namespaces: Annotated[bool, typer.Option(help="A network of its own for each process; root, iproute2.")] = False,
-    repeats: Annotated[int, typer.Option(min=1, help="Medians of so many.")] = 3,
+    repeats: Annotated[int, options.whole("Medians of so many.")] = 3,
 ) -> None:
     """What 10 to 1000 agents in 1 to 8 processes cost, and a model of it: what 10 000 on 100 hosts need."""
     from crazychoir.cli import bench_scale
@@ -81,8 +82,8 @@ def tracking(as_json: JsonOption = False, quick: QuickOption = False) -> None:
 def formation(
     as_json: JsonOption = False,
     quick: QuickOption = False,
-    seeds: Annotated[int, typer.Option(min=1, help="Of the starts.")] = 50,
-    drones: Annotated[int | None, typer.Option(help="4 or 30 alone.")] = None,
+    seeds: Annotated[int, options.whole("Of the starts.")] = 50,
+    drones: Annotated[int | None, options.size("4 or 30 alone.")] = None,
 ) -> None:
     """How fast four and thirty drones with motors form up by bearings: the worst of many starts."""
     from crazychoir.cli import bench_formation

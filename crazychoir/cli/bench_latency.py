@@ -20,6 +20,7 @@ import typer
 from rich.table import Table
 
 from crazychoir.agent import Agent
+from crazychoir.cli import options
 from crazychoir.cli.show import STDOUT, fail
 from crazychoir.errors import CrazyChoirError
 from crazychoir.guidance.base import CFGuidance
@@ -200,9 +201,9 @@ def pooled(blocks: list[Lateness]) -> Lateness:
 
 def latency(
     instance: Annotated[Path | None, typer.Option(help="Instance to solve; else 10 robots, 15 tasks, drawn.")] = None,
-    drones: Annotated[int, typer.Option(help="Drones of one process for pose_to_command.")] = 30,
-    seconds: Annotated[float, typer.Option(help="Length of a block.")] = 5.0,
-    repeats: Annotated[int, typer.Option(help="Blocks of each kind, interleaved.")] = 3,
+    drones: Annotated[int, options.size("Drones of one process for pose_to_command.")] = 30,
+    seconds: Annotated[float, options.seconds("Length of a block.", open_below=True)] = 5.0,
+    repeats: Annotated[int, options.whole("Blocks of each kind, interleaved.")] = 3,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object, nothing else.")] = False,
 ) -> None:
     """How late the control tick is beside the solver, and from pose to command."""

@@ -10,6 +10,7 @@ from crazychoir.errors import ConfigError
 from crazychoir.guidance.mission import Mission, has, load
 from crazychoir.swarm.config import SwarmConfig, default_swarm, find_swarm
 from crazychoir.swarm.graph import span
+from crazychoir.swarm.spans import parse_spans
 
 FEW = 4
 """Drones of a mission that brings no swarm of its own."""
@@ -113,10 +114,11 @@ def to_start(only: str | None, config: SwarmConfig) -> tuple[int, ...]:
     """The drones that `--only` names, all without it; whole processes of the swarm file, for each has one endpoint."""
     if only is None:
         return config.ids
-    try:
-        here = sorted({config.drone(int(word)).id for word in only.split(",")})
-    except ValueError as error:
-        raise ConfigError("--only", only, f"drones {span(config.ids)}, with commas between") from error
+    allowed = f"drones {span(config.ids)}, with commas between, as 3,5-7"
+    here = sorted(parse_spans(only, "--only", allowed))
+    for i in here:
+        if i not in config.ids:
+            raise ConfigError("--only", only, allowed, f"There is no drone {i}.")
     for group in config.groups():
         if not (set(group) <= set(here) or set(group).isdisjoint(here)):
             do = "Name all of them or none, or mend `processes` in the swarm file."

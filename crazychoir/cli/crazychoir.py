@@ -15,6 +15,7 @@ from crazychoir.cli import (
     identify,
     keys,
     look,
+    options,
     orders,
     param,
     plot,
@@ -105,14 +106,14 @@ def bench(context: typer.Context) -> None:
 @app.command()
 def run(
     what: Annotated[str, typer.Argument(help="Mission in agents/, mission file (.py) or swarm file (.toml).")],
-    drones: Annotated[int | None, typer.Option(min=1, help="So many drones, if the mission can.")] = None,
+    drones: Annotated[int | None, options.size("So many drones, if the mission can.")] = None,
     only: Annotated[
         str | None, typer.Option(help="Start only these drones of a swarm file here, as 3,4; others start the rest.")
     ] = None,
-    processes: Annotated[int | None, typer.Option(min=1, help="So many processes (else one a drone).")] = None,
+    processes: Annotated[int | None, options.size("So many processes (else one a drone).")] = None,
     fast: Annotated[bool, typer.Option(help="Virtual time: one process, as fast as it goes, repeatable.")] = False,
-    loss: Annotated[float | None, typer.Option(help="Share of messages between drones that is lost.")] = None,
-    seed: Annotated[int | None, typer.Option(help="Seed, instead of the swarm file's.")] = None,
+    loss: Annotated[float | None, options.share("Share of messages between drones that is lost.")] = None,
+    seed: Annotated[int | None, options.seed("Seed, instead of the swarm file's.")] = None,
     swarm: Annotated[str | None, typer.Option(help="Swarm file for a mission.")] = None,
     force: Annotated[bool, typer.Option(help="Fly what the mission warns of: slow formations, crowds.")] = False,
     wait: Annotated[

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from crazychoir.cli import options
 from crazychoir.cli.look import SwarmOption, looking
 from crazychoir.cli.show import STDERR, fail
 from crazychoir.errors import ConfigError
@@ -23,7 +24,7 @@ def dashboard(
     host: Annotated[
         str, typer.Option(help="Address to be served at; others than loopback: with a password or an authority.")
     ] = LOCAL,
-    port: Annotated[int | None, typer.Option(min=1, max=65535, help="Else the first free one from 8765 on.")] = None,
+    port: Annotated[int | None, options.whole("Else the first free one from 8765 on.", most=65535)] = None,
     password_file: Annotated[
         Path | None, typer.Option(help=f"File with the password of the page; or in ${PASSWORD}.")
     ] = None,

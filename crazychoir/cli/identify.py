@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+from crazychoir.cli import options
 from crazychoir.cli.look import JsonOption
 from crazychoir.cli.show import STDERR, fail, interrupted, prints_aside, require_reached, set_up_logging, write_json
 from crazychoir.errors import CrazyChoirError
@@ -13,7 +14,7 @@ from crazychoir.errors import CrazyChoirError
 def identify(
     drone: Annotated[int, typer.Argument(help="Its id.")],
     swarm: Annotated[str | None, typer.Option(help="Swarm file; else ./swarm.toml.")] = None,
-    seconds: Annotated[float, typer.Option(min=0.1, max=600.0, help="How long, in s.")] = 5.0,
+    seconds: Annotated[float, options.seconds("How long, in s.", least=0.1, most=600.0)] = 5.0,
     as_json: JsonOption = False,
 ) -> None:
     """Light the LEDs of a drone that a radio reaches, while no crazychoir-radio has its dongle."""

@@ -6,13 +6,14 @@ from typing import Annotated, Any, NoReturn
 import typer
 from rich.table import Table
 
+from crazychoir.cli import options
 from crazychoir.cli.show import STDOUT, fail, write_json
 from crazychoir.errors import ConfigError
 from crazychoir.security import DAYS
 
 app = typer.Typer(help="Certificates: who may take part in a swarm of several hosts.", no_args_is_help=True)
 Folder = Annotated[Path, typer.Option("--folder", help="Where they are; in swarm files: security.keys.")]
-Days = Annotated[int, typer.Option(min=1, max=36_500, help="For which they are good.")]
+Days = Annotated[int, options.whole("For which they are good.", most=36_500)]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object, nothing else.")]
 HERE = Path("keys")
 NEXT = "It counts for a process from its next start: copy each folder to its host, then start all anew."

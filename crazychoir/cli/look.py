@@ -8,8 +8,10 @@ import typer
 from rich import box
 from rich.table import Table
 
+from crazychoir.cli import options
 from crazychoir.cli.show import STDOUT, fail, set_up_logging, status_table, write_json
 from crazychoir.errors import ConfigError, CrazyChoirError
+from crazychoir.swarm.spans import parse_spans
 
 if TYPE_CHECKING:
     from crazychoir.bus.topics import Topic
@@ -22,7 +24,7 @@ SwarmOption = Annotated[
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON on standard output, nothing else.")]
 LONGEST = 1.0
 """s that drones get to say how they are: they do so four times a second."""
-SecondsOption = Annotated[float, typer.Option(help="How long to look, in s.")]
+SecondsOption = Annotated[float, options.seconds("How long to look, in s.", open_below=True)]
 
 
 def looking(swarm: str | None, work: "Work", as_json: bool = False) -> Any:
@@ -59,10 +61,12 @@ def topics(as_json: JsonOption = False) -> None:
 
 def echo(
     topic: Annotated[str, typer.Argument(help="Topic, see `crazychoir topics`.")],
-    drone: Annotated[int | None, typer.Option(help="Only this drone.")] = None,
+    drone: Annotated[int | None, options.drone("Only this drone.")] = None,
     swarm: SwarmOption = None,
     seconds: SecondsOption = 3600.0,
-    rate: Annotated[float, typer.Option(help="At most so many values a second and drone.")] = 10.0,
+    rate: Annotated[
+        float, options.real("At most so many values a second and drone.", least=0.0, most=1000.0, open_below=True)
+    ] = 10.0,
 ) -> None:
     """Print the values of a topic, one JSON object a line."""
     chosen = _topic(topic)
@@ -126,15 +130,17 @@ def status(
 
 def impair(
     swarm: SwarmOption = None,
-    loss: Annotated[float | None, typer.Option(help="Probability that a message is lost.")] = None,
-    burst: Annotated[float | None, typer.Option(help="Messages that a burst loses in a row, on average.")] = None,
-    delay: Annotated[float | None, typer.Option(help="Delay in s.")] = None,
-    jitter: Annotated[float | None, typer.Option(help="Jitter in s.")] = None,
-    duplicate: Annotated[float | None, typer.Option(help="Probability of a second delivery.")] = None,
-    reorder: Annotated[float | None, typer.Option(help="Probability of being late.")] = None,
-    bandwidth: Annotated[float | None, typer.Option(help="Bytes a second.")] = None,
+    loss: Annotated[float | None, options.share("Probability that a message is lost.")] = None,
+    burst: Annotated[
+        float | None, options.real("Messages that a burst loses in a row, on average.", least=1.0, most=1e9)
+    ] = None,
+    delay: Annotated[float | None, options.seconds("Delay in s.")] = None,
+    jitter: Annotated[float | None, options.seconds("Jitter in s.")] = None,
+    duplicate: Annotated[float | None, options.share("Probability of a second delivery.")] = None,
+    reorder: Annotated[float | None, options.share("Probability of being late.")] = None,
+    bandwidth: Annotated[float | None, options.real("Bytes a second.", least=0.0, open_below=True)] = None,
     edge: Annotated[str | None, typer.Option(help="Only between these two drones, e.g. 1,2.")] = None,
-    drone: Annotated[int | None, typer.Option(help="Only at this drone.")] = None,
+    drone: Annotated[int | None, options.drone("Only at this drone.")] = None,
     clear: Annotated[bool, typer.Option(help="Take everything back first.")] = False,
     as_json: JsonOption = False,
 ) -> None:
@@ -147,6 +153,9 @@ def impair(
         "bandwidth": bandwidth,
     }  # fmt: skip
     pair = _edge(edge)
+    if burst is not None and not (loss is not None and 0.0 < loss < 1.0):
+        found = f"{burst:g} with {'no --loss' if loss is None else f'--loss {loss:g}'}"
+        fail(ConfigError("--burst", found, "1 or more, with a --loss between 0 and 1"), as_json)
     scope = {"edge": pair, "drone": drone, "clear": clear or None}
     given = {key: value for key, value in scope.items() if value is not None}
 
@@ -180,10 +189,14 @@ def _in_words(network: Any) -> str:
 def _edge(text: str | None) -> list[int] | None:
     if text is None:
         return None
-    pair = text.split(",")
-    if len(pair) != 2 or not all(word.strip().isdecimal() for word in pair):
-        fail(ConfigError("--edge", text, "two drones, for example 1,2"), as_json=False)
-    return [int(word) for word in pair]
+    allowed = "two drones, for example 1,2"
+    try:
+        pair = parse_spans(text, "--edge", allowed, ranges=False)
+        if len(pair) != 2:
+            raise ConfigError("--edge", text, allowed)
+    except ConfigError as error:
+        fail(error, as_json=False)
+    return pair
 
 
 def _topic(name: str) -> "Topic":

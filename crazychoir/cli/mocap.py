@@ -58,16 +58,28 @@ def with_source(config: "SwarmConfig", source: str | None) -> "SwarmConfig":
     from msgspec import to_builtins  # --help does not need it
 
     changes: dict[str, Any] = to_builtins(config.mocap)
-    if source.endswith(".csv"):
+    if source.lower().endswith(".csv"):
         changes |= {"source": "replay", "file": str(Path(source).resolve())}
     else:
-        changes["source"], _, host = source.partition("@")
-        name, _, port = host.partition(":")
+        changes["source"], _, place = source.partition("@")
+        name, port = host_and_port(place)
         changes |= {"hostname": name} if name else {}
-        if port and not port.isdecimal():
-            raise ConfigError("--source", source, "SYSTEM, SYSTEM@HOST or virtual@HOST:PORT, or a .csv file")
+        if port and not (port.isascii() and port.isdecimal() and len(port) < 6 and 1 <= int(port) <= 65535):
+            allowed = "SYSTEM, SYSTEM@HOST or virtual@HOST:PORT, with a port of 1 to 65535, or a .csv file"
+            raise ConfigError("--source", source, allowed)
         changes |= {"port": int(port)} if port else {}
     return config.replace(mocap=changes)
+
+
+def host_and_port(text: str) -> tuple[str, str]:
+    """The two parts of HOST:PORT or [IPv6]:PORT; the port is empty without one, as of an IPv6 address alone."""
+    if text.startswith("["):
+        host, _, rest = text[1:].partition("]")
+        return host, rest.removeprefix(":")
+    if text.count(":") > 1:
+        return text, ""
+    host, _, port = text.partition(":")
+    return host, port
 
 
 def main() -> None:

@@ -6,9 +6,11 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.table import Table
 
+from crazychoir.cli import options
 from crazychoir.cli.look import JsonOption, SwarmOption, looking
 from crazychoir.cli.show import STDOUT, fail, write_json
 from crazychoir.errors import ConfigError
+from crazychoir.swarm.spans import parse_spans
 
 if TYPE_CHECKING:
     from crazychoir.cli.window import Answers, Window
@@ -35,7 +37,7 @@ def order(verb: str, seconds: float) -> Callable[..., None]:
     def command(
         drones: DronesOption = None,
         swarm: SwarmOption = None,
-        wait: Annotated[float, typer.Option(help="s to wait until it is done.")] = seconds,
+        wait: Annotated[float, options.seconds("s to wait until it is done.")] = seconds,
         as_json: JsonOption = False,
     ) -> None:
         chosen = numbers(drones)
@@ -97,12 +99,7 @@ def numbers(text: str | None) -> list[int] | None:
     """The drones of "3,5-7"; None: all."""
     if text is None:
         return None
-    found: dict[int, None] = {}
-    for word in text.split(","):
-        first, dash, last = (part.strip() for part in word.partition("-"))
-        if not (first.isdecimal() and (last.isdecimal() if dash else not last)):
-            fail(ConfigError("--drones", text, "drones with commas between, as 3,5-7"), as_json=False)
-        if last and int(last) < int(first):
-            fail(ConfigError("--drones", word.strip(), f"the lower one first: {last}-{first}"), as_json=False)
-        found |= dict.fromkeys(range(int(first), int(last or first) + 1))
-    return list(found)
+    try:
+        return parse_spans(text, "--drones", "drones with commas between, as 3,5-7")
+    except ConfigError as error:
+        fail(error, as_json=False)

@@ -1,11 +1,13 @@
 """crazychoir param: read and change the parameters of drones that fly."""
 
-import json
+from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.table import Table
+from rich.text import Text
 
+from crazychoir.cli import options
 from crazychoir.cli.look import JsonOption, SwarmOption, looking
 from crazychoir.cli.show import STDERR, STDOUT, fail, write_json
 from crazychoir.errors import ConfigError
@@ -14,7 +16,7 @@ if TYPE_CHECKING:
     from crazychoir.cli.window import Answers, Window
 
 app = typer.Typer(no_args_is_help=True, help="Read and change the parameters of drones that fly.")
-DroneOption = Annotated[int | None, typer.Option(help="Only this drone.")]
+DroneOption = Annotated[int | None, options.drone("Only this drone.")]
 
 
 @app.command(name="get")
@@ -52,9 +54,10 @@ def _asked(swarm: str | None, drone: int | None, verb: str, as_json: bool, **arg
 def _value(text: str) -> Any:
     """A number, or a list of numbers."""
     try:
-        return json.loads(f"[{text.strip('[]()')}]" if "," in text else text)
-    except ValueError:
-        fail(ConfigError("VALUE", text, "a number, or three as 8,8,4"), as_json=False)
+        found = options.finite_numbers(text, "VALUE", "a number, or three as 8,8,4")
+    except ConfigError as error:
+        fail(error, as_json=False)
+    return found if len(found) > 1 else found[0]
 
 
 def _conclude(answers: "Answers", as_json: bool) -> None:
@@ -67,15 +70,24 @@ def _conclude(answers: "Answers", as_json: bool) -> None:
 
 
 def _table(answers: "Answers") -> Table:
-    """A row a parameter, a column a drone; who refuses says why, below."""
+    """A row a parameter, a column a drone; a cell is empty where a drone has no such parameter.
+
+    A drone that refuses says why, below.
+    """
     good = {i: said if isinstance(said, dict) else {"value": said} for i, (done, said) in answers.items() if done}
     table = Table("parameter", *(f"drone {i}" for i in good))
-    for name in next(iter(good.values()), {}):
-        table.add_row(name, *(_shown(said[name]) for said in good.values()))
+    for name in _names(good.values()):
+        table.add_row(Text(name), *(Text(_shown(said[name]) if name in said else "") for said in good.values()))
     for i, (done, said) in answers.items():
         if not done:
             STDERR.print(f"drone {i}: {said}", markup=False)
     return table
+
+
+def _names(answers: Iterable[Mapping[str, Any]]) -> list[str]:
+    """The parameters that any of the drones has: first those of the drone that has most, in its order."""
+    most_first = sorted(answers, key=len, reverse=True)
+    return list(dict.fromkeys(name for said in most_first for name in said))
 
 
 def _shown(value: Any) -> str:

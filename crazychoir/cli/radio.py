@@ -13,6 +13,7 @@ from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
+from crazychoir.cli import options
 from crazychoir.cli.look import JsonOption
 from crazychoir.cli.radio_tables import progress_table, row_of, survey_table
 from crazychoir.cli.show import (
@@ -53,11 +54,11 @@ class Wanted:
 @app.command()
 def survey(
     dongles: Annotated[
-        int | None, typer.Option(min=1, help="Pick so many channels; else as many as the swarm file has dongles, or 1.")
+        int | None, options.whole("Pick so many channels; else as many as the swarm file has dongles, or 1.", most=126)
     ] = None,
-    spacing: Annotated[int, typer.Option(min=1, help="MHz between two of them; 2M links need 2 at least.")] = 5,
-    passes: Annotated[int, typer.Option(min=1, help="Visits of each channel, each time in another order.")] = 20,
-    packets: Annotated[int, typer.Option(min=1, help="Packets a visit, without retries, and with them.")] = 50,
+    spacing: Annotated[int, options.whole("MHz between two of them; 2M links need 2 at least.", most=126)] = 5,
+    passes: Annotated[int, options.whole("Visits of each channel, each time in another order.")] = 20,
+    packets: Annotated[int, options.whole("Packets a visit, without retries, and with them.")] = 50,
     channels: Annotated[str, typer.Option(help="Candidates, as 2-82:2 (each second) or 4,20-30,76.")] = "2-82:2",
     drone: Annotated[
         str | None, typer.Option(help=f"Who answers: its uri; else the first of the swarm file, or {DRONE}.")
@@ -66,7 +67,7 @@ def survey(
     write: Annotated[bool, typer.Option("--write", help="Write the channels into that file.")] = False,
     picture: Annotated[Path | None, typer.Option(help="Where to draw the survey (PNG).")] = None,
     simulated: Annotated[
-        int | None, typer.Option(min=0, help="No hardware: a simulated radio among interference of this seed.")
+        int | None, options.seed("No hardware: a simulated radio among interference of this seed.")
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -190,8 +191,8 @@ def _probe(wanted: Wanted) -> "Iterator[tuple[Probe, Room | None]]":
 @app.command()
 def ping(
     uris: Annotated[list[str], typer.Argument(help="Drones, as udp://127.0.0.1:19850 or radio://0/80/2M/E7E7E7E701.")],
-    count: Annotated[int, typer.Option(min=1, help="Echoes to each.")] = 100,
-    deadline: Annotated[float, typer.Option(min=0.1, help="s after which it ends.")] = 20.0,
+    count: Annotated[int, options.whole("Echoes to each.")] = 100,
+    deadline: Annotated[float, options.seconds("s after which it ends.", least=0.1)] = 20.0,
     as_json: JsonOption = False,
 ) -> None:
     """Measure how long the way to drones and back takes, all at once, by echoes; exit code 0 only if none is lost.
@@ -202,10 +203,9 @@ def ping(
     from crazychoir.radio import ping as echo
 
     try:
-        for uri in uris:
-            echo.require_uri(uri)
+        wanted = [echo.require_uri(uri) for uri in uris]
         with prints_aside():
-            found = echo.ping(list(dict.fromkeys(uris)), time.perf_counter, count, deadline)
+            found = echo.ping(list(dict.fromkeys(wanted)), time.perf_counter, count, deadline)
     except CrazyChoirError as error:
         fail(error, as_json)
     except KeyboardInterrupt:

@@ -4,7 +4,7 @@ from typing import Annotated
 
 import typer
 
-from crazychoir.cli import ending
+from crazychoir.cli import ending, options
 from crazychoir.cli.show import STDERR, fail, set_up_logging, write_json
 from crazychoir.errors import ConfigError, CrazyChoirError
 
@@ -13,7 +13,9 @@ app = typer.Typer(add_completion=False)
 
 @app.command()
 def radios(
-    dongle: Annotated[int, typer.Option(help="Number of the dongle, as in the uris or keys of its drones.")] = 0,
+    dongle: Annotated[
+        int, options.whole("Number of the dongle, as in the uris or keys of its drones.", least=0, most=15)
+    ] = 0,
     swarm: Annotated[str | None, typer.Option(help="Swarm file; else ./swarm.toml.")] = None,
     listen: Annotated[str | None, typer.Option(help="Zenoh endpoint to listen on.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from crazychoir.cli import options
 from crazychoir.cli.look import SwarmOption, looking
 from crazychoir.cli.show import STDERR, STDOUT, fail, write_json
 from crazychoir.errors import ConfigError
@@ -23,7 +24,7 @@ def record(
     file: Annotated[Path, typer.Argument(help="New file (.mcap).")],
     topics: Annotated[str | None, typer.Option(help="Only these, as state,status; else all.")] = None,
     swarm: SwarmOption = None,
-    seconds: Annotated[float | None, typer.Option(min=0.0, help="s; else until its drones have gone.")] = None,
+    seconds: Annotated[float | None, options.seconds("s; else until its drones have gone.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object, nothing else.")] = False,
 ) -> None:
     """Record a running swarm, until its drones have gone, or Ctrl-C."""

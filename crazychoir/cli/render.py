@@ -6,25 +6,29 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from crazychoir.cli import options
 from crazychoir.cli.show import STDERR, STDOUT, fail, set_up_logging, warn_of, write_json
 from crazychoir.errors import ConfigError, CrazyChoirError
 
 if TYPE_CHECKING:
     from crazychoir.recording.video import Image
 
+SMALLEST = 16  # pixels
+LARGEST = 8192  # pixels
+
 
 def render(
     file: Annotated[Path, typer.Argument(help="Recording of `crazychoir run --record`, of any world.")],
     picture: Annotated[Path | None, typer.Option(help="PNG to draw into.")] = None,
     video: Annotated[Path | None, typer.Option(help="MP4, GIF or WebP to film into.")] = None,
-    at: Annotated[float | None, typer.Option(help="s of the flight that the picture shows; else its middle.")] = None,
+    at: Annotated[float | None, options.seconds("s of the flight that the picture shows; else its middle.")] = None,
     size: Annotated[str, typer.Option(help="Pixels, width x height.")] = "960x540",
-    fps: Annotated[int, typer.Option(min=1, max=100, help="Pictures a second of the video.")] = 25,
-    speed: Annotated[float, typer.Option(min=0.01, max=1000.0, help="How many times faster than it was.")] = 1.0,
+    fps: Annotated[int, options.whole("Pictures a second of the video.", most=100)] = 25,
+    speed: Annotated[float, options.real("How many times faster than it was.", least=0.01, most=1000.0)] = 1.0,
     camera: Annotated[str, typer.Option(help="Camera of the scene, by name; else one that sees all.")] = "",
     scene: Annotated[Path | None, typer.Option(help="MJCF of the room, instead of the swarm file's.")] = None,
-    enlarge: Annotated[float, typer.Option(min=0.1, max=100.0, help="Draw the drones so many times larger.")] = 1.0,
-    trail: Annotated[float, typer.Option(min=0.0, help="s of its way behind each drone.")] = 2.0,
+    enlarge: Annotated[float, options.real("Draw the drones so many times larger.", least=0.1, most=100.0)] = 1.0,
+    trail: Annotated[float, options.seconds("s of its way behind each drone.")] = 2.0,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object, nothing else.")] = False,
 ) -> None:
     """Draw a recorded flight as it looked; needs the extra `mujoco`."""
@@ -73,10 +77,11 @@ def render(
 
 
 def _size(text: str) -> tuple[int, int]:
-    found = re.fullmatch(r"(\d{1,5})x(\d{1,5})", text)
-    if found is None:
-        raise ConfigError("--size", text, "width x height in pixels, as 960x540")
-    return int(found[1]), int(found[2])
+    found = re.fullmatch(r"\s*([0-9]{1,5})\s*[xX×]\s*([0-9]{1,5})\s*", text)
+    sides = (0, 0) if found is None else (int(found[1]), int(found[2]))
+    if not all(SMALLEST <= side <= LARGEST for side in sides):
+        raise ConfigError("--size", text, f"width x height in pixels, {SMALLEST} to {LARGEST} each, as 960x540")
+    return sides
 
 
 def _check(picture: Path | None, video: Path | None) -> None:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from crazychoir.cli import options
 from crazychoir.cli.show import STDERR, STDOUT, fail, set_up_logging, warn_of, write_json
 from crazychoir.errors import ConfigError, CrazyChoirError
 
@@ -24,11 +25,11 @@ LINGER = 1.0
 
 def replay(
     file: Annotated[Path, typer.Argument(help="Recording of `crazychoir run --record` or `crazychoir record`.")],
-    speed: Annotated[float, typer.Option(min=0.01, max=1000.0, help="How many times faster than it was.")] = 1.0,
+    speed: Annotated[float, options.real("How many times faster than it was.", least=0.01, most=1000.0)] = 1.0,
     step: Annotated[
-        float | None, typer.Option(min=0.001, help="Go on by so many s at each Enter; a number and Enter: by that.")
+        float | None, options.seconds("Go on by so many s at each Enter; a number and Enter: by that.", least=0.001)
     ] = None,
-    wait: Annotated[float, typer.Option(min=0.0, help="Begins when somebody looks, or after so many s.")] = 2.0,
+    wait: Annotated[float, options.seconds("Begins when somebody looks, or after so many s.")] = 2.0,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object, nothing else.")] = False,
 ) -> None:
     """Say a recorded flight again: status, echo, hz and record see it as they see a swarm that flies."""
@@ -56,9 +57,10 @@ def replay(
         raise typer.Exit(130) from None
     if as_json:
         of_file = {"file": file, **recording.lacks}
-        write_json({"success": True, **of_file, **told})
+        write_json({"success": told["messages"] > 0, **of_file, **told})
     else:
         STDOUT.print(f"{told['messages']} messages, {told['seconds']:.2f} s of flight", highlight=False)
+    raise typer.Exit(0 if told["messages"] else 1)
 
 
 def _here(config: "SwarmConfig") -> "SwarmConfig":

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.table import Table
 
+from crazychoir.cli import options
 from crazychoir.cli.look import JsonOption
 from crazychoir.cli.mocap import SourceOption, with_source
 from crazychoir.cli.show import STDERR, STDOUT, fail, require_reached, set_up_logging, write_json
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
 
 app = typer.Typer(no_args_is_help=True, help="Bodies of motion capture: whose they are, how they sit on their drones.")
 SwarmFile = Annotated[str | None, typer.Option("--swarm", help="Swarm file; else ./swarm.toml.")]
-SecondsOption = Annotated[float, typer.Option(min=0.2, help="How long to look, in s.")]
+SecondsOption = Annotated[float, options.seconds("How long to look, in s.", least=0.2)]
 WriteOption = Annotated[bool, typer.Option("--write", help="Write it into the swarm file; all else there stays.")]
 Changes = dict[int, dict[str, object]]
 DIGITS = 5
@@ -73,7 +74,7 @@ def calibrate(
     ] = False,
     swarm: SwarmFile = None,
     source: SourceOption = None,
-    seconds: Annotated[float | None, typer.Option(min=0.2, help="How long to look, in s; else 3, to turn 20.")] = None,
+    seconds: Annotated[float | None, options.seconds("How long to look, in s; else 3, to turn 20.", least=0.2)] = None,
     write: WriteOption = False,
     as_json: JsonOption = False,
 ) -> None:

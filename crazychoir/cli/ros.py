@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from crazychoir.cli import options
 from crazychoir.cli.look import SwarmOption, looking
 
 if TYPE_CHECKING:
@@ -25,9 +26,9 @@ READ = 2.0
 def ros(
     swarm: SwarmOption = None,
     connect: Annotated[str, typer.Option(help="Endpoint of `rmw_zenohd`, or of another Zenoh router.")] = ROUTER,
-    domain: Annotated[int, typer.Option(min=0, max=232, help="ROS_DOMAIN_ID.")] = 0,
-    rate: Annotated[float, typer.Option(min=0.1, max=100.0, help="Messages of each topic a second.")] = 10.0,
-    seconds: Annotated[float, typer.Option(help="How long, in s.")] = 3600.0,
+    domain: Annotated[int, options.whole("ROS_DOMAIN_ID.", least=0, most=232)] = 0,
+    rate: Annotated[float, options.real("Messages of each topic a second.", least=0.1, most=100.0)] = 10.0,
+    seconds: Annotated[float, options.seconds("How long, in s.")] = 3600.0,
 ) -> None:
     """Publish poses, paths, markers and transforms of a running swarm as rmw_zenoh does (experimental)."""
 

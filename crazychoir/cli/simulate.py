@@ -10,6 +10,7 @@ from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
+from crazychoir.cli import options
 from crazychoir.cli.show import (
     STDERR,
     STDOUT,
@@ -44,16 +45,16 @@ SMALL = 1e-6
 
 def simulate(
     file: Annotated[Path, typer.Argument(help="Python file that defines agent(i, graph).")],
-    agents: Annotated[int, typer.Option(min=1, help="So many agents.")] = 10,
+    agents: Annotated[int, options.whole("So many agents.", most=options.LARGEST_TEAM)] = 10,
     graph: Annotated[
         str, typer.Option(help="Who talks to whom: ring, path, complete, star, k-regular:4, erdos-renyi:0.3, ...")
     ] = "ring",
     directed: Annotated[bool, typer.Option("--directed", help="One way only: of ring and erdos-renyi.")] = False,
-    loss: Annotated[float, typer.Option(help="Share of messages between agents that is lost.")] = 0.0,
-    rounds: Annotated[int | None, typer.Option(min=1, help="Stop after so many, if they are not done before.")] = None,
-    seed: Annotated[int, typer.Option(help="Seed of the graph, the network and the agents' waking.")] = 0,
-    sleep: Annotated[float, typer.Option(help="Asynchronous agents: longest s between two steps.")] = 0.02,
-    compute: Annotated[float, typer.Option(help="Asynchronous agents: longest s that a step takes.")] = 0.0,
+    loss: Annotated[float, options.share("Share of messages between agents that is lost.")] = 0.0,
+    rounds: Annotated[int | None, options.whole("Stop after so many, if they are not done before.", most=10**9)] = None,
+    seed: Annotated[int, options.seed("Seed of the graph, the network and the agents' waking.")] = 0,
+    sleep: Annotated[float, options.seconds("Asynchronous agents: longest s between two steps.")] = 0.02,
+    compute: Annotated[float, options.seconds("Asynchronous agents: longest s that a step takes.")] = 0.0,
     record: Annotated[
         str | None, typer.Option(help="Attributes of the agents to keep, as x,average; else x, if they have one.")
     ] = None,
@@ -133,10 +134,9 @@ def _team(file: Path, agents: int, graph: str, seed: int, directed: bool) -> "tu
     """The graph, and the agents that the file makes for it."""
     from crazychoir.guidance.hook import Hook
     from crazychoir.guidance.mission import from_file
-    from crazychoir.swarm.graph import named
     from crazychoir.swarm.round import Round
 
-    links = named(graph, agents, seed, directed)
+    links = options.graph_of(graph, agents, seed, directed)
     module = from_file(file, "algorithm")
     make = getattr(module, "agent", None)
     if make is None:

@@ -8,6 +8,7 @@ from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
+from crazychoir.cli import options
 from crazychoir.cli.show import (
     STDOUT,
     Progress,
@@ -34,13 +35,13 @@ def solve(
         str,
         typer.Option(help="Recovery of the plan: columns, resource-columns, resource, resource-argmax, cbba, auction."),
     ] = "columns",
-    loss: Annotated[float, typer.Option(help="Share of messages between robots that is lost.")] = 0.0,
+    loss: Annotated[float, options.share("Share of messages between robots that is lost.")] = 0.0,
     graph: Annotated[
         str, typer.Option(help="Communication graph: ring, path, complete, star, k-regular:4, ...")
     ] = "ring",
-    seed: Annotated[int, typer.Option(help="Seed of the simulated network.")] = 0,
+    seed: Annotated[int, options.seed("Seed of the simulated network.")] = 0,
     processes: Annotated[
-        int | None, typer.Option(help="Real time, over Zenoh: the robots in so many processes; else virtual time.")
+        int | None, options.whole("Real time, over Zenoh: the robots in so many processes; else virtual time.")
     ] = None,
     prove: Annotated[bool, typer.Option(
         "--prove", help="Prove the plan optimal, or a bound for large teams, whatever it costs."
@@ -71,14 +72,15 @@ def solve(
         if loss >= 1.0:
             raise ConfigError("--loss", loss, "less than 1: robots that hear nothing of each other agree on nothing")
         problem = Instance.load(instance)
-        options: dict[str, Any] = {"method": method, "loss": loss, "graph": graph, "seed": seed,
-                                   "settings": Settings(prove=prove)}  # fmt: skip
+        options.graph_of(graph, problem.robots, seed)
+        how: dict[str, Any] = {"method": method, "loss": loss, "graph": graph, "seed": seed,
+                               "settings": Settings(prove=prove)}  # fmt: skip
         if processes is None:
             with Progress(_team_table, enabled=not as_json) as shown:
-                result = solve_here(problem, watch=shown, **options)
+                result = solve_here(problem, watch=shown, **how)
         else:
             with Progress(_progress_table, enabled=not as_json) as progress:
-                result = solve_in_processes(problem, processes, watch=None if as_json else progress, **options)
+                result = solve_in_processes(problem, processes, watch=None if as_json else progress, **how)
         if picture is not None:
             _draw(problem, result, picture)
     except CrazyChoirError as error:

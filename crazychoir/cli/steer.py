@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from crazychoir.cli import options
 from crazychoir.cli.look import JsonOption, SwarmOption, looking
 from crazychoir.cli.orders import conclude, numbers
 from crazychoir.cli.show import STDERR, fail
@@ -23,10 +24,10 @@ def go_to(
     place: Annotated[str, typer.Argument(help="Where to, as 1,0.5,1.2 (m).")],
     drones: DronesOption,
     offset: OffsetOption = "0,0.5,0",
-    yaw: Annotated[float | None, typer.Option(help="rad; else as it is.")] = None,
-    seconds: Annotated[float, typer.Option(help="How long it takes; 0: as fast as the limits allow.")] = 0.0,
+    yaw: Annotated[float | None, options.real("rad; else as it is.", least=-7.0, most=7.0)] = None,
+    seconds: Annotated[float, options.seconds("How long it takes; 0: as fast as the limits allow.")] = 0.0,
     swarm: SwarmOption = None,
-    wait: Annotated[float, typer.Option(help="s to wait until it is done.")] = 120.0,
+    wait: Annotated[float, options.seconds("s to wait until it is done.")] = 120.0,
     as_json: JsonOption = False,
 ) -> None:
     """Fly to a place: drones that wait in the air for their start, or are held. Exit code 0 only if all are there."""
@@ -47,9 +48,11 @@ def fly(
     file: Annotated[Path, typer.Argument(help="Strokes: CSV (stroke, t, x, y) or SVG.")],
     drones: DronesOption,
     offset: OffsetOption = "0,0.5,0",
-    height: Annotated[float | None, typer.Option(help="m; else that of take-offs.")] = None,
-    speed: Annotated[float, typer.Option(help="m/s at most.")] = 0.5,
-    slower: Annotated[float, typer.Option(help="Times as long as the limits ask for.")] = 1.0,
+    height: Annotated[
+        float | None, options.real("m; else that of take-offs.", least=0.0, most=100.0, open_below=True)
+    ] = None,
+    speed: Annotated[float, options.real("m/s at most.", least=0.0, most=20.0, open_below=True)] = 0.5,
+    slower: Annotated[float, options.real("Times as long as the limits ask for.", least=1.0, most=1000.0)] = 1.0,
     swarm: SwarmOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -85,7 +88,7 @@ def _text(file: Path) -> str:
 
 def _metres(option: str, text: str) -> tuple[float, float, float]:
     try:
-        x, y, z = (float(word) for word in text.split(","))
-    except ValueError:
-        fail(ConfigError(option, text, "three numbers of m, as 1,0.5,1.2"), as_json=False)
+        x, y, z = options.finite_numbers(text, option, "three numbers of m, as 1,0.5,1.2", 3)
+    except ConfigError as error:
+        fail(error, as_json=False)
     return x, y, z

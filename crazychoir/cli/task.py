@@ -4,9 +4,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from crazychoir.cli import options
 from crazychoir.cli.look import JsonOption, SwarmOption, looking
 from crazychoir.cli.show import STDERR, STDOUT, fail, write_json
 from crazychoir.errors import ConfigError, Refused
+from crazychoir.swarm.spans import parse_spans
 
 if TYPE_CHECKING:
     from crazychoir.cli.window import Answers, Window
@@ -15,7 +17,7 @@ REFUSED = "refused"
 UNSURE = "It may have done it all the same: look at the report of the mission before you ask another with --drone."
 START = "crazychoir run online_delivery"
 app = typer.Typer(no_args_is_help=True, help="Add or cancel tasks of a swarm, in flight.")
-DroneOption = Annotated[int | None, typer.Option(help="Tell this drone; else the first that answers. All hear of it.")]
+DroneOption = Annotated[int | None, options.drone("Tell this drone; else the first that answers. All hear of it.")]
 
 
 @app.command()
@@ -24,7 +26,7 @@ def add(
     delivery: Annotated[
         str | None, typer.Option(help="Where they are to be, as 3,0.5 (m); of a task that is done at a place: nothing.")
     ] = None,
-    load: Annotated[float, typer.Option(help="In the unit of the capacities.")] = 1.0,
+    load: Annotated[float, options.real("In the unit of the capacities.", least=0.0)] = 1.0,
     robots: Annotated[str | None, typer.Option(help="Who alone may serve it, as 0,3; else all.")] = None,
     drone: DroneOption = None,
     swarm: SwarmOption = None,
@@ -32,10 +34,10 @@ def add(
 ) -> None:
     """Another task; prints its id, as `cancel` wants it."""
     arguments = {
-        "pickup": _numbers("--pickup", pickup, float, 2),
-        "delivery": None if delivery is None else _numbers("--delivery", delivery, float, 2),
+        "pickup": _place("--pickup", pickup),
+        "delivery": None if delivery is None else _place("--delivery", delivery),
         "load": load,
-        "robots": [] if robots is None else _numbers("--robots", robots, int),
+        "robots": [] if robots is None else _robots(robots),
     }
     _ask(swarm, drone, "task_add", as_json, arguments)
 
@@ -104,12 +106,15 @@ def _in_words(said: dict[str, Any]) -> str:
     return f"task {said['id']}" + (f": {said['note']}" if "note" in said else "")
 
 
-def _numbers(option: str, text: str, kind: type, count: int | None = None) -> list[Any]:
+def _place(option: str, text: str) -> list[float]:
     try:
-        found = [kind(part) for part in text.strip("[]()").split(",")]
-    except ValueError:
-        found = []
-    if not found or count not in (None, len(found)):
-        what = f"{count} numbers, as 1.5,2" if count else "whole numbers, as 0,3"
-        fail(ConfigError(option, text, what), as_json=False)
-    return found
+        return options.finite_numbers(text, option, "2 numbers, as 1.5,2", 2)
+    except ConfigError as error:
+        fail(error, as_json=False)
+
+
+def _robots(text: str) -> list[int]:
+    try:
+        return parse_spans(text.strip().strip("[]()"), "--robots", "whole numbers, as 0,3")
+    except ConfigError as error:
+        fail(error, as_json=False)

@@ -6,6 +6,7 @@ import typer
 from rich import box
 from rich.table import Table
 
+from crazychoir.cli import options
 from crazychoir.cli.show import STDERR, STDOUT, Progress, fail, set_up_logging, write_json
 from crazychoir.errors import ConfigError, CrazyChoirError
 
@@ -14,7 +15,7 @@ if TYPE_CHECKING:
 
 FIRST_PORT = 19850
 app = typer.Typer(help="Virtual Crazyflies on UDP, which any cflib program may fly, and what goes wrong with them.")
-PortOption = Annotated[int, typer.Option(min=1025, max=65000, help="UDP port of the first drone; poses: one below.")]
+PortOption = Annotated[int, options.whole("UDP port of the first drone; poses: one below.", least=1025, most=65000)]
 OfSwarm = Annotated[str | None, typer.Option("--swarm", help="Swarm file that they serve, instead of --port.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
 
@@ -22,21 +23,21 @@ JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object.
 @app.callback(invoke_without_command=True)
 def virtual(
     context: typer.Context,
-    drones: Annotated[int, typer.Option(min=1, max=200, help="So many, on a grid.")] = 1,
+    drones: Annotated[int, options.whole("So many, on a grid.", most=200)] = 1,
     port: PortOption = FIRST_PORT,
     swarm: Annotated[
         str | None, typer.Option(help="Swarm file: its drones whose uri is udp:// on this machine, at their homes.")
     ] = None,
     dongles: Annotated[str | None, typer.Option(help="Drones that share a radio, as 0,1|2,3.")] = None,
-    per_dongle: Annotated[int | None, typer.Option(min=1, help="So many drones share a radio.")] = None,
+    per_dongle: Annotated[int | None, options.size("So many drones share a radio.")] = None,
     capacity: Annotated[
-        float | None, typer.Option(min=1, help="Packets a second of a radio (else 250; 1000 with one drone).")
+        float | None, options.real("Packets a second of a radio (else 250; 1000 with one drone).", least=1.0, most=1e6)
     ] = None,
     deck: Annotated[
         str | None, typer.Option(help="Decks on board, as bcFlow2,bcLighthouse4 (which knows where it is), or none.")
     ] = None,
     firmware: Annotated[str, typer.Option(help="Release, as 2025.12; before 2025.10 the thrust map is another.")] = "",
-    seed: Annotated[int, typer.Option(min=0, help="Of all that is drawn.")] = 0,
+    seed: Annotated[int, options.seed("Of all that is drawn.")] = 0,
     as_json: JsonOption = False,
 ) -> None:
     """Serve virtual Crazyflies until Ctrl-C."""
@@ -115,7 +116,7 @@ def fault(
 ) -> None:
     """Change what is wrong with a drone that flies."""
     wanted = _wanted(changes, as_json)
-    _ask({"faults": {who: wanted for who in drone.split(",")}}, port, swarm, as_json)
+    _ask({"faults": {drone: wanted}}, port, swarm, as_json)
     if as_json:
         write_json({"success": True})
 
@@ -151,9 +152,9 @@ def _wanted(changes: list[str], as_json: bool) -> dict[str, Any]:
     for change in changes:
         name, _, text = change.partition("=")
         try:
-            numbers = [float(part) for part in text.split(",")]
-        except ValueError:
-            fail(ConfigError("fault", change, "name=number, as loss=0.3, or offset=0.2,0,0"), as_json)
+            numbers = options.finite_numbers(text, f"fault {name}", "name=number, as loss=0.3, or offset=0.2,0,0")
+        except ConfigError as error:
+            fail(error, as_json)
         found[name] = numbers if len(numbers) > 1 else numbers[0]
     return found
 

@@ -4,6 +4,7 @@ Whoever sends ASK to the port of the poses gets frames for PATIENCE s. Numbers a
 """
 
 import struct
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Final
 
@@ -22,6 +23,8 @@ NAME: Final = 40
 """Bytes of a body's name at most."""
 MOST: Final = 450
 """Bodies in one frame: what a datagram holds."""
+NO_POSE: Final = np.full(7, np.nan)
+"""What is written for a body whose name is there twice."""
 
 
 @dataclass(frozen=True)
@@ -30,18 +33,40 @@ class Frame:
 
     number: counts up;  time: s, of the clock of who sends;  bodies: {name: (7,) = p m, q [x, y, z, w], world frame}.
     One that is not seen is not in it.
+    doubled: names that the frame gives to two bodies or more. None of those is in `bodies`: which of them is meant is
+    not known.
     """
 
     number: int
     time: float
     bodies: dict[str, Vec]
+    doubled: tuple[str, ...] = ()
 
     def packed(self) -> bytes:
-        """As it travels; CodecError for too many bodies, or too long a name."""
-        if len(self.bodies) > MOST or any(len(name.encode()) > NAME for name in self.bodies):
-            raise CodecError(f"frame of {len(self.bodies)} bodies; allowed: {MOST}, names of {NAME} bytes at most.")
-        head = _HEAD.pack(_MARK, self.number & 0xFFFFFFFF, self.time, len(self.bodies))
-        return head + b"".join(_BODY.pack(name.encode(), *flat) for name, flat in self.bodies.items())
+        """As it travels; CodecError for too many bodies, or too long a name.
+
+        A doubled name is written twice, without a pose.
+        """
+        rows = [*self.bodies.items()]
+        for name in self.doubled:
+            rows += [(name, NO_POSE), (name, NO_POSE)]
+        if len(rows) > MOST or any(len(name.encode()) > NAME for name, _ in rows):
+            raise CodecError(f"frame of {len(rows)} bodies; allowed: {MOST}, names of {NAME} bytes at most.")
+        head = _HEAD.pack(_MARK, self.number & 0xFFFFFFFF, self.time, len(rows))
+        return head + b"".join(_BODY.pack(name.encode(), *flat) for name, flat in rows)
+
+
+def frame_of(number: int, time: float, rows: Iterable[tuple[str, Vec]]) -> Frame:
+    """Return the frame of these names and poses; names that come twice are its `doubled`."""
+    bodies: dict[str, Vec] = {}
+    doubled: dict[str, None] = {}
+    for name, flat in rows:
+        if name in bodies or name in doubled:
+            bodies.pop(name, None)
+            doubled[name] = None
+        else:
+            bodies[name] = flat
+    return Frame(number, time, bodies, tuple(doubled))
 
 
 def parse(datagram: bytes) -> Frame:
@@ -52,10 +77,10 @@ def parse(datagram: bytes) -> Frame:
     if len(datagram) != _HEAD.size + count * _BODY.size:
         raise CodecError(f"frame of poses: {len(datagram)} bytes; allowed for {count} bodies: "
                          f"{_HEAD.size + count * _BODY.size}.")  # fmt: skip
-    bodies = {}
+    rows = []
     for name, *flat in _BODY.iter_unpack(datagram[_HEAD.size :]):
         try:
-            bodies[name.rstrip(b"\0").decode()] = np.array(flat)
+            rows.append((name.rstrip(b"\0").decode(), np.array(flat)))
         except UnicodeDecodeError as error:
             raise CodecError("frame of poses: a name that is not UTF-8.") from error
-    return Frame(number, time, bodies)
+    return frame_of(number, time, rows)

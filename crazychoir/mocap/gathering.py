@@ -30,7 +30,8 @@ async def gather(clock: Clock, source: Source, view: View, seconds: float) -> li
     try:
         while not frames:
             if clock.now() - began > FIRST:
-                raise Refused(source.where, f"no frame within {FIRST:g} s ({source.state}).")
+                dropped = f" {view.timeless} were dropped, whose time is no time in s." if view.timeless else ""
+                raise Refused(source.where, f"no frame within {FIRST:g} s ({source.state}).{dropped}")
             await clock.sleep(LOOK)
         await clock.sleep(seconds)
     finally:

@@ -28,6 +28,8 @@ from crazychoir.types import Body, Pose
 log = logging.getLogger(__name__)
 LOOKS = 4.0
 """Hz, at which it is looked at how well the cameras see."""
+SHOWN = 8
+"""Names of bodies in an error."""
 PATIENT = 60.0
 """s for which it goes on, once it is told to end, while an agent of a drone that it sees is on the network."""
 
@@ -110,6 +112,23 @@ class MocapProcess(Actor):
         """Until its end."""
         self._link = link
         await self._supervisor.run([link, *services, Feed(self), self])
+        if not self.failure and (nothing := self._nothing_seen()):
+            self.failure = nothing
+            log.error("mocap: %s", nothing)
+
+    def _nothing_seen(self) -> str:
+        """Why no drone got a pose; empty if one did."""
+        where = f"{self.source.where} ({self.source.state})"
+        if not self.watch.frames:
+            dropped = f"; {self.view.timeless} were dropped, whose time is no time in s" if self.view.timeless else ""
+            return f"{where}: no frame was seen{dropped}"
+        names = [track.name for track in self.tracks.values()]
+        if any(name in self.watch.sights for name in names):
+            return ""
+        there = ", ".join(map(repr, sorted(self.watch.sights)[:SHOWN])) or "no body"
+        wanted = ", ".join(map(repr, names[:SHOWN]))
+        do = "Mend `body` in the swarm file, or the names at the cameras; see `crazychoir mocap names`."
+        return f"{where}: no body of a drone was seen: the frames have {there}, the swarm file {wanted}. {do}"
 
     async def run(self) -> None:
         """Say what is wrong."""
@@ -186,6 +205,8 @@ class MocapProcess(Actor):
             "source": self.source.where,
             "frames": self.watch.frames,
             "lost": self.view.lost,
+            "late": self.view.late,
+            "timeless": self.view.timeless,
             "restarts": self.source.again,
             "seen": {i: 0 if one is None else one.frames for i, one in sights.items()},
             "dropped": {i: self.watch.frames if one is None else one.dropped for i, one in sights.items()},

@@ -12,7 +12,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from crazychoir.mocap.frames import NAME, Frame
+from crazychoir.mocap.frames import NAME, frame_of
 from crazychoir.runtime.clock import Stopwatch
 
 CONNECTING: Final = b"connecting"
@@ -40,7 +40,8 @@ def _send_frames(system: Any, out: socket.socket) -> None:
     clock, number = Stopwatch(), 0
     while True:
         system.waitForNextFrame()
-        frame = Frame(number, clock.now(), {_short(name): _flat(body) for name, body in system.rigidBodies.items()})
+        bodies = [(_short(name), _flat(body)) for name, body in system.rigidBodies.items()]
+        frame = frame_of(number, clock.now(), bodies)
         number += 1
         try:
             out.send(frame.packed(), socket.MSG_DONTWAIT)
@@ -54,7 +55,7 @@ def _flat(body: Any) -> np.ndarray[Any, np.dtype[np.float64]]:
 
 
 def _short(name: str) -> str:
-    """As much of a name as a frame takes."""
+    """As much of a name as a frame takes; two long names that become the same are doubled in the frame."""
     return name.encode()[:NAME].decode(errors="ignore")
 
 

@@ -4,19 +4,28 @@ import csv
 import itertools
 import logging
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Self, TextIO
 
 import numpy as np
 
 from crazychoir.errors import ConfigError
-from crazychoir.mocap.frames import Frame
+from crazychoir.mocap.frames import Frame, frame_of
 from crazychoir.mocap.source import Complaints, Say, Take
+from crazychoir.mocap.view import LARGEST_TIME
 from crazychoir.runtime.clock import SECOND, Clock
 
 log = logging.getLogger(__name__)
 HEAD = ("t", "name", "x", "y", "z", "qx", "qy", "qz", "qw")
-"""t: s since the first frame, the same in all rows of one;  x, y, z: m;  q: body to world."""
+"""t: s from any origin, the same in all rows of a frame;  x, y, z: m;  q: body to world."""
+LONGEST_GAP = 600.0  # s
+"""Between two frames: beyond, the clock of the recording was set, and a replay would wait for as long."""
+SLOWEST_PERIOD = 2.0  # s
+"""Half of the frames of a recording come faster than that, where times are in s."""
+PERIODS = (1e-4, 1.0)  # s
+"""Between two frames of cameras, for guessing the unit of times that are not in s."""
+UNITS = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}  # s
 
 
 class Recorder:
@@ -73,7 +82,7 @@ def read_recording(path: str | Path) -> list[Frame]:
     if not rows or tuple(cell.strip() for cell in rows[0]) != HEAD:
         found = ",".join(rows[0]) if rows else "an empty file"
         raise ConfigError(f"{path}, line 1", found, ",".join(HEAD))
-    read = [_row(path, line, cells) for line, cells in enumerate(rows[1:], 2) if cells]
+    read = [_row(path, line, cells) for line, cells in enumerate(rows[1:], 2) if any(cell.strip() for cell in cells)]
     if not read:
         raise ConfigError(str(path), "no row", "at least one row below the names of the columns")
     return _frames(path, read)
@@ -90,21 +99,65 @@ def _row(path: str | Path, line: int, cells: list[str]) -> Row:
         t, numbers = math.nan, []
     if len(numbers) != 7 or not all(map(math.isfinite, (t, *numbers))):
         raise ConfigError(f"{path}, line {line}", ",".join(cells), f"{','.join(HEAD)}: finite numbers, and a name")
-    return line, t, cells[1], numbers
+    name = cells[1].strip()
+    if not name:
+        raise ConfigError(f"{path}, line {line}", ",".join(cells), f"{','.join(HEAD)}: a name in the second column")
+    return line, t, name, numbers
 
 
 def _frames(path: str | Path, rows: list[Row]) -> list[Frame]:
+    _require_seconds(path, rows)
     frames: list[Frame] = []
     for t, group in itertools.groupby(rows, key=lambda row: row[1]):
         seen = list(group)
-        if frames and t < frames[-1].time:
-            raise ConfigError(f"{path}, line {seen[0][0]}", f"t = {t:g}", f"{frames[-1].time:g} or more, as before")
-        frames.append(Frame(len(frames), t, {name: np.array(flat) for _, _, name, flat in seen}))
+        line = seen[0][0]
+        if frames:
+            _require_later(path, line, frames[-1].time, t)
+        frame = frame_of(len(frames), t, [(name, np.array(flat)) for _, _, name, flat in seen])
+        if frame.doubled:
+            raise _doubled(path, seen, frame.doubled[0])
+        frames.append(frame)
     return frames
 
 
+def _require_seconds(path: str | Path, rows: list[Row]) -> None:
+    """Raise ConfigError for times that are in another unit than s: too large, or too far from each other."""
+    line, largest = max(((row[0], row[1]) for row in rows), key=lambda timed: abs(timed[1]))
+    times = sorted({row[1] for row in rows})
+    periods = sorted(b - a for a, b in itertools.pairwise(times))
+    period = periods[len(periods) // 2] if periods else 0.0
+    if abs(largest) < LARGEST_TIME and (len(times) < 3 or period < SLOWEST_PERIOD):
+        return
+    found = f"t = {largest!r}, frames {period:g} apart"
+    fits = [unit for unit, factor in UNITS.items() if PERIODS[0] <= period * factor <= PERIODS[1]]
+    do = f"They are {' or '.join(fits)}, as it seems: convert t to s." if fits else "Convert t to s."
+    allowed = f"t in s: below {LARGEST_TIME:g} s, from any origin, and mostly less than {SLOWEST_PERIOD:g} s apart"
+    raise ConfigError(f"{path}, line {line}", found, allowed, do)
+
+
+def _require_later(path: str | Path, line: int, before: float, t: float) -> None:
+    """Raise ConfigError where the clock of a recording goes back, or ahead by more than a replay can wait."""
+    where = f"{path}, line {line}"
+    do = "The clock of the recording was set there: cut the file in two, or shift the times that follow."
+    if t < before:
+        raise ConfigError(where, f"t = {t!r}", f"{before!r} or more, as before", do)
+    if t - before > LONGEST_GAP:
+        raise ConfigError(where, f"t = {t!r}, {t - before:.6g} s after the frame before", f"{LONGEST_GAP:g} s", do)
+
+
+def _doubled(path: str | Path, seen: list[Row], name: str) -> ConfigError:
+    """The error of a body that has two poses in one frame."""
+    lines = [row[0] for row in seen if row[2] == name]
+    found = f"body {name!r} twice at t = {seen[0][1]!r}, in lines {lines[0]} and {lines[1]}"
+    do = "Remove one of them, give it another name, or write t with more digits."
+    return ConfigError(str(path), found, "each body once in a frame", do)
+
+
 class ReplaySource:
-    """Hands out a recording, as fast as it was recorded, once; raises ConfigError for one that cannot be read."""
+    """Hands out a recording, as fast as it was recorded, once; raises ConfigError for one that cannot be read.
+
+    The times of the recording count from any origin, those of the frames that are handed out from the first frame.
+    """
 
     live, again = False, 0
 
@@ -115,11 +168,13 @@ class ReplaySource:
 
     async def run(self, take: Take) -> None:
         """Until its end."""
-        began = self.clock.now_ns() - round(self.frames[0].time * SECOND)
+        began_ns = self.clock.now_ns()
+        origin = self.frames[0].time
         for frame in self.frames:
-            due = began + round(frame.time * SECOND)
-            await self.clock.sleep_until(due)
-            take(frame, (self.clock.now_ns() - due) / SECOND)
+            seconds = frame.time - origin
+            due_ns = began_ns + round(seconds * SECOND)
+            await self.clock.sleep_until(due_ns)
+            take(replace(frame, time=seconds), (self.clock.now_ns() - due_ns) / SECOND)
         self.state = "over"
-        seconds = self.frames[-1].time - self.frames[0].time
+        seconds = self.frames[-1].time - origin
         self._complain(self.clock.now(), "over", f"it is over after {seconds:.1f} s, no more frames")

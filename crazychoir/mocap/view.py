@@ -14,26 +14,31 @@ EARLY = 0.9
 """Of a period that a frame may come early: less, and of 120 a second only 90 would pass a limit of 100."""
 BACK = 1.0
 """s by which time goes back when a source was started again."""
-
-
-LATEST = 1e9
-"""s: what is beyond is no time."""
+LARGEST_TIME = 1e11  # s
+"""What is beyond is no time in seconds, from whatever origin: 1970 was 1.8e9 s ago, which are 1.8e12 ms."""
 
 
 class RateLimit:
     """Lets at most `rate` frames a second through, on average, and those of that very rate although they jitter.
 
-    A frame at t passes if t >= due - EARLY / rate; then due becomes max(due, t) + 1 / rate.
+    A frame at t passes if t >= due - EARLY / rate; then due becomes max(due, t) + 1 / rate. A time that is earlier than
+    the one before is of a clock that was set back: it passes, and due counts from there.
     """
 
     def __init__(self, rate: float) -> None:
-        self.period, self._due = 1.0 / rate, -math.inf
+        self.period = 1.0 / rate
+        self._due = -math.inf
+        self._last = -math.inf
 
     def passes(self, t: float) -> bool:
         """Whether a frame of the time t s, of its source, is let through."""
-        if t < self._due - EARLY * self.period and t > self._due - BACK:
+        is_set_back = t < self._last
+        self._last = t
+        if is_set_back:
+            self._due = t
+        if t < self._due - EARLY * self.period:
             return False
-        self._due = (max(self._due, t) if t > self._due - BACK else t) + self.period
+        self._due = max(self._due, t) + self.period
         return True
 
 
@@ -75,12 +80,16 @@ class Blur:
 class View:
     """Takes frames of a source in; says which of them are published, and how.
 
+    Times may count from any origin. A frame that comes after a later one is told from a clock that was set back by its
+    number.
     rate: Hz, at most;  blur: of exact poses, None for cameras;  lost: frames that never came, by their numbers;
-    late: frames that came after a later one, or at no time. Poses that are no poses are left out.
+    late: frames that came after a later one;  timeless: frames whose time is no time in seconds.
+    Poses that are no poses are left out.
     """
 
     def __init__(self, rate: float, blur: Blur | None = None) -> None:
         self.blur, self.lost, self.late = blur, 0, 0
+        self.timeless = 0
         self._pace, self._last = RateLimit(rate), Frame(-1, -math.inf, {})
 
     def see(self, frame: Frame) -> tuple[Frame, float] | None:
@@ -94,7 +103,10 @@ class View:
     def _follows(self, frame: Frame) -> bool:
         """Whether it comes after the last one, or from a source that was started again."""
         last = self._last
-        if last.time - BACK < frame.time <= last.time or not abs(frame.time) < LATEST:
+        if not abs(frame.time) < LARGEST_TIME:  # nan, too
+            self.timeless += 1
+            return False
+        if last.time - BACK < frame.time <= last.time and frame.number <= last.number:
             self.late += 1
             return False
         if last.number >= 0 and frame.time > last.time:

@@ -80,6 +80,7 @@ class Watch:
         self._window, self._counted, self._frames_gap = math.nan, 0, 0.0
         self._longest, self._gaps = 0.0, 0  # since gaps were said last
         self._throttle = Throttle()
+        self._doubled: dict[str, float] = {}  # when a name was last there twice, s
 
     def note(self, frame: Frame, now: float) -> None:
         """A frame has come."""
@@ -89,6 +90,8 @@ class Watch:
         self._gap, self._longest = max(self._gap, gap), max(self._longest, gap)
         self._gaps += gap > self._limit
         self.frames += 1
+        for name in frame.doubled:
+            self._doubled[name] = now
         for name, flat in frame.bodies.items():
             sight = self.sights.get(name)
             if sight is None:
@@ -107,7 +110,7 @@ class Watch:
             self._average(now)
         if math.isnan(self._began) or now - self._last > WINDOW:
             return []  # the source says that nothing comes
-        found = [*self._of_frames(), *self._of_strangers(now)]
+        found = [*self._of_frames(), *self._of_strangers(now), *self._of_doubled(now)]
         for i, name in self.names.items():
             found += self._of_body(i, name, now)
         found = [(topic, text) for topic, text in found if self._throttle.due(now, topic)]
@@ -145,6 +148,12 @@ class Watch:
         if not strange or all(now - self.sights[name].shown > WINDOW for name in strange):
             return []
         return [("strangers", f"seen, and nobody's: {_list(strange)}. The swarm file has {_list(list(own))}.")]
+
+    def _of_doubled(self, now: float) -> list[tuple[str, str]]:
+        """Names that were lately given to two bodies of a frame."""
+        said = "is there twice in a frame: which is meant is not known, so it counts as not seen. Rename one of them."
+        names = sorted(name for name, at in self._doubled.items() if now - at <= WINDOW)
+        return [(f"{name} doubled", f"body {name!r} {said}") for name in names]
 
     def _of_body(self, i: int, name: str, now: float) -> list[tuple[str, str]]:
         sight, who = self.sights.get(name), f"body {name!r} of drone {i}"

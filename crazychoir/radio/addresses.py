@@ -19,6 +19,8 @@ _TOKENS = re.compile(
 """Texts and comments of TOML, and texts of JSON."""
 _KEY = re.compile(r"""(?:^|[\s,{.])(?:uri|"uri"|'uri')\s*[=:]\s*$""")
 """What stands before the text that is the value of a key uri."""
+SERIAL = 10
+"""Digits of a dongle's serial number."""
 SHOWN = 60
 """Characters before a text that are looked at."""
 
@@ -31,7 +33,7 @@ def dongles(text: str, where: str) -> dict[str, list[str]]:
         if match is None:
             allowed = "radio://DONGLE/CHANNEL/RATE/ADDRESS, as radio://0/80/2M/E7E7E7E701"
             raise ConfigError(f"{where}: uri", uri, allowed, "Write its channel, so that there is one to change.")
-        found.setdefault(match[2], []).append(uri)
+        found.setdefault(_dongle(match), []).append(uri)
     if not found:
         do = "Drones of other worlds need no channel."
         raise ConfigError(f"{where}: drones", "no uri with radio://", "at least one drone on a radio", do)
@@ -99,7 +101,15 @@ def _on_radio(raw: dict[str, Any]) -> list[dict[str, Any]]:
 
 def _on_channel(uri: str, channels: Mapping[str, int]) -> str:
     match = RADIO.fullmatch(uri)
-    return uri if match is None or match[2] not in channels else f"{match[1]}{channels[match[2]]}{match[4]}"
+    if match is None or _dongle(match) not in channels:
+        return uri
+    return f"{match[1]}{channels[_dongle(match)]}{match[4]}"
+
+
+def _dongle(match: re.Match[str]) -> str:
+    """The dongle of a uri: its number, however it is written, or its serial number."""
+    name = match[2]
+    return str(int(name)) if name.isdecimal() and len(name) < SERIAL else name.upper()
 
 
 def _token(token: re.Match[str], channels: Mapping[str, int]) -> str:

@@ -1,9 +1,9 @@
 """Channels of the Crazyradio, and which k of them to take: channel c lies at 2400 + c MHz, 0 to 125."""
 
-import re
 from collections.abc import Mapping, Sequence
 
 from crazychoir.errors import ConfigError
+from crazychoir.swarm.spans import parse_spans
 
 LAST = 125
 LICENSED = 83
@@ -14,7 +14,6 @@ WIFI = {1: 12, 6: 37, 11: 62}
 """The Crazyradio's channel in the middle of each WiFi channel that does not overlap another."""
 WIFI_HALF = 11
 """MHz to each side that a WiFi channel is wide."""
-_PART = re.compile(r"\s*(\d{1,3})(?:\s*-\s*(\d{1,3})(?:\s*:\s*(\d{1,3}))?)?\s*")
 
 
 def frequency(channel: int) -> int:
@@ -24,19 +23,8 @@ def frequency(channel: int) -> int:
 
 def parse_channels(text: str, where: str = "--channels") -> tuple[int, ...]:
     """The channels of a text such as "2-82:2", each second from 2 to 82, or "4,20-30,76"; increasing, each once."""
-    found: dict[int, None] = {}
-    for part in text.split(","):
-        match = _PART.fullmatch(part)
-        first, last, step = (0, -1, 1) if match is None else _range(match)
-        if not 0 <= first <= last <= LAST or step < 1:
-            raise ConfigError(where, text, f"channels 0 to {LAST}, as 2-82:2 (each second) or 4,20-30,76")
-        found |= dict.fromkeys(range(first, last + 1, step))
-    return tuple(sorted(found))
-
-
-def _range(match: re.Match[str]) -> tuple[int, int, int]:
-    first, last, step = match.groups()
-    return int(first), int(last or first), int(step or 1)
+    allowed = f"channels 0 to {LAST}, as 2-82:2 (each second) or 4,20-30,76"
+    return tuple(sorted(parse_spans(text, where, allowed, LAST, steps=True)))
 
 
 def pick(scores: Mapping[int, Sequence[float]], k: int, spacing: int) -> tuple[int, ...]:

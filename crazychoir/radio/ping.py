@@ -4,7 +4,6 @@ A link alone has no tables to fetch, no zero set-point at its end, and no thread
 """
 
 import contextlib
-import re
 import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -13,10 +12,10 @@ from typing import Any
 import numpy as np
 
 from crazychoir.errors import ConfigError
-from crazychoir.radio.addresses import RADIO
 from crazychoir.radio.crtp import LINK
 from crazychoir.radio.round_trips import ECHO, FORM
 from crazychoir.radio.survey_radio import PLUG
+from crazychoir.swarm.uris import parse_uri
 
 PATIENCE = 0.2
 """s after which an echo is lost."""
@@ -24,7 +23,6 @@ FIRST = 3.0
 """s after which nobody is there."""
 CLOSING = 3.0
 """s that cflib may take to open or close a link, beyond the deadline."""
-UDP = re.compile(r"udp://[^/:\s]+:\d{1,5}")
 NOBODY = "nobody answers. Is it on, in reach, and not connected to somebody else?"
 
 
@@ -47,11 +45,13 @@ class Echoes:
         return float(np.percentile(self.round_trip, share)) if self.round_trip else None
 
 
-def require_uri(uri: str) -> None:
-    """Raise ConfigError for an address that cflib has no link for, or that we do not ping."""
-    if not (UDP.fullmatch(uri) or RADIO.fullmatch(uri)):
+def require_uri(uri: str) -> str:
+    """Return the one form of a uri; raise ConfigError for one that cflib has no link for, or that we do not ping."""
+    try:
+        return str(parse_uri(uri, "uri", serials=True))
+    except ConfigError as error:
         allowed = "udp://HOST:PORT or radio://DONGLE/CHANNEL/RATE/ADDRESS, as radio://0/80/2M/E7E7E7E701"
-        raise ConfigError("uri", uri, allowed)
+        raise ConfigError("uri", uri, allowed, error.do) from None
 
 
 def ping(uris: Sequence[str], now: Callable[[], float], count: int = 100, deadline: float = 20.0) -> list[Echoes]:

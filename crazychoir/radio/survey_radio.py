@@ -10,8 +10,8 @@ from typing import Any, Self
 import numpy as np
 
 from crazychoir.errors import ConfigError, Refused
-from crazychoir.radio.addresses import RADIO
 from crazychoir.radio.survey import Sample
+from crazychoir.swarm.uris import RADIO, parse_uri
 
 NULL = (0xFF,)
 """A packet that says nothing."""
@@ -123,8 +123,9 @@ def rssi(data: Sequence[int]) -> float:
 
 def open_probe(uri: str, now: Callable[[], float]) -> CrazyradioProbe:
     """The dongle and the drone of a uri; ConfigError for what is none, Refused without a dongle."""
-    if RADIO.fullmatch(uri) is None:
+    if not uri.startswith(RADIO):
         raise ConfigError("uri", uri, "radio://DONGLE/CHANNEL/RATE/ADDRESS, as radio://0/80/2M/E7E7E7E7E7")
+    uri = str(parse_uri(uri, "uri", serials=True))
     from cflib.crtp.radiodriver import RadioDriver
     from cflib.drivers.crazyradio import Crazyradio
 

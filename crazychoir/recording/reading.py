@@ -152,8 +152,8 @@ def _take(recording: Recording, found: "_Series", opcode: int, body: bytes) -> N
                 recording.swarm = attached.data.decode()
             elif attached.name == MISSION_FILE:
                 recording.mission = attached.data.decode(errors="replace")
-        case Opcode.CHUNK if recording.about:
-            recording.chunks += 1
+        case Opcode.CHUNK:
+            recording.chunks += any(kind == Opcode.MESSAGE for kind, _ in records_of(body))
             if found.topics:
                 found.add(body)
 

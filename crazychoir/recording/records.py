@@ -13,12 +13,20 @@ from mcap.records import Chunk
 from mcap.stream_reader import get_chunk_data_stream
 from mcap.writer import MCAP0_MAGIC
 
-from crazychoir.errors import ConfigError
+from crazychoir.errors import ConfigError, CrazyChoirError
 
 DO = "Give it a file of `crazychoir run ... --record FILE`."
 MESSAGE = struct.Struct("<HIQQ")
 """Before the data of a message: channel, sequence, when it came and when it was born, ns."""
 _RECORD = struct.Struct("<BQ")
+COMPRESSIONS = ("", "zstd", "lz4")
+"""Those of chunks that are read; "" is none."""
+BARE = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE)
+"""Records that stand in a chunk, or, in a file that is not chunked, in the file itself."""
+ENDS_RUN = (Opcode.CHUNK, Opcode.DATA_END, Opcode.FOOTER)
+"""Before these, the bare records that have come are handed over."""
+LARGEST_RUN = 4 << 20  # bytes
+"""Of bare records that are handed over together."""
 
 
 @contextlib.contextmanager
@@ -58,9 +66,15 @@ def records_of(chunk: bytes) -> Iterator[tuple[int, bytes]]:
     return records(chunk, 0)
 
 
+class UnknownCompression(CrazyChoirError, ValueError):
+    """A chunk is compressed in a way that is not read."""
+
+
 class Records:
     """(opcode, body) of the records of a recording, as far as they are whole; the body of a chunk: its own, unpacked.
 
+    Schemas, channels and messages that stand in no chunk come as the body of one: a file that is not chunked reads as
+    one that is. Those of the summary, which repeat what was there, do not.
     at: the byte at which the last one begins;  fault: why no more follow, empty after the footer of a recording that
     was ended in order.
     """
@@ -71,10 +85,27 @@ class Records:
 
     def __iter__(self) -> Iterator[tuple[int, bytes]]:
         after = len(MCAP0_MAGIC)
+        bare = bytearray()
+        in_summary = False
         for opcode, body in records(self._content):
-            self.at, after = after, after + _RECORD.size + len(body)
+            self.at = after
+            after += _RECORD.size + len(body)
+            if opcode in BARE:
+                if not in_summary:
+                    bare += _RECORD.pack(opcode, len(body)) + body
+                if len(bare) < LARGEST_RUN:
+                    continue
+            if bare and (opcode in BARE or opcode in ENDS_RUN):
+                yield Opcode.CHUNK, bytes(bare)
+                bare.clear()
+            if opcode in BARE:
+                continue
+            in_summary = in_summary or opcode == Opcode.DATA_END
             try:
                 content = _unpacked(body) if opcode == Opcode.CHUNK else body
+            except UnknownCompression as error:
+                self.fault = f"{error}, at byte {self.at}"
+                return
             except Exception:  # noqa: BLE001 - whatever is wrong with a chunk, what lies before it counts
                 self.spoilt()
                 return
@@ -82,6 +113,8 @@ class Records:
             if opcode == Opcode.FOOTER:
                 self.fault = ""
                 return
+        if bare:
+            yield Opcode.CHUNK, bytes(bare)
         self.fault = f"cut off at byte {after}"
 
     def spoilt(self) -> None:
@@ -91,7 +124,10 @@ class Records:
 
 def _unpacked(chunk: bytes) -> bytes:
     """The records of a chunk; raises what it likes where they are spoilt."""
-    unpacked, length = get_chunk_data_stream(Chunk.read(stream(chunk)), validate_crc=True)
+    packed = Chunk.read(stream(chunk))
+    if packed.compression not in COMPRESSIONS:
+        raise UnknownCompression(f"compressed by {packed.compression!r}, where zstd, lz4 and nothing are read")
+    unpacked, length = get_chunk_data_stream(packed, validate_crc=True)
     return unpacked.read(length)
 
 

@@ -66,6 +66,9 @@ def _of_flight(path: Path, drone: int, dt: float) -> Mat:
         do = f"Add ?drone= one of {recording.drones}."
         raise ConfigError(f"{path}: truth of drone {drone}", "nothing", "a recording of that drone", do)
     t, first = np.unique(found.born - recording.seconds[0], return_index=True)
+    if len(t) < 2 or t[-1] <= 0.0:
+        where = f"{path}: truth of drone {drone}"
+        raise ConfigError(where, f"{len(found)} states of one time", "states of a drone over some time")
     x = found.numbers[first]
     q = _one_way(x[:, 3:7])
     at = np.arange(0.0, t[-1], dt)

@@ -75,6 +75,9 @@ class Messages:
             match opcode:
                 case Opcode.MESSAGE:
                     channel, _, came_ns, born_ns = MESSAGE.unpack_from(record)
+                    if channel not in sources:
+                        raise ConfigError(str(self.path), f"a message of channel {channel}, which is not there",
+                                          "messages of channels that the file names before", DO)  # fmt: skip
                     source = sources[channel]
                     if self.topics is None or source.topic in self.topics:
                         yield Told(source, came_ns, born_ns, record[MESSAGE.size :])
@@ -92,8 +95,8 @@ def told(path: Path, topics: Collection[str] | None = None) -> Messages:
 
 
 def _source(path: Path, channel: Channel, schemas: dict[int, Schema]) -> Source:
-    schema = schemas[channel.schema_id]
     try:
+        schema = schemas[channel.schema_id]
         drone, topic = int(channel.metadata["drone"]), channel.metadata["topic"]
     except (KeyError, ValueError):
         raise ConfigError(str(path), f"channel {channel.topic} of another program", "a recording", DO) from None

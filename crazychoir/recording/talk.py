@@ -10,7 +10,7 @@ import numpy as np
 
 from crazychoir.bus.topics import RESULT, ROUND, STATUS
 from crazychoir.recording.sequence import told
-from crazychoir.routing.vehicle import MAKESPAN, TOTAL
+from crazychoir.routing.vehicle import MAKESPAN
 from crazychoir.runtime.clock import SECOND
 from crazychoir.types import Mat, Vec
 
@@ -83,9 +83,11 @@ def talk_of(path: Path, began: float) -> Talk:
         values, drone = message.values(), message.source.drone
         if message.source.topic == RESULT.name:
             result = json.loads(values["json"])
-            if changes := result.get("history"):
-                history[drone] = np.array(changes, dtype=float)
-                unit = "s" if result.get("objective", [TOTAL])[0] == MAKESPAN else "m"
+            changes = _planned(result)
+            if changes is not None:
+                history[drone] = changes
+                objective = result.get("objective")
+                unit = "s" if isinstance(objective, list) and objective[:1] == [MAKESPAN] else "m"
         elif message.source.topic == STATUS.name:
             row = (message.came_ns / SECOND - began, *(float(values[name]) for name in COUNTERS))
             counted.setdefault(drone, []).append(row)
@@ -93,6 +95,15 @@ def talk_of(path: Path, began: float) -> Talk:
             said.setdefault(values["channel"], {}).setdefault(values["round"], {}).setdefault(drone, values["json"])
     t, rates = _rates([np.array(rows) for rows in counted.values()])
     return Talk(t, rates, tuple(_channel(name, rounds) for name, rounds in said.items()), history, unit)
+
+
+def _planned(result: Any) -> Mat | None:
+    """The rows (n, 3) of Talk.history of a drone's result; None where it has none, or means something else by it."""
+    try:
+        rows = np.array(result["history"], dtype=float)
+    except (TypeError, KeyError, ValueError):
+        return None
+    return rows if rows.ndim == 2 and rows.shape[1] == 3 and len(rows) else None
 
 
 def _rates(counted: list[Mat]) -> tuple[Vec, Mat]:

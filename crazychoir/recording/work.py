@@ -102,7 +102,13 @@ def _stops(drone: int, spans: tuple[Span, ...], served: list[str]) -> list[Stop]
     return found
 
 
-def _labels(result: dict[str, Any]) -> list[str]:
-    """Of the stops of a drone's result, if it has any: of pickups and deliveries, or (task, ...) each."""
-    served = [f"{SIGNS.get(stop['kind'], '')}{stop['task']}" for stop in result.get("served", ())]
-    return served or [str(task) for task, *_ in result.get("done", ())]
+def _labels(result: Any) -> list[str]:
+    """Of the stops of a drone's result, if it has any: of pickups and deliveries, or (task, ...) each.
+
+    A mission of the user may say something else by the same names.
+    """
+    try:
+        served = [f"{SIGNS.get(stop['kind'], '')}{stop['task']}" for stop in result.get("served", ())]
+        return served or [str(task) for task, *_ in result.get("done", ())]
+    except (AttributeError, TypeError, KeyError, ValueError):
+        return []

@@ -1,6 +1,5 @@
 """What must hold between the keys of a swarm file: each rule names file, key, what was found, and what to do."""
 
-import ipaddress
 import math
 import re
 from collections.abc import Iterator, Mapping
@@ -9,11 +8,13 @@ from importlib.metadata import entry_points
 from itertools import chain, combinations
 
 from crazychoir import platforms
+from crazychoir.bus.endpoints import address_fault, is_loopback
 from crazychoir.errors import ConfigError
 from crazychoir.swarm.graph import Graph, named, span
-from crazychoir.swarm.radios import check_radios, check_uri, dongles, is_reached
+from crazychoir.swarm.radios import check_radios, dongles, is_reached
 from crazychoir.swarm.reading import show
 from crazychoir.swarm.tables import Position, Swarm
+from crazychoir.swarm.uris import RADIO_FORM, parse_uri
 
 LIGHTWEIGHT, MOTORS, MUJOCO = "sim://", "sim://motors", "mujoco://"
 """Uris of the worlds of drones that are ours: each drone for itself in its agent's process, unless a world's owner is
@@ -27,6 +28,14 @@ REPLAY = "replay://"
 """Begin of the uri of a drone that others fly, or have flown: the file of its recording follows."""
 WORLDS = "crazychoir.worlds"
 """Group of entry points: the worlds of other packages, by the scheme of their uris."""
+CABLES = {
+    "usb": "A drone on a USB cable cannot be flown here: write the uri of its radio.",
+    "serial": "A drone on a serial cable cannot be flown here: write the uri of its radio.",
+    "tcp": "cflib's tcp:// is the WiFi of an AI deck, which is not supported here: write the uri of its radio.",
+    "prrt": "cflib's prrt:// is not supported here: write the uri of its radio.",
+    "cpx": "cflib's cpx:// is not supported here: write the uri of its radio.",
+}
+"""Links that cflib knows and that are not flown by, and what to do."""
 WORLD_STEP = 0.01
 """s, in which simulated worlds advance."""
 LOWEST_PORT = 1024
@@ -161,12 +170,14 @@ def _uris(swarm: Swarm, where: str) -> None:
         if drone.uri in OURS or drone.uri.startswith(REPLAY):
             continue
         if is_reached(drone):
-            check_uri(drone.uri, f"{where}: drones[{n}].uri")
+            parse_uri(drone.uri, f"{where}: drones[{n}].uri")
             continue
         key, (scheme, mark, _) = f"{where}: drones[{n}].uri", drone.uri.partition("://")
         is_foreign = bool(mark) and scheme != "sim"
         if is_foreign and scheme in engines_of_others():
             continue
+        if scheme in CABLES:
+            raise ConfigError(key, show(drone.uri), RADIO_FORM, CABLES[scheme])
         links = "udp://HOST:PORT", "radio://DONGLE/CHANNEL/RATE/ADDRESS"
         flown = *OURS, f"{REPLAY}FILE", *links, *(f"{name}://" for name in engines_of_others())
         near = get_close_matches(scheme, [form.partition("://")[0] for form in flown], 1)
@@ -321,30 +332,14 @@ def _hosts(swarm: Swarm, where: str) -> None:
         key = f"{where}: hosts.{name}"
         if not re.fullmatch(r"[a-z0-9_-]{1,40}", name):
             raise ConfigError(key, show(name), "names of 1 to 40 of a-z, 0-9, _ and -", "Rename it.")
-        if not _is_address(address):
-            raise ConfigError(key, show(address), "an IP address or a DNS name", "Ports come from base_port.")
-
-
-def _is_address(text: str) -> bool:
-    try:
-        ipaddress.ip_address(text)
-    except ValueError:
-        label = r"[A-Za-z0-9]([A-Za-z0-9-]{0,61}[A-Za-z0-9])?"
-        return bool(re.fullmatch(rf"{label}(\.{label}){{0,20}}", text)) and not re.fullmatch(r"[\d.]+", text)
-    return True
+        if fault := address_fault(address):
+            raise ConfigError(key, show(address), "an IP address or a DNS name", fault)
 
 
 def secured(swarm: Swarm) -> bool:
     """Whether its network is encrypted and closed: unless told otherwise, where a host is not this machine."""
     wanted = swarm.security.insecure
-    return not all(map(_is_loopback, swarm.hosts.values())) if wanted is None else not wanted
-
-
-def _is_loopback(address: str) -> bool:
-    try:
-        return ipaddress.ip_address(address).is_loopback
-    except ValueError:
-        return address == "localhost"
+    return not all(map(is_loopback, swarm.hosts.values())) if wanted is None else not wanted
 
 
 def _security(swarm: Swarm, where: str) -> None:

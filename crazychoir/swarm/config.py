@@ -20,6 +20,7 @@ from crazychoir.swarm.graph import Graph, span
 from crazychoir.swarm.radios import body_name, dongles, is_reached, reached, seen
 from crazychoir.swarm.reading import parse, read, require_plain
 from crazychoir.swarm.tables import AGREED, OF_BODIES, OWN_TO_A_HOST, Control, Drone, Sender, Swarm, Table
+from crazychoir.swarm.uris import canonical
 
 LOCAL = "127.0.0.1"
 WORLD = -1
@@ -68,7 +69,8 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
         require_plain(raw, where)
         config = read(raw, cls, where)
         check(config, where)
-        return config
+        drones = tuple(msgspec.structs.replace(drone, uri=canonical(drone.uri)) for drone in config.drones)
+        return msgspec.structs.replace(config, drones=drones)
 
     def dumps(self) -> str:
         """JSON text for `loads`, defaults and all: hands a swarm to another process.

@@ -5,7 +5,7 @@ import re
 from collections.abc import Iterable, Mapping
 from functools import cached_property, lru_cache
 from itertools import combinations, pairwise, permutations, product
-from math import dist
+from math import dist, isfinite, nan, pi
 from typing import Self
 
 from crazychoir.errors import ConfigError
@@ -18,6 +18,18 @@ Weights = dict[int, dict[int, float]]
 NAMES = "ring, path, star, complete, empty, k-regular:K, erdos-renyi:P, geometric:R, grid:ROWSxCOLUMNS"
 DIRECTED = "ring, erdos-renyi:P"
 """Of these, those that there are directed, too."""
+FORMS = {
+    "k-regular": ("k-regular:K", "K a whole number of neighbours, as k-regular:4"),
+    "erdos-renyi": ("erdos-renyi:P", "P a probability of 0 to 1, as erdos-renyi:0.3"),
+    "geometric": ("geometric:R", "R a radius above 0, at most 2, in sides of the square, as geometric:0.4"),
+    "grid": ("grid:ROWSxCOLUMNS", "ROWS and COLUMNS whole numbers, as grid:3x4"),
+}
+"""The shapes that take numbers: how they are written, and with which."""
+DIGITS = 9
+"""Of a whole number."""
+_PLAIN = re.compile(r"[0-9]{1,9}\.?[0-9]{0,9}|\.[0-9]{1,9}")
+HOPELESS = 40.0
+"""Drones without any neighbour, on average, from which on no draw is connected: the probability is below exp(-40)."""
 DRAWS = 1000
 
 
@@ -207,14 +219,14 @@ def erdos_renyi_connected(n: Ids, p: float, seed: int, directed: bool = False) -
     """Binomial graph: each edge is there with probability p; drawn again until it is (strongly) connected."""
     ids = _ids(n)
     chance = _chance(p, seed, *ids)
+    if len(ids) * (1.0 - p) ** (len(ids) - 1) > HOPELESS:
+        raise _never_connected("erdos-renyi", f"p = {p:g}", "a larger p", len(ids))
     pairs = list(permutations(ids, 2) if directed else combinations(ids, 2))
     for _ in range(DRAWS):
         graph = Graph.from_edges(ids, (pair for pair in pairs if chance.random() < p), directed)
         if graph.is_connected:
             return graph
-    raise ConfigError(
-        "erdos-renyi graph", f"p = {p:g}: none of {DRAWS} draws is connected", f"a larger p for {len(ids)} drones"
-    )
+    raise _never_connected("erdos-renyi", f"p = {p:g}", "a larger p", len(ids))
 
 
 def geometric(n: Ids, radius: float, seed: int) -> Graph:
@@ -226,13 +238,20 @@ def geometric(n: Ids, radius: float, seed: int) -> Graph:
     if not 0.0 < radius <= 2.0:
         raise ConfigError("geometric graph", f"radius {radius:g}", "above 0, at most 2; 1 is the side of the square")
     chance = _chance(0.0, seed, *ids)
+    if len(ids) * max(0.0, 1.0 - pi * radius**2) ** (len(ids) - 1) > HOPELESS:
+        raise _never_connected("geometric", f"radius {radius:g}", "a larger one", len(ids))
     for _ in range(DRAWS):
         points = {i: (chance.random(), chance.random()) for i in ids}
         graph = Graph.from_edges(ids, (e for e in combinations(ids, 2) if dist(points[e[0]], points[e[1]]) <= radius))
         if graph.is_connected:
             return graph
-    found = f"radius {radius:g}: none of {DRAWS} draws is connected"
-    raise ConfigError("geometric graph", found, f"a larger one for {len(ids)} drones")
+    raise _never_connected("geometric", f"radius {radius:g}", "a larger one", len(ids))
+
+
+def _never_connected(shape: str, given: str, larger: str, size: int) -> ConfigError:
+    return ConfigError(
+        f"{shape} graph", f"{given}: none of {DRAWS} draws is connected", f"{larger} for {size} drones"
+    )
 
 
 def grid(rows: int, columns: int, diagonals: bool = False, ids: Ids | None = None) -> Graph:
@@ -252,22 +271,74 @@ def grid(rows: int, columns: int, diagonals: bool = False, ids: Ids | None = Non
 def named(name: str, n: Ids, seed: int = 0, directed: bool = False) -> Graph:
     """The graph that a swarm file names, see NAMES; `seed` draws the random ones; directed: one of DIRECTED."""
     plain = {"path": path, "star": star, "complete": complete, "empty": empty}
-    if name == "ring":
+    shape, colon, given = name.strip().partition(":")
+    if colon and shape not in FORMS:
+        takes_none = shape == "ring" or shape in plain
+        raise ConfigError("graph", name, NAMES, f"Write {shape}." if takes_none else _meant(shape, given))
+    if shape == "ring":
         return ring(n, directed)
-    if found := re.fullmatch(r"erdos-renyi:(\d?\.?\d{1,9})", name):
-        return erdos_renyi_connected(n, float(found[1]), seed, directed)
-    if directed:
+    if shape == "erdos-renyi":
+        return erdos_renyi_connected(n, _number(name, given), seed, directed)
+    if directed and (shape in plain or shape in FORMS):
         do = "Name one of these, list `edges` or the drones' `neighbors`, or leave directed out."
         raise ConfigError("graph", f"{name} with directed = true", DIRECTED, do)
-    if name in plain:
-        return plain[name](n)
-    if found := re.fullmatch(r"geometric:(\d?\.?\d{1,9})", name):
-        return geometric(n, float(found[1]), seed)
-    if found := re.fullmatch(r"k-regular:(\d{1,4})", name):
-        return k_regular(n, int(found[1]))
-    if found := re.fullmatch(r"grid:(\d{1,4})x(\d{1,4})", name):
-        return grid(int(found[1]), int(found[2]), ids=n)
-    raise ConfigError("graph", name, NAMES)
+    if shape in plain:
+        return plain[shape](n)
+    if shape == "geometric":
+        return geometric(n, _number(name, given), seed)
+    if shape == "k-regular":
+        return k_regular(n, _whole(name, given))
+    if shape == "grid":
+        rows, columns = _sides(name, given)
+        return grid(rows, columns, ids=n)
+    raise ConfigError("graph", name, NAMES, _meant(shape, given))
+
+
+def _number(name: str, given: str) -> float:
+    """Return the number of "erdos-renyi:0.3", however it is written; raise ConfigError for none that is finite."""
+    try:
+        number = float(given)
+    except ValueError:
+        number = nan
+    if not isfinite(number):
+        bare = given.strip().removesuffix("%").strip().replace(",", ".")
+        share = f"{float(bare) / 100.0:g}" if given.strip().endswith("%") and _PLAIN.fullmatch(bare) else bare
+        raise _wrong(name, share if _PLAIN.fullmatch(share) else "")
+    return number
+
+
+def _whole(name: str, given: str) -> int:
+    """Return the number of "k-regular:4"; raise ConfigError for none that is whole."""
+    text = given.strip()
+    if text.isascii() and text.isdecimal() and len(text) <= DIGITS:
+        return int(text)
+    whole = _PLAIN.fullmatch(text) and float(text).is_integer() and len(text) <= DIGITS
+    raise _wrong(name, f"{float(text):.0f}" if whole else "")
+
+
+def _sides(name: str, given: str) -> tuple[int, int]:
+    """Return the numbers of "grid:3x4"; raise ConfigError for what has no two."""
+    rows, cross, columns = given.lower().replace("\N{MULTIPLICATION SIGN}", "x").partition("x")
+    if not cross:
+        raise _wrong(name, "")
+    return _whole(name, rows), _whole(name, columns)
+
+
+def _wrong(name: str, meant: str) -> ConfigError:
+    """The error of a shape whose number is none."""
+    shape = name.strip().partition(":")[0]
+    form, what = FORMS[shape]
+    do = f"Write {shape}:{meant}." if meant and shape != "grid" else ""
+    return ConfigError("graph", name if len(name) <= 60 else f"{name[:60]}...", f"{form}, with {what}", do)
+
+
+def _meant(shape: str, given: str) -> str:
+    """Return which shape was probably meant: the same letters, with other capitals, hyphens or blanks."""
+    letters = re.sub(r"[^a-z]", "", shape.lower())
+    for known in ("ring", "path", "star", "complete", "empty", *FORMS):
+        if known.replace("-", "") == letters:
+            return f"Did you mean {known}{':' + given if given and known in FORMS else ''}?"
+    return ""
 
 
 def metropolis(graph: Graph) -> Weights:
@@ -352,5 +423,6 @@ def _flooded(graphs: GraphSequence, start: int, first: int) -> int:
 def _chance(p: float, seed: int, *salt: int) -> random.Random:
     """A stream of draws that is the same on every host and Python."""
     if not 0.0 <= p <= 1.0:
-        raise ConfigError("random graph", f"p = {p:g}", "a probability, 0 to 1")
+        do = f"{p:g} % is {p / 100.0:g}." if 1.0 < p <= 100.0 else ""
+        raise ConfigError("random graph", f"p = {p:g}", "a probability, 0 to 1", do)
     return random.Random(" ".join(map(str, (seed, *salt))))  # noqa: S311 - shapes, not secrets

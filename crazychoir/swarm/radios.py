@@ -1,29 +1,12 @@
 """The drones that a radio reaches, and the dongles that they share: what must hold between their keys."""
 
 import math
-import re
 from collections.abc import Mapping
 
 from crazychoir.errors import ConfigError
 from crazychoir.swarm.reading import show
 from crazychoir.swarm.tables import Drone, Swarm
-
-UDP, RADIO = "udp://", "radio://"
-"""Begins of their uris: virtual Crazyflies, and real ones."""
-UDP_URI = re.compile(r"udp://([A-Za-z0-9.-]+):(\d{1,5})")
-RADIO_URI = re.compile(r"radio://(\d{1,2})/(\d{1,3})/(250K|1M|2M)/([0-9A-Fa-f]{10})(\?rate_limit=\d+)?")
-LAST_CHANNEL, LAST_DONGLE = 125, 15
-
-
-def check_uri(uri: str, key: str) -> None:
-    """Raise ConfigError for a uri that no driver opens."""
-    if uri.startswith(UDP):
-        found = UDP_URI.fullmatch(uri)
-        if not found or not 1 <= int(found[2]) <= 65535:
-            raise ConfigError(key, show(uri), "udp://HOST:PORT, as udp://127.0.0.1:19850")
-    elif not (found := RADIO_URI.fullmatch(uri)) or int(found[1]) > LAST_DONGLE or int(found[2]) > LAST_CHANNEL:
-        allowed = "radio://DONGLE/CHANNEL/RATE/ADDRESS, as radio://0/80/2M/E7E7E7E703: a dongle of 0 to 15, a channel "
-        raise ConfigError(key, show(uri), allowed + "of 0 to 125, 250K, 1M or 2M, an address of 10 hexadecimal digits")
+from crazychoir.swarm.uris import RADIO, UDP, parse_uri, radio_uri, udp_uri
 
 
 def is_reached(drone: Drone) -> bool:
@@ -49,8 +32,8 @@ def _dongle(drone: Drone) -> int:
     """Of the key, else of a radio:// uri, else 0."""
     if drone.dongle is not None:
         return drone.dongle
-    found = RADIO_URI.fullmatch(drone.uri)
-    return int(found[1]) if found else 0
+    found = radio_uri(drone.uri)
+    return int(found.dongle) if found else 0
 
 
 def check_radios(swarm: Swarm, where: str) -> None:
@@ -58,27 +41,30 @@ def check_radios(swarm: Swarm, where: str) -> None:
 
     With [hosts] a uri says which dongle of its host it is, the key which of the swarm.
     """
-    first: dict[str, int] = {}
+    first: dict[tuple[object, ...], int] = {}
     numbers: dict[int, str] = {}
     for n, drone in enumerate(swarm.drones):
         if not is_reached(drone):
             continue
-        key, same = f"{where}: drones[{n}]", drone.uri.partition("?")[0].lower()
+        key = f"{where}: drones[{n}]"
+        same = parse_uri(drone.uri, f"{key}.uri").drone
         if same in first:
-            problem = f"drones[{first[same]}] has this address"
+            other = swarm.drones[first[same]].uri
+            written = "" if other == drone.uri else f", written as {show(other)}"
+            problem = f"drones[{first[same]}] has this address{written}"
             do = "Give each virtual drone its own port."
-            if same.startswith("radio"):
+            if drone.uri.startswith(RADIO):
                 do = "Give each drone its own address: cfclient writes a new one into the drone, by USB."
             raise ConfigError(f"{key}.uri", show(drone.uri), "an address of its own", do, problem)
         first[same] = n
-        found = RADIO_URI.fullmatch(drone.uri)
-        number = numbers.setdefault(_dongle(drone), found[1]) if found else ""
-        if found and number != found[1]:
+        found = radio_uri(drone.uri)
+        number = numbers.setdefault(_dongle(drone), found.dongle) if found else ""
+        if found and number != found.dongle:
             problem, do = f"other drones of dongle {_dongle(drone)} say {number}", "Mend the uri, or its dongle."
             raise ConfigError(f"{key}.uri", show(drone.uri), "one number on its host for each dongle", do, problem)
-        if found and not swarm.hosts and drone.dongle not in (None, int(found[1])):
-            problem, do = f"its uri says dongle {found[1]}", "Leave dongle out, or mend one of them."
-            raise ConfigError(f"{key}.dongle", drone.dongle, found[1], do, problem)
+        if found and not swarm.hosts and drone.dongle not in (None, int(found.dongle)):
+            problem, do = f"its uri says dongle {found.dongle}", "Leave dongle out, or mend one of them."
+            raise ConfigError(f"{key}.dongle", drone.dongle, found.dongle, do, problem)
     _parameters(swarm.radio.parameters, f"{where}: radio.parameters")
     for n, drone in enumerate(swarm.drones):
         _parameters(drone.parameters, f"{where}: drones[{n}].parameters")
@@ -119,8 +105,8 @@ def _check_bodies(swarm: Swarm, where: str) -> None:
             do = 'Give each drone its own; without `body` it is "cf" and its id.'
             raise ConfigError(f"{where}: drones[{n}].body", show(name), "each body is there once", do, problem)
         first[name] = n
-        at = UDP_URI.fullmatch(drone.uri)
-        if at and swarm.mocap.source == "virtual" and int(at[2]) == swarm.mocap.port:
+        at = udp_uri(drone.uri)
+        if at and swarm.mocap.source == "virtual" and at.port == swarm.mocap.port:
             problem, do = f"drones[{n}] has this port", "`crazychoir virtual` tells poses one below its first drone."
             raise ConfigError(f"{where}: mocap.port", swarm.mocap.port, "a port of its own", do, problem)
     if first and swarm.mocap.source == "replay" and not swarm.mocap.file:

@@ -142,7 +142,8 @@ def test_virtual_drones_and_a_recording_give_the_same_poses_and_who_hangs_keeps_
 
     line, simulated, replayed, ended = run_wall(main)
     assert line.startswith("vicon at 10.0.0.5: no connection within 1 s")
-    assert [one["code"] for one in ended] == [0, 0, 0]
+    assert [one["code"] for one in ended] == [0, 0, 1], "the one that hangs saw no frame"
+    assert "no frame was seen" in ended[2]["reason"]
     for i in virtual.seen:
         assert min(len(told(simulated[i], i)), len(told(replayed[i], i))) > 50, "not a digit differs"
     seen = read_recording(tmp_path / "seen.csv")
@@ -168,5 +169,6 @@ def test_the_library_itself(tmp_path, system, words):
 
     line, ended = run_wall(main)
     assert line.startswith(f"{system} at 127.0.0.1: ")
-    assert ended["code"] == 0
+    assert ended["code"] == 1, "no drone got a pose"
+    assert ended["success"] is False
     assert (ended["frames"] > 0) == (system == "mock")

@@ -13,10 +13,13 @@ from crazychoir.bus.plain import plain
 from crazychoir.errors import CodecError, CrazyChoirError
 from crazychoir.math3d import Mat, Vec, product, quaternion_of_yaw
 from crazychoir.mocap.frames import ASK, MOST, PATIENCE, Frame
+from crazychoir.radio.virtual.control import LARGEST
 from crazychoir.radio.virtual.faults import Faults
 from crazychoir.radio.virtual.port import Address, opened, waiting
 from crazychoir.runtime.clock import SECOND, Clock
 
+SHOWN = 4000
+"""Characters of an error."""
 Question = dict[str, Any]
 Answer = Callable[[Question], Any]
 
@@ -37,6 +40,19 @@ def _turned(q: Vec, yaw: float) -> Any:
     """(4,) of a body whose axes are turned by `yaw` rad about its z: q q_z(yaw)."""
     (a, b, c, d), (e, f, g, h) = q.tolist(), quaternion_of_yaw(yaw).tolist()
     return product((a, b, c, d), (e, f, g, h)) if yaw else q
+
+
+def _short(text: str) -> str:
+    """A text that may repeat a long question."""
+    return text if len(text) <= SHOWN else f"{text[: SHOWN // 2]} ... {text[-SHOWN // 2 :]}"
+
+
+def _packed(answer: Any) -> bytes:
+    """An answer as it travels; in place of one that no datagram holds, an error that says so."""
+    packed = json.dumps(plain(answer)).encode()
+    if len(packed) <= LARGEST:
+        return packed
+    return json.dumps({"error": f"the answer has {len(packed)} bytes; a datagram has {LARGEST} at most."}).encode()
 
 
 class Cameras:
@@ -78,7 +94,7 @@ class Cameras:
             if data == ASK:
                 self._watchers[sender] = self.clock.now_ns() + round(PATIENCE * SECOND)
             else:
-                self._send(json.dumps(plain(self._answered(data))).encode(), sender)
+                self._send(_packed(self._answered(data)), sender)
 
     def _answered(self, data: bytes) -> Any:
         try:
@@ -87,9 +103,9 @@ class Cameras:
                 raise CodecError(f"a question: {data[:40]!r}; allowed: a JSON object.")
             return self._answer(question)
         except (ValueError, RecursionError) as error:  # CrazyChoirErrors of wrong values are ValueErrors, too
-            return {"error": str(error)}
+            return {"error": _short(str(error))}
         except CrazyChoirError as error:
-            return {"error": str(error)}
+            return {"error": _short(str(error))}
 
     def _send(self, datagram: bytes, to: Address) -> None:
         if self._socket is not None:

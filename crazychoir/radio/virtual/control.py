@@ -6,7 +6,10 @@ from typing import Any
 
 from crazychoir.errors import Refused
 
-LONGEST = 65_000
+LONGEST = 1 << 16  # bytes
+"""Of a datagram that is received."""
+LARGEST = 65_507  # bytes
+"""Of a datagram that UDP carries."""
 TRIES = 3
 
 
@@ -14,19 +17,47 @@ def ask(question: dict[str, Any], host: str = "127.0.0.1", port: int = 19849, de
     """The answer of the server whose cameras are at this port.
 
     question: {"ask": "state"}, {"ask": "faults"} or {"faults": {"3": {"loss": 0.3}, "all": {"delay": 0.02}}}.
-    Raises Refused where nobody answers within `deadline` s, and for what is not allowed.
+    Where a datagram does not hold all drones, the answer comes in parts, each asked for after the last: {"after": 7}.
+    Raises Refused where nobody answers a part within `deadline` s, and for what is not allowed.
     """
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as door:
         door.settimeout(deadline / TRIES)
         door.connect((host, port))
-        for _ in range(TRIES):
-            try:
-                door.send(json.dumps(question).encode())
-                answer: dict[str, Any] = json.loads(door.recv(LONGEST))
-            except OSError:
-                continue
-            if "error" in answer:
-                raise Refused(f"virtual Crazyflies at {host}:{port}", answer["error"])
-            return answer
-    do = "Start `crazychoir virtual`, or name its first port by --port."
-    raise Refused(f"virtual Crazyflies at {host}:{port}", f"nobody answers. {do}")
+        answer = _part(door, question, f"virtual Crazyflies at {host}:{port}")
+        more = answer.pop("more", False)
+        while more:
+            last = int(list(answer["drones"])[-1])
+            part = _part(door, {**question, "after": last}, f"virtual Crazyflies at {host}:{port}")
+            answer["drones"] |= part["drones"]
+            more = part.get("more", False) and bool(part["drones"])
+        return answer
+
+
+def _part(door: socket.socket, question: dict[str, Any], who: str) -> dict[str, Any]:
+    """One part of an answer: that of this very question, as an answer may come after its question was asked again."""
+    asked = json.dumps(question).encode()
+    if len(asked) > LARGEST:
+        do = "Ask for fewer drones at once, or name them as 3,4 with one table for all."
+        raise Refused(who, f"a question of {len(asked)} bytes; a datagram has {LARGEST} at most. {do}")
+    for _ in range(TRIES):
+        try:
+            door.send(asked)
+            answer = _heard(door)
+            while answer.get("after") != question.get("after") and "error" not in answer:
+                answer = _heard(door)
+        except OSError:
+            continue
+        except ValueError as error:
+            raise Refused(who, f"what answers there says no JSON: {error}. Is it `crazychoir virtual`?") from error
+        if "error" in answer:
+            raise Refused(who, answer["error"])
+        answer.pop("after", None)
+        return answer
+    raise Refused(who, "nobody answers. Start `crazychoir virtual`, or name its first port by --port.")
+
+
+def _heard(door: socket.socket) -> dict[str, Any]:
+    answer = json.loads(door.recv(LONGEST))
+    if not isinstance(answer, dict):
+        raise ValueError("no object")
+    return answer

@@ -1,11 +1,13 @@
 """Virtual Crazyflies on UDP, on the wall clock: one port a drone, one world for all of them, cameras beside."""
 
+import json
 import random
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
+from crazychoir.bus.plain import plain
 from crazychoir.errors import CodecError, ConfigError
 from crazychoir.math3d import Vec, yaw_of
 from crazychoir.radio.virtual.air import Air, Dongle
@@ -26,6 +28,10 @@ DECK_EVERY = 2
 DECK_NOISE, FLOW_NOISE = 0.001, 0.02
 """m and m/s, standard deviations an axis of such a pose, and of a velocity by a flow deck."""
 LEAST_CHARGE = 1e-3
+PART = 48_000  # bytes
+"""Of the rows of drones in one answer: with what stands around them they fit into a datagram."""
+SHOWN = 40
+"""Characters of wrong words, and drones, in an error."""
 ROLLS, ON_ITS_BACK = 15.0, -0.9
 """rad/s of a body that tumbles, and the cosine of its tilt when it lies on its back: cameras follow it there."""
 
@@ -55,7 +61,7 @@ class VirtualServer(Actor):
             for seat in self.seats
         }
         self.cameras = Cameras(clock, poses, self.answer)
-        self._names = {seat.id: seat.body for seat in self.seats}
+        self._names = {seat.id: seat.body for seat in self.seats if seat.body}
         self._noise = random.Random(f"{seed} decks")  # noqa: S311 - of a simulated sensor
 
     def _drone(self, seat: Seat) -> VirtualCrazyflie:
@@ -144,17 +150,39 @@ class VirtualServer(Actor):
     # Questions
 
     def answer(self, question: Mapping[str, Any]) -> Any:
-        """To a question at the cameras' port: {"ask": "state"}, {"ask": "faults"}, {"faults": {"3": {"loss": 0.3}}}."""
+        """To a question at the cameras' port: {"ask": "state"}, {"ask": "faults"}, {"faults": {"3,4": {"loss": 0.3}}}.
+
+        The first two are answered in parts, see `_part`.
+        """
         if "faults" in question:
             self._set(question["faults"])
             return {"done": True}
         match question.get("ask"):
             case "state":
-                return {"time": self.world.time, "drones": {i: self.state(i) for i in self.ports}}
+                return {"time": self.world.time, **self._part(question, self.state)}
             case "faults":
-                return {"drones": {i: fault.listed() for i, fault in self.faults.items()}}
+                return self._part(question, lambda i: self.faults[i].listed())
         allowed = '{"ask": "state"}, {"ask": "faults"}, {"faults": {id: {name: value}}}'
         raise CodecError(f"a question: {dict(question)}; allowed: {allowed}.")
+
+    def _part(self, question: Mapping[str, Any], row_of: Callable[[int], Any]) -> dict[str, Any]:
+        """As many drones as a datagram holds, of those that follow the one named by "after", and whether more follow.
+
+        The answer repeats "after", so that it is told from the answer to another question.
+        """
+        ids = list(self.ports)
+        after = question.get("after")
+        left = ids[ids.index(after) + 1 :] if after in ids else ids
+        drones: dict[int, Any] = {}
+        size = 0
+        for i in left:
+            row = row_of(i)
+            size += len(json.dumps({i: plain(row)}))
+            if drones and size > PART:
+                break
+            drones[i] = row
+        said = {} if after is None else {"after": after}
+        return {"drones": drones, **said, **({"more": True} if len(drones) < len(left) else {})}
 
     def _set(self, wanted: Any) -> None:
         """All of them, or none."""
@@ -166,11 +194,17 @@ class VirtualServer(Actor):
                 self._put(i, name, value)
 
     def _who(self, who: str) -> list[int]:
+        """The drones of "all", "3" or "3,4"."""
         if who == "all":
             return list(self.ports)
-        if who.isdecimal() and int(who) in self.ports:
-            return [int(who)]
-        raise ConfigError("faults: drone", who, f"all, {', '.join(map(str, self.ports))}")
+        names = {str(i): i for i in self.ports}
+        words = [word.strip().lstrip("0") or "0" for word in who.split(",") if word.strip()]
+        unknown = [word for word in words if word not in names]
+        if unknown or not words:
+            there = [*names][:SHOWN]
+            left = [f"and {len(names) - SHOWN} more"] if len(names) > SHOWN else []
+            raise ConfigError("faults: drone", ", ".join(unknown)[:SHOWN], ", ".join(["all", *there, *left]))
+        return [names[word] for word in dict.fromkeys(words)]
 
     def _put(self, i: int, name: str, value: Any) -> None:
         drone, fault = self.ports[i].drone, self.faults[i]

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import msgspec
 
 from crazychoir.errors import ConfigError
+from crazychoir.mocap.frames import MOST
 from crazychoir.platforms import Platform, platform
 from crazychoir.radio.thrust import MEASURED_UNTIL
 from crazychoir.radio.virtual.drone import DECKS, POSITIONING, RELEASE, device_of
@@ -16,8 +17,9 @@ from crazychoir.simulation.crazyflies import CrazyflieWorld
 from crazychoir.simulation.world import WorldSetup
 from crazychoir.swarm.checks import WORLD_STEP
 from crazychoir.swarm.config import SwarmConfig, default_swarm
-from crazychoir.swarm.radios import UDP_URI
+from crazychoir.swarm.spans import parse_spans
 from crazychoir.swarm.tables import Drone
+from crazychoir.swarm.uris import udp_uri
 
 ADDRESS = 0xE7
 """Last byte of the address of drone 0; each next one has the next."""
@@ -31,7 +33,9 @@ OF_FILE = (
 
 @dataclass(frozen=True)
 class Seat:
-    """Where a drone is reached and what it is. at: host and port;  body: its name for the cameras."""
+    """Where a drone is reached and what it is. at: host and port;  body: its name for the cameras, empty for one that
+    they do not show.
+    """
 
     id: int
     at: tuple[str, int]
@@ -87,13 +91,17 @@ def of_swarm(config: SwarmConfig, decks: Sequence[str] | None, release: str = RE
     """The drones of a swarm whose uri is udp:// on this machine, at the ports that their uris name."""
     places = []
     for drone in config.drones:
-        found = UDP_URI.fullmatch(drone.uri)
-        if found and _ours(found[1]):
-            places.append((drone, (found[1], int(found[2]))))
+        found = udp_uri(drone.uri)
+        if found and _ours(found.host):
+            places.append((drone, (found.host, found.port)))
     if not places:
         uris = ", ".join(sorted({drone.uri for drone in config.drones}))
         do = 'Write uri = "udp://127.0.0.1:19850" into its [[drones]], each with a port of its own.'
         raise ConfigError("virtual Crazyflies: uris of the swarm", uris, "udp://HOST:PORT on this machine", do)
+    if len(places) > MOST:
+        do = "Serve the others by another file, or on another machine."
+        allowed = f"at most {MOST} at once: cameras see no more"
+        raise ConfigError("virtual Crazyflies", f"{len(places)} drones", allowed, do)
     drones = tuple(drone for drone, _ in places)
     poses = (places[0][1][0], config.mocap.port)
     return Hall(config, drones, _seats(config, places, decks, release), poses, OF_FILE)
@@ -112,9 +120,15 @@ def _ours(host: str) -> bool:
 def _seats(
     config: SwarmConfig, places: Sequence[tuple[Drone, tuple[str, int]]], decks: Sequence[str] | None, release: str
 ) -> tuple[Seat, ...]:
+    seen = {config.body_name(i) for i in config.seen}
+
+    def body(drone: Drone) -> str:
+        name = config.body_name(drone.id)
+        return "" if name in seen and drone.id not in config.seen else name  # it is the name of another drone's body
+
     return tuple(
         Seat(
-            drone.id, at, config.body_name(drone.id), (ADDRESS + drone.id) % 256,
+            drone.id, at, body(drone), (ADDRESS + drone.id) % 256,
             _decks(drone) if decks is None else tuple(decks), release, device_of(platform(drone.platform)),
         )
         for drone, at in places
@@ -161,12 +175,11 @@ def groups(hall: Hall, text: str | None, each: int | None) -> list[tuple[tuple[i
 
 
 def _told(text: str, ids: tuple[int, ...]) -> list[tuple[int, ...]]:
-    try:
-        found = [tuple(int(i) for i in group.split(",")) for group in text.split("|")]
-    except ValueError:
-        found = []
+    allowed = f"groups of drones, as 0,1|2,3, each of {', '.join(map(str, ids))} at most once"
+    found = [tuple(parse_spans(group, "--dongles", allowed, repeats=False)) for group in text.split("|")]
     named = [i for group in found for i in group]
-    if not named or len(set(named)) < len(named) or any(i not in ids for i in named):
-        allowed = f"groups of drones, as 0,1|2,3, each of {', '.join(map(str, ids))} at most once"
-        raise ConfigError("--dongles", text, allowed)
+    for i in named:
+        if i not in ids or named.count(i) > 1:
+            do = f"There is no drone {i}." if i not in ids else f"Drone {i} is there {named.count(i)} times."
+            raise ConfigError("--dongles", text, allowed, do)
     return found

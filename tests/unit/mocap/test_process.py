@@ -9,9 +9,9 @@ import pytest
 from crazychoir.bus.local import BODIES, EYES, OBSERVER
 from crazychoir.bus.topics import BODY, POSE, TRUTH
 from crazychoir.errors import ConfigError
-from crazychoir.mocap.frames import Frame
+from crazychoir.mocap.frames import Frame, frame_of, parse
 from crazychoir.mocap.mounting import Mounting
-from crazychoir.mocap.process import PATIENT, MocapProcess
+from crazychoir.mocap.process import PATIENT, MocapProcess, source_of
 from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import run_virtual
 from crazychoir.runtime.mailbox import Call
@@ -61,11 +61,11 @@ def swarm(mocap=None, **keys):
     return SwarmConfig.of({"name": "lab", "drones": drones, "mocap": mocap or {"source": "mock"}})
 
 
-def served(seconds=2.0, config=None, act=None, **source):
+def served(seconds=2.0, config=None, act=None, cameras=Cameras, **source):
     """What a reader gets of each drone while the process runs: {(topic, i): [(time, value, age)]}, and the process."""
 
     async def main(clock):
-        mocap = MocapProcess(clock, config or swarm(), Cameras(clock, seconds, **source), "m", "here", 1)
+        mocap = MocapProcess(clock, config or swarm(), cameras(clock, seconds, **source), "m", "here", 1)
         mocap.bus.port(OBSERVER)
         got = {}
         for topic in (POSE, TRUTH):
@@ -194,3 +194,66 @@ def test_a_swarm_without_drones_that_are_seen_is_refused():
     config = SwarmConfig.of({"name": "lab", "drones": [{"id": 0, "home": [0.0, 0.0, 0.0]}]})
     with pytest.raises(ConfigError, match="no drone that is seen"):
         MocapProcess(SimpleNamespace(now=lambda: 0.0), config, Cameras(None, 1), "m", "here", 1)
+
+
+@pytest.mark.parametrize("origin", [0.0, -40.0, 1.76e9])
+def test_a_recording_from_any_origin_of_time_is_seen_frame_by_frame(tmp_path, origin):
+    head = "t,name,x,y,z,qx,qy,qz,qw"
+    rows = [f"{origin + k / 100!r},cf0,{k / 100},0,1,0,0,0,1" for k in range(100)]
+    (tmp_path / "flight.csv").write_text("\n".join([head, *rows]))
+    config = swarm({"source": "replay", "file": str(tmp_path / "flight.csv")})
+
+    async def main(clock):
+        mocap = MocapProcess(clock, config, source_of(clock, config), "m", "here", 1)
+        serving = asyncio.create_task(mocap.serve(Link()))
+        await clock.sleep(2.0)
+        mocap.end("it is over")
+        await serving
+        return mocap.report()
+
+    report = run_virtual(main)
+    assert (report["frames"], report["lost"], report["late"], report["timeless"]) == (100, 0, 0, 0)
+    assert report["seen"] == {0: 100, 1: 0}
+    assert report["success"]
+
+
+def test_a_run_that_saw_no_frame_is_no_success():
+    _, mocap, _ = served(0.0)
+    report = mocap.report()
+    assert report["frames"] == 0
+    assert not report["success"]
+    assert "test cameras (connected): no frame was seen" in report["reason"]
+
+
+def test_nor_is_one_whose_frames_have_no_time_in_seconds():
+    class Milliseconds(Cameras):
+        async def run(self, take):
+            await super().run(lambda frame, age: take(Frame(frame.number, 1.76e12 + frame.time, frame.bodies), age))
+
+    _, mocap, _ = served(cameras=Milliseconds)
+    assert not mocap.report()["success"]
+    assert "200 were dropped, whose time is no time in s" in mocap.report()["reason"]
+
+
+def test_nor_is_one_that_saw_no_body_of_a_drone():
+    _, mocap, _ = served(bodies=lambda k: {"wand": np.array([0.0, 0.0, 1.0 + 1e-6 * k, 0.0, 0.0, 0.0, 1.0])})
+    report = mocap.report()
+    assert report["frames"] == 200
+    assert not report["success"]
+    assert "the frames have 'wand', the swarm file 'cf0', 'b'" in report["reason"]
+
+
+def test_a_body_that_is_twice_in_a_frame_is_not_seen_and_said(caplog):
+    class Doubling(Cameras):
+        async def run(self, take):
+            def doubled(frame, age):
+                rows = [*frame.bodies.items(), ("b", frame.bodies["cf0"])]
+                take(parse(frame_of(frame.number, frame.time, rows).packed()), age)
+
+            await super().run(doubled)
+
+    got, mocap, _ = served(cameras=Doubling)
+    assert len(got[POSE, 0]) == 200
+    assert not got[POSE, 1], "nobody knows which of the two is meant"
+    assert "body 'b' is there twice in a frame" in caplog.text
+    assert mocap.report()["success"], "the other drone was seen"

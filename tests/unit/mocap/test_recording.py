@@ -90,3 +90,62 @@ def test_a_file_that_is_none_is_refused_with_its_line(tmp_path, text, where):
 def test_a_file_that_is_not_there_is_refused(tmp_path):
     with pytest.raises(ConfigError, match="No such file"):
         read_recording(tmp_path / "b.csv")
+
+
+def written(path, times, names=("cf0",)):
+    rows = [f"{t!r},{name},1,2,3,0,0,0,1" for t in times for name in names]
+    path.write_text("\n".join([",".join(HEAD), *rows]))
+    return path
+
+
+@pytest.mark.parametrize("origin", [0.0, -7.25, 86_400.0, 1.76e9, -1.76e9])
+def test_a_replay_takes_any_origin_of_time(tmp_path, origin):
+    path = written(tmp_path / "a.csv", [origin + 0.25 * k for k in range(5)])
+
+    async def main(clock):
+        taken = []
+        await ReplaySource(clock, str(path), lambda text: None).run(
+            lambda frame, age: taken.append((clock.now(), frame.time, age))
+        )
+        return taken
+
+    assert run_virtual(main) == [(0.25 * k, 0.25 * k, 0.0) for k in range(5)]
+
+
+@pytest.mark.parametrize("origin", [0.0, 1.76e9])
+@pytest.mark.parametrize(("unit", "factor"), [("ms", 1e3), ("us", 1e6), ("ns", 1e9)])
+def test_times_in_another_unit_are_refused_with_the_unit_that_they_seem_to_have(tmp_path, origin, unit, factor):
+    path = written(tmp_path / "a.csv", [round((origin + 0.01 * k) * factor) for k in range(5)])
+    with pytest.raises(ConfigError) as refused:
+        read_recording(path)
+    assert "t in s" in str(refused.value)
+    assert unit in str(refused.value)
+    assert "line " in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("jump", "words"),
+    [(-0.3, "or more, as before"), (-1.76e9, "or more, as before"), (1.76e9, "after the frame before"), (3600, "600")],
+)
+def test_a_clock_that_is_set_within_a_recording_is_refused_with_its_line(tmp_path, jump, words):
+    path = written(tmp_path / "a.csv", [1.76e9 + 0.01 * k + (jump if k >= 5 else 0.0) for k in range(9)])
+    with pytest.raises(ConfigError) as refused:
+        read_recording(path)
+    assert "line 7: found t = " in str(refused.value)
+    assert words in str(refused.value)
+    assert "cut the file in two" in str(refused.value)
+
+
+def test_a_body_that_is_twice_in_a_frame_is_refused_with_both_lines(tmp_path):
+    path = written(tmp_path / "a.csv", [0.0, 0.5], names=("cf0", "cf1", "cf0"))
+    with pytest.raises(ConfigError, match=r"body 'cf0' twice at t = 0\.0, in lines 2 and 4"):
+        read_recording(path)
+
+
+def test_a_row_without_a_name_is_refused_and_blank_lines_are_not(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_bytes(f"\ufeff{','.join(HEAD)}\r\n\r\n   \r\n0.0, cf0 ,1,2,3,0,0,0,1\r\n".encode())
+    assert [list(frame.bodies) for frame in read_recording(path)] == [["cf0"]]
+    path.write_text(f"{','.join(HEAD)}\n0.0,,1,2,3,0,0,0,1\n")
+    with pytest.raises(ConfigError, match="line 2"):
+        read_recording(path)

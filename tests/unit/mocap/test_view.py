@@ -79,3 +79,35 @@ def test_what_the_server_does_not_show_is_not_seen_and_dropouts_come_on_top():
     shown = [view.see(frame(k, 0.01 * k, cf1=LEVEL))[0].bodies for k in range(400)]
     assert not any("cf0" in bodies for bodies in shown)
     assert sum("cf1" in bodies for bodies in shown) == pytest.approx(300, abs=30)
+
+
+@pytest.mark.parametrize("origin", [0.0, -3.5, 86_400.0, 1.76e9, -1.76e9, 4e9])
+def test_frames_are_taken_whatever_their_times_count_from(origin):
+    view = View(100.0, Blur(swarm(latency=0.02)))
+    shown = [view.see(frame(k, origin + 0.01 * k)) for k in range(50)]
+    assert all(one is not None for one in shown)
+    assert ["cf0" in one.bodies for one, _ in shown] == [False] * 2 + [True] * 48
+    assert (view.lost, view.late, view.timeless) == (0, 0, 0)
+
+
+@pytest.mark.parametrize("t", [np.nan, -np.inf, 1.76e12, 1.76e18])
+def test_a_time_that_is_none_in_seconds_is_counted_as_such(t):
+    view = View(100.0)
+    assert view.see(frame(0, t)) is None
+    assert (view.late, view.timeless) == (0, 1)
+
+
+@pytest.mark.parametrize("jump", [-0.5, -30.0, -1.76e9, 0.5, 3600.0, 1.76e9])
+def test_a_clock_that_is_set_interrupts_nothing(jump):
+    view = View(100.0, Blur(swarm()))
+    times = [100.0 + 0.01 * k + (jump if k >= 50 else 0.0) for k in range(150)]
+    shown = [view.see(frame(k, t)) for k, t in enumerate(times)]
+    assert all(one is not None for one in shown)
+    assert (view.lost, view.late) == (0, 0)
+
+
+def test_the_rate_is_limited_after_a_clock_was_set_back_as_before():
+    pace = RateLimit(100.0)
+    times = [0.001 * k for k in range(1000)]
+    passed = [sum(pace.passes(t + shift) for t in times) for shift in (1.76e9, 0.0, -0.5)]
+    assert passed == pytest.approx([100, 100, 100], abs=1)

@@ -3,6 +3,7 @@
 import asyncio
 import json
 import socket
+import threading
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from crazychoir.cli.crazychoir import app
 from crazychoir.errors import ConfigError, Refused
 from crazychoir.mocap.frames import ASK, parse
 from crazychoir.radio.crtp import FORMS, Packet
-from crazychoir.radio.virtual.control import ask
+from crazychoir.radio.virtual.control import LARGEST, ask
 from crazychoir.radio.virtual.drone import BOOT
 from crazychoir.radio.virtual.faults import KNOBS, Faults, checked
 from crazychoir.radio.virtual.server import VirtualServer, charge_of
@@ -432,3 +433,109 @@ def test_a_taken_port_is_said_with_what_to_do_about_it(tmp_path):
             assert f"UDP port {port} of 127.0.0.1" in said
             assert says in said
             assert ("--port" in said) == ("--port" in words)
+
+
+class Datagrams:
+    """Counts what the server sends at its cameras' port."""
+
+    def __init__(self, cameras):
+        self.sizes = []
+        self._send, cameras._send = cameras._send, self.send
+
+    def send(self, datagram, to):
+        self.sizes.append(len(datagram))
+        self._send(datagram, to)
+
+
+@pytest.mark.parametrize("n", [1, 60, 126, 127, 200])
+async def test_questions_about_many_drones_are_answered_in_parts_that_fit_into_datagrams(n):
+    async with Open(n, decks=()) as hall:
+        sent = Datagrams(hall.server.cameras)
+        where = {"port": hall.port - 1, "deadline": 20.0}
+        state = await asyncio.to_thread(ask, {"ask": "state"}, **where)
+        faults = await asyncio.to_thread(ask, {"ask": "faults"}, **where)
+        assert list(state) == ["time", "drones"]
+        assert list(state["drones"]) == list(faults["drones"]) == [str(i) for i in range(n)]
+        assert all(state["drones"][str(i)]["at"] == list(seat.at) for i, seat in enumerate(hall.server.seats))
+        assert max(sent.sizes) <= LARGEST
+        names = ",".join(map(str, range(n)))
+        await asyncio.to_thread(ask, {"faults": {names: {"loss": 0.25, "offset": [0.1, 0.0, 0.0]}}}, **where)
+        assert {fault.loss for fault in hall.server.faults.values()} == {0.25}
+        with pytest.raises(Refused, match="all, 0"):
+            await asyncio.to_thread(ask, {"faults": {f"{names},777": {"loss": 0.5}}}, **where)
+        assert {fault.loss for fault in hall.server.faults.values()} == {0.25}, "all of them, or none"
+
+
+async def test_a_question_or_an_answer_that_no_datagram_holds_is_refused_and_said():
+    async with Open() as hall:
+        where = {"port": hall.port - 1, "deadline": 20.0}
+        with pytest.raises(Refused, match=r"a question of \d+ bytes"):
+            await asyncio.to_thread(ask, {"faults": {"0": {"x" * 70_000: 1.0}}}, **where)
+        long = (await asyncio.gather(asyncio.to_thread(ask, {"ask": "?" * 60_000}, **where), return_exceptions=True))[0]
+        assert isinstance(long, Refused)
+        assert 'allowed: {"ask": "state"}' in str(long)
+        assert len(str(long)) < 5000
+        hall.server.cameras._answer = lambda question: "?" * 70_000
+        (large,) = await asyncio.gather(asyncio.to_thread(ask, {"ask": "state"}, **where), return_exceptions=True)
+        assert "the answer has 70002 bytes" in str(large)
+
+
+@pytest.fixture
+def stand_in():
+    """A server that answers each datagram by the function."""
+    door = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    door.bind(("127.0.0.1", 0))
+    door.settimeout(10.0)
+    threads = []
+
+    def serve(answers, count):
+        def run():
+            for _ in range(count):
+                data, sender = door.recvfrom(65_536)
+                for answer in answers(json.loads(data)):
+                    door.sendto(answer, sender)
+
+        threads.append(threading.Thread(target=run))
+        threads[0].start()
+        return door.getsockname()[1]
+
+    yield serve
+    threads[0].join()
+    door.close()
+
+
+def test_an_answer_that_comes_twice_is_not_taken_for_the_next_part(stand_in):
+    def answers(question):
+        after = question.get("after", -1)
+        part = {"drones": {after + 1: {"x": after + 1}}, **({"after": after} if after >= 0 else {})}
+        packed = json.dumps(part | ({"more": True} if after < 4 else {})).encode()
+        return [packed, packed]
+
+    found = ask({"ask": "state"}, port=stand_in(answers, 6), deadline=20.0)
+    assert found == {"drones": {str(i): {"x": i} for i in range(6)}}
+
+
+def test_what_answers_no_json_is_refused(stand_in):
+    with pytest.raises(Refused, match="says no JSON"):
+        ask({"ask": "state"}, port=stand_in(lambda question: [b"\x0c"], 1), deadline=20.0)
+
+
+def test_more_drones_than_the_cameras_see_are_refused():
+    drones = [
+        {"id": i, "home": [i % 30, i // 30, 0], "uri": f"udp://127.0.0.1:{20_000 + i}", "dongle": i % 16}
+        for i in range(451)
+    ]
+    fence = {"min": [-1.0, -1.0, 0.0], "max": [40.0, 40.0, 2.0]}
+    config = SwarmConfig.of({"name": "lab", "fence": fence, "graph": "path", "drones": drones})
+    with pytest.raises(ConfigError, match="451 drones"):
+        of_swarm(config, None)
+
+
+def test_a_body_of_a_drone_that_cameras_see_is_not_hidden_by_one_that_they_do_not_see():
+    drones = [
+        {"id": 0, "home": [0.0, 0.0, 0.0], "uri": "udp://127.0.0.1:19850", "body": "cf1"},
+        {"id": 1, "home": [1.0, 0.0, 0.0], "uri": "udp://127.0.0.1:19851", "pose": "onboard"},
+        {"id": 2, "home": [2.0, 0.0, 0.0], "uri": "udp://127.0.0.1:19852", "pose": "onboard"},
+    ]
+    config = SwarmConfig.of({"name": "lab", "radio": {"log_rate": 25.0}, "drones": drones})
+    assert [seat.body for seat in of_swarm(config, ()).seats] == ["cf1", "", "cf2"]

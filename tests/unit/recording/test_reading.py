@@ -1,14 +1,20 @@
 """Files that are no recording, are cut off or spoilt."""
 
+import io
+import struct
 import tracemalloc
 
 import pytest
-from mcap.writer import Writer
+from mcap.opcode import Opcode
+from mcap.reader import make_reader
+from mcap.writer import CompressionType, IndexType, Writer
 
 from crazychoir.errors import ConfigError
-from crazychoir.recording.file import Entry, RecordingFile, Series
+from crazychoir.recording.file import ABOUT, Entry, RecordingFile, Series
 from crazychoir.recording.messages import MESSAGES, packer
 from crazychoir.recording.reading import header, read
+from crazychoir.recording.records import MESSAGE
+from crazychoir.recording.sequence import told
 from crazychoir.types import State
 
 CHUNKS, EACH = 5, 20
@@ -179,3 +185,113 @@ def test_no_file_and_a_folder(tmp_path):
     for path, words in ((tmp_path / "none.mcap", "No such file"), (tmp_path, "Is a directory")):
         with pytest.raises(ConfigError, match=words):
             read(path, ("state",))
+
+
+def rewritten(path, content, metadata_last=False, **options):
+    """The same recording, as another program writes it with these options of the library."""
+    with path.open("wb") as file:
+        writer = Writer(file, chunk_size=2000, **options)
+        writer.start(profile="ros2", library="another")
+        reader = make_reader(io.BytesIO(content))
+        if not metadata_last:
+            copy_about(writer, reader)
+        schemas, channels = {}, {}
+        for schema, channel, message in reader.iter_messages():
+            if schema.id not in schemas:
+                schemas[schema.id] = writer.register_schema(schema.name, schema.encoding, schema.data)
+            if channel.id not in channels:
+                channels[channel.id] = writer.register_channel(
+                    channel.topic, channel.message_encoding, schemas[schema.id], channel.metadata
+                )
+            writer.add_message(channels[channel.id], message.log_time, message.data, message.publish_time)
+        if metadata_last:
+            copy_about(writer, reader)
+        writer.finish()
+    return path
+
+
+def copy_about(writer, reader):
+    for one in reader.iter_metadata():
+        writer.add_metadata(one.name, one.metadata)
+    for one in reader.iter_attachments():
+        writer.add_attachment(one.create_time, one.log_time, one.name, one.media_type, one.data)
+
+
+NO_SUMMARY = {
+    "index_types": IndexType.NONE, "repeat_channels": False, "repeat_schemas": False, "use_statistics": False,
+    "use_summary_offsets": False,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"use_chunking": False}, {"use_chunking": False, **NO_SUMMARY}, {"use_chunking": False, "metadata_last": True},
+        {"compression": CompressionType.NONE}, {"compression": CompressionType.LZ4}, {"enable_crcs": False},
+        NO_SUMMARY, {"metadata_last": True},
+    ],
+    ids=str,
+)  # fmt: skip
+def test_a_recording_that_another_program_has_rewritten_is_read_as_it_was(tmp_path, content, options):
+    path = rewritten(tmp_path / "a.mcap", content, **options)
+    recording = read(path, ("state",))
+    assert recording.of(4, "state").numbers[:, 0].tolist() == list(range(CHUNKS * EACH))
+    assert recording.complete
+    assert (header(path).complete, header(path).swarm) == (True, "{}")
+    before = tmp_path / "before.mcap"
+    before.write_bytes(content)
+    assert [(m.came_ns, m.born_ns, m.data) for m in told(path)] == [
+        (m.came_ns, m.born_ns, m.data) for m in told(before)
+    ]
+
+
+def test_of_a_recording_without_chunks_that_is_cut_off_every_whole_message_is_there(tmp_path, content):
+    whole = rewritten(tmp_path / "whole.mcap", content, use_chunking=False).read_bytes()
+    seen = []
+    for end in range(len(whole) // 2, 0, -97):
+        try:
+            numbers, complete = found(tmp_path / "a.mcap", whole[:end])
+        except ConfigError:
+            numbers, complete = [], False
+        assert not complete
+        assert numbers == list(range(len(numbers)))
+        seen.append(len(numbers))
+    assert seen == sorted(seen, reverse=True)
+    assert len(set(seen)) > 20, "message by message, not chunk by chunk"
+
+
+def test_a_recording_without_a_message_is_refused_whether_it_has_chunks_or_not(tmp_path):
+    for chunking in (True, False):
+        path = tmp_path / f"{chunking}.mcap"
+        with path.open("wb") as file:
+            writer = Writer(file, use_chunking=chunking)
+            writer.start()
+            writer.add_metadata(ABOUT, {"version": "1"})
+            schema = writer.register_schema("nav_msgs/msg/Odometry", "ros2msg", b"")
+            writer.register_channel("/drone4/state", "cdr", schema, {"drone": "4", "topic": "state"})
+            writer.finish()
+        with pytest.raises(ConfigError, match="no message"):
+            header(path)
+
+
+def test_a_compression_that_is_not_known_is_named(tmp_path, content):
+    path = tmp_path / "a.mcap"
+    path.write_bytes(content.replace(b"\x04\x00\x00\x00zstd", b"\x04\x00\x00\x00brot"))
+    with pytest.raises(ConfigError, match="compressed by 'brot', where zstd, lz4 and nothing are read"):
+        header(path)
+
+
+def test_a_message_of_a_channel_that_is_not_there_is_refused(tmp_path):
+    path = tmp_path / "a.mcap"
+    message = MESSAGE.pack(7, 0, 1, 1)
+    with path.open("wb") as file:
+        writer = Writer(file, use_chunking=False)
+        writer.start()
+        writer.add_metadata(ABOUT, {"version": "1"})
+        writer.finish()
+    whole = path.read_bytes()
+    record = struct.pack("<BQ", Opcode.MESSAGE, len(message)) + message
+    data_end = whole.rindex(struct.pack("<BQ", Opcode.DATA_END, 4))
+    path.write_bytes(whole[:data_end] + record + whole[data_end:])
+    with pytest.raises(ConfigError, match="channel 7, which is not there"):
+        list(told(path))

@@ -98,6 +98,25 @@ def test_stops_of_any_mission(recorded, result, labels):
     assert [stop.label.replace("−", "-") for stop in work.stops] == labels
 
 
+@pytest.mark.parametrize(
+    "result",
+    [
+        {"done": True}, {"done": 3}, {"served": [1, 2]}, {"served": 7}, {"served": [{"kind": "pickup"}]},
+        {"history": [[1.0, 2.0]], "objective": 3.0}, {"history": "none"}, {"history": []},
+        {"history": [[1.0, 2.0, 3.0]], "objective": 0.5},
+    ],
+    ids=str,
+)  # fmt: skip
+def test_drones_with_results_of_their_own_kind_stand_beside_those_of_ours(recorded, tmp_path, result):
+    path = recorded(statuses(2), statuses(4), [(BEGAN + 8.0, 2, RESULT), (BEGAN + 8.5, 4, result)])
+    work, talk = work_of(path, BEGAN), talk_of(path, BEGAN)
+    assert [stop.label for stop in work.stops if stop.drone == 2] == ["+3", "\N{MINUS SIGN}3"]
+    assert [stop.label for stop in work.stops if stop.drone == 4] == ["(1)", "(2)"]
+    assert 2 in talk.history
+    work.write(tmp_path / "tasks.csv")
+    talk.write_history(tmp_path / "convergence.csv")
+
+
 def test_stops_of_each_drone_are_its_own_and_counts_may_jump(recorded, tmp_path):
     other = [(0.0, "mission", 'at "A": 0 done, task 7', 0), (2.0, "mission", "2 done, task 9", 0),
              (3.0, "on ground", "done", 0)]  # fmt: skip

@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+import time
 from itertools import product
 
 import msgspec
@@ -249,3 +250,60 @@ def test_drawn_sub_graphs_unite_to_the_whole(graph: Graph, length: int, seed: in
 )
 def test_span(ids: list[int], text: str) -> None:
     assert shapes.span(ids).endswith(text)
+
+
+@pytest.mark.parametrize("spelling", ["0.5", ".5", "5e-1", "5E-1", "0.50", "0.500000000000", "+0.5", " 0.5 ", "50e-2"])
+def test_a_number_of_a_shape_is_taken_however_it_is_written(spelling: str) -> None:
+    assert shapes.named(f"erdos-renyi:{spelling}", 6, seed=3) == shapes.erdos_renyi_connected(6, 0.5, 3)
+    assert shapes.named(f"geometric:{spelling}", 6, seed=3) == shapes.geometric(6, 0.5, 3)
+
+
+@pytest.mark.parametrize("name", ["grid:2X3", "grid:2 x 3", "grid:2\N{MULTIPLICATION SIGN}3", "grid:02x3", " grid:2x3"])
+def test_the_sides_of_a_grid_are_taken_however_they_are_written(name: str) -> None:
+    assert shapes.named(name, 6) == shapes.grid(2, 3)
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("erdos-renyi", "allowed: erdos-renyi:P, with P a probability of 0 to 1"),
+        ("erdos-renyi:", "allowed: erdos-renyi:P, with P a probability of 0 to 1"),
+        ("erdos-renyi:x", "allowed: erdos-renyi:P, with P a probability of 0 to 1"),
+        ("erdos-renyi:nan", "allowed: erdos-renyi:P"),
+        ("erdos-renyi:inf", "allowed: erdos-renyi:P"),
+        ("erdos-renyi:0,3", "Write erdos-renyi:0.3."),
+        ("erdos-renyi:30%", "Write erdos-renyi:0.3."),
+        ("erdos-renyi:30", "30 % is 0.3."),
+        ("erdos-renyi:-0.1", "allowed: a probability, 0 to 1"),
+        ("erdos_renyi:0.3", "Did you mean erdos-renyi:0.3?"),
+        ("Erdos-Renyi:0.3", "Did you mean erdos-renyi:0.3?"),
+        ("Ring", "Did you mean ring?"),
+        ("ring:3", "Write ring."),
+        ("star:", "Write star."),
+        ("k-regular:4.0", "Write k-regular:4."),
+        ("k-regular:x", "with K a whole number of neighbours"),
+        ("k-regular:-2", "with K a whole number of neighbours"),
+        ("k-regular:99999", "k = 99999; allowed: 0 to 5"),
+        ("k-regular:" + "9" * 5000, "with K a whole number of neighbours"),
+        ("geometric:nan", "with R a radius above 0"),
+        ("geometric:0", "radius 0; allowed: above 0, at most 2"),
+        ("grid:6", "with ROWS and COLUMNS whole numbers"),
+        ("grid:2x3x1", "with ROWS and COLUMNS whole numbers"),
+        ("grid:x", "with ROWS and COLUMNS whole numbers"),
+        ("", "allowed: ring, path"),
+        (":", "allowed: ring, path"),
+    ],
+    ids=lambda text: text[:20],
+)  # fmt: skip
+def test_a_number_that_a_shape_cannot_have_is_refused_with_its_form(name: str, text: str) -> None:
+    with pytest.raises(ConfigError) as refused:
+        shapes.named(name, 6, seed=3)
+    assert text in str(refused.value)
+
+
+@pytest.mark.parametrize("name", ["erdos-renyi:1e-9", "geometric:1e-9"])
+def test_a_shape_that_never_connects_a_large_swarm_is_refused_at_once(name: str) -> None:
+    began = time.perf_counter()
+    with pytest.raises(ConfigError, match="none of 1000 draws is connected"):
+        shapes.named(name, 3000)
+    assert time.perf_counter() - began < 5.0
