@@ -18,9 +18,10 @@
     └── Livelock(RuntimeError)             virtual time: the clock stands still
 """
 
+import contextlib
 import sysconfig
 import traceback
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from os import PathLike
 
 
@@ -175,3 +176,39 @@ def raised_at(error: BaseException) -> traceback.FrameSummary:
     places = traceback.extract_tb(error.__traceback__)
     own = [place for place in places if not is_library(place.filename)]
     return (own or places)[-1]
+
+
+def exit_call(end: SystemExit) -> str:
+    """How a user's code has ended the process, as it is written there."""
+    return f"sys.exit({'' if end.code is None else repr(end.code)})"
+
+
+def exit_of(end: SystemExit, what: str) -> ConfigError:
+    """The error for a user's code that has called sys.exit, exit or quit; it names the file and the line.
+
+    what: what called it, in words, such as "the mission".
+    """
+    place = raised_at(end)
+    allowed = "code that returns, or raises an exception"
+    do = "Remove the call: the process belongs to crazychoir, and drones may fly in it."
+    return ConfigError(f"{place.filename}:{place.lineno}", f"{what} called {exit_call(end)}", allowed, do)
+
+
+@contextlib.contextmanager
+def without_exit(what: str) -> Iterator[None]:
+    """A user's code that may not end the process: sys.exit becomes the error of `exit_of`."""
+    try:
+        yield
+    except SystemExit as end:
+        raise exit_of(end, what) from end
+
+
+def spoken(reason: object, otherwise: str) -> str:
+    """The reason in words, never empty: `otherwise` stands for a missing one.
+
+    A reason that ends in a colon lacks its last part, as where a note was empty; `otherwise` is put there.
+    """
+    words = "" if reason is None else str(reason).strip()
+    if not words:
+        return otherwise
+    return f"{words} {otherwise}" if words.endswith(":") else words

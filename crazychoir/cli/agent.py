@@ -8,7 +8,7 @@ import typer
 
 from crazychoir.cli import ending
 from crazychoir.cli.show import STDERR, STDOUT, fail, prints_aside, result_table, set_up_logging, write_json
-from crazychoir.errors import CrazyChoirError
+from crazychoir.errors import CrazyChoirError, without_exit
 
 log = logging.getLogger(__name__)
 app = typer.Typer(add_completion=False)
@@ -37,7 +37,7 @@ def agent(
     from crazychoir.launch.processes import write_results
 
     try:
-        with prints_aside():
+        with prints_aside(), without_exit("the mission"):
             config, which = configured(swarm, mission, loss, seed)
             flown = load(str(config.mission))
             members = tuple(sorted({config.drone(i).id: None for i in ids}))

@@ -44,7 +44,7 @@ from crazychoir.cli.show import (
     summary_table,
     write_json,
 )
-from crazychoir.errors import CrazyChoirError
+from crazychoir.errors import CrazyChoirError, without_exit
 
 if TYPE_CHECKING:
     from crazychoir.guidance.mission import Mission
@@ -140,7 +140,7 @@ def run(
     given = {"--fast": fast, "--processes": processes, "--picture": picture, "--drones": drones}
     try:
         check_options(what, swarm, only, given)
-        with prints_aside():
+        with prints_aside(), without_exit("the mission"):
             config, mission = to_run(what, drones, swarm, loss, seed)
             config = with_operator(config, wait, fast)
             require_drawable(picture)

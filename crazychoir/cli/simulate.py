@@ -21,7 +21,7 @@ from crazychoir.cli.show import (
     set_up_logging,
     write_json,
 )
-from crazychoir.errors import ConfigError, CrazyChoirError
+from crazychoir.errors import ConfigError, CrazyChoirError, without_exit
 
 if TYPE_CHECKING:
     from crazychoir.optimization.history import History
@@ -77,7 +77,7 @@ def simulate(
         if save is not None:
             require_suffix(save, "--save")
         require_folder(save, "--save")
-        with prints_aside():
+        with prints_aside(), without_exit("the algorithm"):
             links, team = _team(file, agents, graph, seed, directed)
             names = simulation.recorded(team, asked)
             if picture is not None and not names:

@@ -205,7 +205,7 @@ def test_hold_freezes_and_go_frees():
         assert await operator.order("hold", 0) == (REFUSED, "it is landing")
 
     results = play(There, scene)
-    assert (results[0]["success"], results[0]["reason"]) == (False, "landed on command")
+    assert (results[0]["success"], results[0]["reason"]) == (True, "landed on command")
     assert results[1] == {"success": True, "there": True}
 
 
@@ -266,7 +266,7 @@ def test_what_is_over_does_not_begin_again():
         assert await operator.order("take-off", 0) == (REFUSED, "its mission is over: landed on command")
         await operator.order("land")
 
-    assert play(Stay, scene)[0] == {"success": False, "reason": "landed on command"}
+    assert play(Stay, scene)[0] == {"success": True, "reason": "landed on command", "ended": "landed on command"}
 
 
 # Flights on command ---------------------------------------------------------------------------------------------
