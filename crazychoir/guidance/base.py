@@ -1,5 +1,7 @@
 """What a mission is written in: CFGuidance, a coroutine with the paper's verbs."""
 
+import logging
+import sys
 from abc import abstractmethod
 from collections.abc import Callable
 from types import MethodType
@@ -14,9 +16,10 @@ from crazychoir.guidance.member import PATIENCE, SETTLE, Interrupted, Member, to
 from crazychoir.guidance.sensors import Readings
 from crazychoir.guidance.turns import CLOSE, TURN, aside, blocked, first_at
 from crazychoir.optimization.checks import require_graph
-from crazychoir.planning.feasibility import Limits, check
+from crazychoir.planning.feasibility import Limits, check_references, references
 from crazychoir.planning.scaling import GETS_UP, Resumed
 from crazychoir.planning.trajectory import Trajectory
+from crazychoir.safety.goals import converted, require_path, require_trajectory
 from crazychoir.safety.modes import HELD, Mode
 from crazychoir.safety.pilot import Pilot
 from crazychoir.swarm.communicator import Communicator
@@ -25,6 +28,7 @@ from crazychoir.swarm.round import Round
 from crazychoir.swarm.running import Pace, run_algorithm
 from crazychoir.types import Point, Reference, State, Vec
 
+log = logging.getLogger(__name__)
 P = ParamSpec("P")
 R = TypeVar("R")
 FLYING = (Mode.TAKEOFF, Mode.HOVER, Mode.FOLLOW)
@@ -73,6 +77,7 @@ class CFGuidance:
     def bind(self, member: Member) -> None:
         """Meet the drone."""
         self.member = member
+        self._refused_at: set[str] = set()  # places in the mission's file whose reference was not flown
 
     @abstractmethod
     async def mission(self) -> dict[str, Any]:
@@ -180,7 +185,7 @@ class CFGuidance:
         goal = pilot.above(height)
         await self._while(pilot.take_off(height), Mode.TAKEOFF)
         if pilot.gap(goal) > RISEN:
-            await self.go_to(goal)
+            await self._fly_to_place(goal)
         await self._settle(goal)
         if why := pilot.misjudged():
             pilot.land(why)
@@ -249,8 +254,14 @@ class CFGuidance:
 
         It waits, at most PATIENCE s, while an operator holds the drone or the safety table brakes it, and where it
         gives way to others, as to one who stands at p.
-        Raises Interrupted when the pilot lands, and when p cannot be reached, as outside the fence.
+        Raises ConfigError, before it moves, for what is no place, and for a place outside the fence, at its edge, or on
+        the floor; Interrupted when the pilot lands, and when p cannot be reached.
         """
+        place = self.member.pilot.require_goal(f"drone {self.id}: go_to()", p, yaw, duration)
+        await self._fly_to_place(place, duration, yaw)
+
+    async def _fly_to_place(self, p: Vec, duration: float = 0.0, yaw: float | None = None) -> None:
+        """Fly to p (3,) m, which may be flown to, and be there."""
         attempts, hindered, pilot, clock = 0, 0, self.member.pilot, self.member.clock
         ends = clock.now() + PATIENCE
         while attempts < ATTEMPTS and clock.now() < ends:
@@ -264,9 +275,9 @@ class CFGuidance:
             if pilot.gap(p) < (CLOSE if hindered else ARRIVED):
                 return
             attempts += seconds > 0.0 and pilot.clearance.gave_way < began
-            if hindered > 2 and first_at(pilot, np.asarray(p)) < self.id:
-                await self._wait_aside(np.asarray(p))
-        place = np.round(np.asarray(p), 2).tolist()
+            if hindered > 2 and first_at(pilot, p) < self.id:
+                await self._wait_aside(p)
+        place = np.round(p, 2).tolist()
         why = HELD if pilot.held else pilot.note or "no reason"
         raise Interrupted(f"drone {self.id}: does not reach {place}, still {pilot.gap(p):.2f} m from it: {why}")
 
@@ -287,10 +298,8 @@ class CFGuidance:
         Raises ConfigError, before it leaves, if the trajectory leaves the fence or is faster than [flight] allows;
         Interrupted when the flight is stopped on the way, as by a hold, or not ended where the trajectory ends.
         """
-        if not all(hasattr(trajectory, name) for name in ("duration", "sample", "done")):
-            do = "Make one of places: crazychoir.planning.minimum_snap.minimum_snap(places)."
-            found = type(trajectory).__name__
-            raise ConfigError(f"drone {self.id}: fly", found, "a trajectory: duration, sample(t), done(t)", do)
+        require_trajectory(f"drone {self.id}: fly()", trajectory)
+        trajectory = converted(trajectory)
         require_feasible(trajectory, self.member.pilot)
         pilot, clock, left, attempts = self.member.pilot, self.member.clock, trajectory, 0
         end, ends = trajectory.sample(trajectory.duration), clock.now() + trajectory.duration + PATIENCE
@@ -335,9 +344,15 @@ class CFGuidance:
             raise Interrupted(f"drone {self.id}: {pilot.mode.value}: {pilot.note}")
 
     def follow(self, reference: Reference) -> None:
-        """Fly this reference; renew it before it is stale."""
+        """Fly this reference; renew it before it is stale. One that cannot be flown is none, and the log says why."""
         self._may_fly()
-        self.member.pilot.follow(reference)
+        pilot = self.member.pilot
+        if pilot.follow(reference) is False:
+            caller = sys._getframe(1)
+            place = f"{caller.f_code.co_filename}:{caller.f_lineno}"
+            if place not in self._refused_at:
+                self._refused_at.add(place)
+                log.warning("drone %d: %s: follow(): %s", self.id, place, pilot.note)
 
     async def sleep(self, seconds: float) -> None:
         """Wait, in the swarm's time."""
@@ -362,16 +377,15 @@ class CFGuidance:
 
 
 def require_feasible(trajectory: Trajectory, pilot: Pilot) -> None:
-    """Raise ConfigError for a trajectory that leaves the fence, or that the drone cannot fly or [flight] forbids."""
+    """Raise ConfigError for a trajectory that leaves the guard's room, or that the drone or [flight] forbids."""
     flight, platform = pilot.limits, pilot.controls.platform
-    check(
-        trajectory,
-        Limits(
-            v_max=flight.speed_limit, a_max=flight.acceleration_limit, mass=platform.mass,
-            thrust_max=HEADROOM * platform.max_thrust, rate_max=platform.max_rate, low=pilot.fence.low,
-            high=pilot.fence.high,
-        ),
+    t, path = references(trajectory)
+    limits = Limits(
+        v_max=flight.speed_limit, a_max=flight.acceleration_limit, mass=platform.mass,
+        thrust_max=HEADROOM * platform.max_thrust, rate_max=platform.max_rate,
     )  # fmt: skip
+    require_path("trajectory", t, path, pilot.guard, pilot.controls.planar)
+    check_references(t, path, limits)
 
 
 def _number(value: object) -> float | None:

@@ -14,11 +14,12 @@ from crazychoir.control.gains import FORMATION, Gains
 from crazychoir.errors import ConfigError
 from crazychoir.guidance.base import CFGuidance
 from crazychoir.guidance.hearing import Hearing, Paired, VelocitySum
-from crazychoir.guidance.hook import Hook
+from crazychoir.guidance.hook import Hook, place_of
 from crazychoir.guidance.member import Interrupted, Member, raisable
 from crazychoir.runtime.clock import SECOND, wake
 from crazychoir.runtime.mailbox import Call
 from crazychoir.safety.modes import Mode
+from crazychoir.safety.references import taken, unflyable
 from crazychoir.types import Acceleration, FullState, Goto, Heard, Reference, State, Velocity
 
 log = logging.getLogger(__name__)
@@ -214,7 +215,12 @@ class CFDistributedFeedback(CFGuidance):
 
     def _not_taken(self, reference: object) -> None:
         """Count what can never be flown, and say once why."""
-        self._refused, self._amiss = self._refused + 1, self.member.pilot.unflown(reference) or amiss(reference)
+        self._refused += 1
+        if taken(reference) is None:
+            why = f"{amiss(reference)}; {unflyable(reference)}"
+        else:
+            why = self.member.pilot.unflown(reference)
+        self._amiss = f"{why} ({place_of(self.step)})"
         if self._refused == 1:
             log.warning("drone %d: %s: not flown", self.id, self._amiss)
 

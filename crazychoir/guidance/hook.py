@@ -79,6 +79,14 @@ def require_signature(
         raise ConfigError(f"{where}: {name}", f"def {name}{signature}", wanted, chapter) from None
 
 
+def place_of(function: Callable[..., Any]) -> str:
+    """Return where a user's function is written, as "file:line name"; its name alone where that is not known."""
+    plain = inspect.unwrap(getattr(function, "__func__", function))
+    code = getattr(plain, "__code__", None)
+    name = getattr(plain, "__qualname__", type(function).__qualname__)
+    return name if code is None else f"{code.co_filename}:{code.co_firstlineno} {name}"
+
+
 def shown(value: object) -> str:
     """What a value is, in a few words."""
     if value is None:

@@ -38,8 +38,8 @@ WAITS = "crazychoir run --wait, or [flight] operator = true, makes missions wait
 class Orders:
     """The commands of one drone's operator.
 
-    abort: ends its mission with a reason, as its operator;  over: why it is over, empty if it is not;  arm: lets the motors of a drone
-    turn that a radio reaches, and says what has come of it; None: the first command does.
+    abort: ends its mission with a reason, as its operator;  over: why it is over, empty if it is not;  arm: lets the
+    motors of a drone turn that a radio reaches, and says what has come of it; None: the first command does.
     """
 
     def __init__(

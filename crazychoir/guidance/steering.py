@@ -55,7 +55,11 @@ class Steering:
             self._refuse(f"go-to: {error}; allowed: p [x, y, z] m, yaw rad, duration s")
         self._require_cleared()
         self._require_steerable()
-        await self._reach(np.array(goal.p), goal.yaw, goal.duration, self._turn())
+        try:
+            place = self.drone.pilot.require_goal("go-to", goal.p, goal.yaw, goal.duration)
+        except ConfigError as error:
+            self._refuse(str(error))
+        await self._reach(place, goal.yaw, goal.duration, self._turn())
         return "there"
 
     async def fly(self, arguments: dict[str, Any]) -> str:
