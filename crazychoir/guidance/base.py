@@ -19,7 +19,7 @@ from crazychoir.optimization.checks import require_graph
 from crazychoir.planning.feasibility import Limits, check_references, references
 from crazychoir.planning.scaling import GETS_UP, Resumed
 from crazychoir.planning.trajectory import Trajectory
-from crazychoir.safety.goals import converted, require_path, require_trajectory
+from crazychoir.safety.goals import require_path, require_trajectory
 from crazychoir.safety.modes import HELD, Mode
 from crazychoir.safety.pilot import Pilot
 from crazychoir.swarm.communicator import Communicator
@@ -77,7 +77,6 @@ class CFGuidance:
     def bind(self, member: Member) -> None:
         """Meet the drone."""
         self.member = member
-        self._refused_at: set[str] = set()  # places in the mission's file whose reference was not flown
 
     @abstractmethod
     async def mission(self) -> dict[str, Any]:
@@ -299,7 +298,6 @@ class CFGuidance:
         Interrupted when the flight is stopped on the way, as by a hold, or not ended where the trajectory ends.
         """
         require_trajectory(f"drone {self.id}: fly()", trajectory)
-        trajectory = converted(trajectory)
         require_feasible(trajectory, self.member.pilot)
         pilot, clock, left, attempts = self.member.pilot, self.member.clock, trajectory, 0
         end, ends = trajectory.sample(trajectory.duration), clock.now() + trajectory.duration + PATIENCE
@@ -350,8 +348,9 @@ class CFGuidance:
         if pilot.follow(reference) is False:
             caller = sys._getframe(1)
             place = f"{caller.f_code.co_filename}:{caller.f_lineno}"
-            if place not in self._refused_at:
-                self._refused_at.add(place)
+            said: set[str] = self.__dict__.setdefault("_said_at", set())  # places whose reference was not flown
+            if place not in said:
+                said.add(place)
                 log.warning("drone %d: %s: follow(): %s", self.id, place, pilot.note)
 
     async def sleep(self, seconds: float) -> None:

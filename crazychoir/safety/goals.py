@@ -7,10 +7,6 @@ import numpy as np
 import numpy.typing as npt
 
 from crazychoir.errors import ConfigError
-from crazychoir.planning.piecewise import Piecewise
-from crazychoir.planning.point_to_point import PointToPoint
-from crazychoir.planning.scaling import Resumed
-from crazychoir.planning.trajectory import Trajectory
 from crazychoir.safety.array_like import as_floats, described
 from crazychoir.safety.guard import Guard
 from crazychoir.types import FullState, Mat, Vec
@@ -60,39 +56,23 @@ def require_trajectory(where: str, trajectory: object) -> None:
     do = "Make one of places: crazychoir.planning.minimum_snap.minimum_snap(places)."
     if missing:
         raise ConfigError(where, type(trajectory).__name__, "a trajectory: duration, sample(t), done(t)", do)
-    duration = as_floats(trajectory.duration, ())  # type: ignore[attr-defined]
+    found = trajectory.duration  # type: ignore[attr-defined]
+    duration = as_floats(found, ())
     if duration is None or not (math.isfinite(float(duration)) and float(duration) > 0.0):
-        found = described(trajectory.duration)  # type: ignore[attr-defined]
-        raise ConfigError(f"{where}: duration", found, "a positive number of seconds", do)
+        raise ConfigError(f"{where}: duration", described(found), "a positive number of seconds", do)
+    for t in (0.0, 0.5 * float(duration), float(duration)):
+        require_setpoint(trajectory.sample(t), t)  # type: ignore[attr-defined]
 
 
-class Converted:
-    """A trajectory of a user's own class, whose set-points are made into float64 where they are taken.
+def require_setpoint(found: object, t: float) -> FullState:
+    """Return what a trajectory's sample(t) has returned, with the float64 array that kernels take.
 
-    Raises ConfigError for a set-point that is no FullState of 14 numbers.
+    Raises ConfigError for what is no FullState of 14 numbers.
     """
-
-    def __init__(self, trajectory: Trajectory) -> None:
-        self.trajectory = trajectory
-        self.duration = float(trajectory.duration)
-
-    def sample(self, t: float) -> FullState:
-        """Return the reference t seconds after the start."""
-        found = self.trajectory.sample(t)
-        flat = as_floats(getattr(found, "flat", None), (14,))
-        if flat is None or not isinstance(found, FullState):
-            raise ConfigError(f"trajectory: sample({t:.2f})", described(found), "a FullState of 14 numbers")
-        return found if flat is found.flat else FullState(flat)
-
-    def done(self, t: float) -> bool:
-        """Return whether the end is reached at t."""
-        return bool(self.trajectory.done(t))
-
-
-def converted(trajectory: Trajectory) -> Trajectory:
-    """Return a trajectory whose set-points kernels take: itself if it is made of this package's polynomials."""
-    ours = isinstance(trajectory, Piecewise | PointToPoint | Resumed | Converted)
-    return trajectory if ours else Converted(trajectory)
+    flat = as_floats(getattr(found, "flat", None), (14,))
+    if flat is None or not isinstance(found, FullState):
+        raise ConfigError(f"trajectory: sample({t:.2f})", described(found), "a FullState of 14 numbers")
+    return found if flat is found.flat else FullState(flat)
 
 
 def _leaves(path: Mat, guard: Guard, planar: bool) -> npt.NDArray[np.bool_]:

@@ -33,7 +33,7 @@ from crazychoir.safety.collision.filter import CollisionFilter
 from crazychoir.safety.collision.planned import PlannedFlights
 from crazychoir.safety.estimate import SEEN, believed, filter_of
 from crazychoir.safety.flights import Flights, braking
-from crazychoir.safety.goals import require_goal
+from crazychoir.safety.goals import require_goal, require_setpoint
 from crazychoir.safety.guard import (
     BELOW_GROUND,
     EDGE,
@@ -451,7 +451,8 @@ class Pilot(Actor):
         """
         if not self._may_fly(commanded):
             return 0.0
-        self._flown, self._reference, self._obeyed = trajectory.sample(0.0), None, NOMINAL
+        self._flown = require_setpoint(trajectory.sample(0.0), 0.0)
+        self._reference, self._obeyed = None, NOMINAL
         self._beyond = False
         self._change(Event.FLY)
         return self.flights.fly(trajectory, self.clock.now())
