@@ -24,9 +24,15 @@ import traceback
 from collections.abc import Iterable, Iterator, Mapping
 from os import PathLike
 
+UNSAID = "no reason was given"
+
 
 class CrazyChoirError(Exception):
-    """Root of all errors of this package."""
+    """Root of all errors of this package; its text is never empty, and never ends before its reason."""
+
+    def __init__(self, *args: object) -> None:
+        text, *rest = args or ("",)
+        super().__init__(spoken(text, UNSAID) if isinstance(text, str) else text, *rest)
 
 
 class ConfigError(CrazyChoirError, ValueError):
@@ -120,8 +126,8 @@ class Refused(CrazyChoirError, RuntimeError):
     """Somebody refused; `by` is who, `reason` is why."""
 
     def __init__(self, by: str, reason: str) -> None:
-        self.by, self.reason = by, reason
-        super().__init__(f"{by}: refused: {reason}")
+        self.by, self.reason = by, spoken(reason, UNSAID)
+        super().__init__(f"{by}: refused: {self.reason}")
 
 
 class SolverError(CrazyChoirError, RuntimeError):
@@ -136,8 +142,8 @@ class AgentFailed(CrazyChoirError, RuntimeError):
     """A distributed algorithm has ended at all agents because it failed at one; `agent` is which, `reason` is why."""
 
     def __init__(self, agent: int, reason: str) -> None:
-        self.agent, self.reason = agent, reason
-        super().__init__(f"agent {agent} has failed, and with it the team: {reason}")
+        self.agent, self.reason = agent, spoken(reason, UNSAID)
+        super().__init__(f"agent {agent} has failed, and with it the team: {self.reason}")
 
 
 class ProcessFailed(CrazyChoirError, RuntimeError):

@@ -11,8 +11,9 @@ import numpy as np
 
 from crazychoir.control.position import HEADROOM
 from crazychoir.errors import ConfigError, Refused
+from crazychoir.guidance.awaited import awaited, called_from, watch_coroutines
 from crazychoir.guidance.hook import shown
-from crazychoir.guidance.member import PATIENCE, SETTLE, Interrupted, Member, touch_down
+from crazychoir.guidance.member import PATIENCE, SETTLE, Interrupted, Member, standing, touch_down
 from crazychoir.guidance.sensors import Readings
 from crazychoir.guidance.turns import CLOSE, TURN, aside, blocked, first_at
 from crazychoir.optimization.checks import require_graph
@@ -52,6 +53,10 @@ UNCOMMANDED = 1800.0
 GATES = {"take-off": "waits for its operator: take-off", "start": "waits for its operator: start"}
 
 
+WATCHED_BY_RUNTIME = frozenset({"mission", "asked"})
+"""Coroutine functions that the runtime itself awaits."""
+
+
 class Verb(Generic[P, R]):
     """A method of the communicator as a method of CFGuidance: the same arguments, defaults and documentation."""
 
@@ -63,7 +68,19 @@ class Verb(Generic[P, R]):
     @overload
     def __get__(self, guidance: "CFGuidance", owner: type) -> Callable[P, R]: ...
     def __get__(self, guidance: "CFGuidance | None", owner: type) -> Callable[..., R]:
-        return self.verb if guidance is None else MethodType(self.verb, guidance.member.communicator)
+        if guidance is None:
+            return self.verb
+        return MethodType(_talk, (guidance, self.verb))
+
+
+def _talk(verb: "tuple[CFGuidance, Callable[..., Any]]", *args: Any, **kwargs: Any) -> Any:
+    """Call a verb of the communicator of a guidance, which is known until it is awaited."""
+    caller = sys._getframe(1)
+    guidance, function = verb
+    communicator = guidance.member.communicator
+    return called_from(
+        caller.f_code.co_filename, caller.f_lineno, guidance, function, communicator, *args, **kwargs
+    )  # fmt: skip
 
 
 class CFGuidance:
@@ -73,6 +90,11 @@ class CFGuidance:
     """
 
     member: Member
+
+    def __init_subclass__(cls, **kwargs: Any) -> None:
+        """Know the calls of a user's own coroutine functions until they are awaited."""
+        super().__init_subclass__(**kwargs)
+        watch_coroutines(cls, WATCHED_BY_RUNTIME)
 
     def bind(self, member: Member) -> None:
         """Meet the drone."""
@@ -129,6 +151,7 @@ class CFGuidance:
     asynchronous_receive = Verb(Communicator.asynchronous_receive)
     neighbors_exchange = Verb(Communicator.neighbors_exchange)
 
+    @awaited
     async def optimize(
         self, algorithm: Round, channel: str = "optimize", deadline: float | None = None, pace: Pace | None = None
     ) -> None:
@@ -146,6 +169,7 @@ class CFGuidance:
         if not getattr(algorithm, "asynchronous", False):
             await communicator.close(channel)
 
+    @awaited
     async def rendezvous(self, channel: str = "rendezvous") -> None:
         """Go on only when the whole team is here: as many empty rounds as the graph's diameter.
 
@@ -157,6 +181,7 @@ class CFGuidance:
 
     # Flying ---------------------------------------------------------------------------------------------------
 
+    @awaited
     async def take_off(self, height: float | None = None) -> None:
         """Rise to `height` m above the ground (None: that of the swarm file), inside the fence, and be there.
 
@@ -206,6 +231,7 @@ class CFGuidance:
     def foresee(self, member: Member) -> None:
         """Look ahead, before anybody flies: compile what takes long; raise ConfigError for what cannot be flown."""
 
+    @awaited
     async def wait_for_start(self) -> None:
         """In a run with an operator, wait on the ground for his start, and for the team's; else go on at once.
 
@@ -236,7 +262,7 @@ class CFGuidance:
         if waits():
             raise Interrupted(f"drone {self.id}: no {gate} by its operator within {seconds:g} s")
         if pilot.mode is Mode.CUT:
-            raise Interrupted(f"drone {self.id}: {pilot.mode.value}: {pilot.note}")
+            raise Interrupted(f"drone {self.id}: {standing(pilot)}")
 
     async def _settle(self, goal: Vec) -> None:
         """Wait, at most PATIENT s, until it has stood still at goal: then it has learnt its thrust and its trim."""
@@ -248,6 +274,7 @@ class CFGuidance:
             stood = stood + 1 if there else 0
             await self.sleep(SETTLE)
 
+    @awaited
     async def go_to(self, p: Point, duration: float = 0.0, yaw: float | None = None) -> None:
         """Fly to p (3,) m, world, yaw rad (None: as it is), and be there; stopped by the safety table, it flies again.
 
@@ -288,6 +315,7 @@ class CFGuidance:
         while first_at(pilot, p) < self.id and clock.now() < ends:
             await self._while(SETTLE, Mode.FOLLOW)
 
+    @awaited
     async def fly(self, trajectory: Trajectory) -> None:
         """Go to where a trajectory begins, fly it, and be at its end.
 
@@ -314,7 +342,7 @@ class CFGuidance:
                 attempts += 1
                 left = Resumed(left, t, max(GETS_UP, 4.0 * flight.speed_limit / flight.acceleration_limit))
             await self.sleep(SETTLE)
-        why = HELD if pilot.held else pilot.note
+        why = HELD if pilot.held else standing(pilot)
         raise Interrupted(f"drone {self.id}: its trajectory of {trajectory.duration:.1f} s was not flown: {why}")
 
     async def _flown(self, trajectory: Trajectory) -> float:
@@ -327,6 +355,7 @@ class CFGuidance:
             left = pilot.remaining()
         return t
 
+    @awaited
     async def land(self) -> None:
         """Come down and stop the motors; a drone that its operator holds waits in the air, at most PATIENCE s.
 
@@ -339,7 +368,7 @@ class CFGuidance:
         pilot.land()
         await touch_down(pilot, TOUCHDOWN)
         if pilot.mode is not Mode.GROUND:
-            raise Interrupted(f"drone {self.id}: {pilot.mode.value}: {pilot.note}")
+            raise Interrupted(f"drone {self.id}: {standing(pilot)}")
 
     def follow(self, reference: Reference) -> None:
         """Fly this reference; renew it before it is stale. One that cannot be flown is none, and the log says why."""
@@ -353,6 +382,7 @@ class CFGuidance:
                 said.add(place)
                 log.warning("drone %d: %s: follow(): %s", self.id, place, pilot.note)
 
+    @awaited
     async def sleep(self, seconds: float) -> None:
         """Wait, in the swarm's time."""
         await self.member.clock.sleep(seconds, drone=self.id)
@@ -372,7 +402,7 @@ class CFGuidance:
         while pilot.mode in flying and (left := ends + pilot.flights.waited - clock.now()) > 0.0:
             await self.sleep(min(SETTLE, max(left, 1e-3)))
         if pilot.mode not in flying:
-            raise Interrupted(f"drone {self.id}: {pilot.mode.value}: {pilot.note}")
+            raise Interrupted(f"drone {self.id}: {standing(pilot)}")
 
 
 def require_feasible(trajectory: Trajectory, pilot: Pilot) -> None:

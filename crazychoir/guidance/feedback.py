@@ -15,7 +15,7 @@ from crazychoir.errors import ConfigError
 from crazychoir.guidance.base import CFGuidance
 from crazychoir.guidance.hearing import Hearing, Paired, VelocitySum
 from crazychoir.guidance.hook import Hook, place_of
-from crazychoir.guidance.member import Interrupted, Member, raisable
+from crazychoir.guidance.member import Interrupted, Member, raisable, standing
 from crazychoir.runtime.clock import SECOND, wake
 from crazychoir.runtime.mailbox import Call
 from crazychoir.safety.modes import Mode
@@ -182,7 +182,7 @@ class CFDistributedFeedback(CFGuidance):
                 return
             self._due_ns += max(1, late_ns // self._period_ns + 1) * self._period_ns
             if pilot.mode not in LAW_MODES:
-                raise Interrupted(f"drone {self.id}: {pilot.mode.value}: {pilot.note}{self._deaf()}")
+                raise Interrupted(f"drone {self.id}: {standing(pilot)}{self._deaf()}")
             reference = self._stepped(self._me)
             self._steps += 1
             if reference is None:

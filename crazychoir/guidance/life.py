@@ -8,6 +8,7 @@ from typing import Any
 from crazychoir.bus.codec import decode, encode
 from crazychoir.bus.topics import LOG, RESULT, STATUS
 from crazychoir.errors import AgentFailed, CodecError, CrazyChoirError, Hung, Refused, exit_call, raised_at, spoken
+from crazychoir.guidance.awaited import forgotten
 from crazychoir.guidance.drone import Drone
 from crazychoir.guidance.member import Member, raisable, touch_down
 from crazychoir.guidance.turns import blocked
@@ -65,7 +66,7 @@ class GuidanceActor(Actor):
             await asyncio.wait(ends, return_when=asyncio.FIRST_COMPLETED)
             if not life.done():
                 await self._last_words(life)
-            drone.result = self._outcome(life)
+            drone.result = self._unforgotten(self._outcome(life))
             if drone.barrier.apart:
                 drone.result = {**drone.result, "apart": drone.barrier.apart}
             if not drone.result["success"] or ENDED in drone.result:
@@ -223,6 +224,14 @@ class GuidanceActor(Actor):
             return failure(str(error))
         return failure(self._broken(error))
 
+    def _unforgotten(self, result: Result) -> Result:
+        """The outcome; a failure that names the calls which the mission has made without await, if there are any."""
+        words = forgotten(self.drone.guidance)
+        if not words:
+            return result
+        reason = "" if result["success"] else f"; {result['reason']}"
+        return failure(f"drone {self.drone.id}: {words}{reason}", result)
+
     def _aborted_by_operator(self, error: BaseException | None) -> Result:
         """The operator's end; a failure if the mission's own code has broken meanwhile."""
         if error is None or _is_expected(error):
@@ -262,7 +271,9 @@ class GuidanceActor(Actor):
                 return failure(f"drone {self.drone.id}: {'; '.join(reasons)}", result)
             return result if not self._by_operator else {**result, ENDED: result.get(ENDED, self._aborted)}
         reason = str(result.get("reason") or "")
-        return failure("; ".join(filter(None, (reason, harm))), result) if harm and harm not in reason else result
+        if harm and harm not in reason:
+            return failure("; ".join(filter(None, (reason, harm))), result)
+        return failure(reason, result)
 
 
 def checked(returned: object) -> Result:

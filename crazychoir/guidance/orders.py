@@ -10,7 +10,7 @@ from crazychoir.errors import Refused
 from crazychoir.guidance.base import FLYING
 from crazychoir.guidance.drone import Drone
 from crazychoir.guidance.life import LANDED, LANDING_DEADLINE, SENT_HOME
-from crazychoir.guidance.member import PATIENCE, Member, touch_down
+from crazychoir.guidance.member import PATIENCE, Member, standing, touch_down
 from crazychoir.runtime.mailbox import Latest
 from crazychoir.safety.guard import EDGE
 from crazychoir.safety.homecoming import level_above
@@ -109,7 +109,7 @@ class Orders:
         while pilot.mode is Mode.TAKEOFF and pilot.clock.now() < ends:
             await pilot.clock.sleep(POLL, drone=self.drone.id)
         if pilot.mode not in FLYING:
-            self._refuse(f"{pilot.mode.value}: {pilot.note}")
+            self._refuse(standing(pilot))
         return pilot.mode.value
 
     def _start(self) -> str:
@@ -146,7 +146,7 @@ class Orders:
         pilot = self.drone.pilot
         await touch_down(pilot, LANDING_DEADLINE + PATIENCE)
         if pilot.mode is not Mode.GROUND:
-            self._refuse(f"{pilot.mode.value}: {pilot.note}")
+            self._refuse(standing(pilot))
         return str(pilot.mode.value)
 
 

@@ -10,6 +10,7 @@ from crazychoir.bus.codec import MAX_PAYLOAD
 from crazychoir.errors import ConfigError, Refused
 from crazychoir.guidance.base import ARRIVED, ATTEMPTS, require_feasible
 from crazychoir.guidance.drone import Drone
+from crazychoir.guidance.member import standing
 from crazychoir.guidance.turns import blocked
 from crazychoir.planning.piecewise import DEGREE, Piecewise
 from crazychoir.safety.modes import Mode
@@ -134,7 +135,8 @@ class Steering:
         self._require_cleared()
         if not self.drone.pilot.steerable:
             pilot = self.drone.pilot
-            self._refuse(f"it goes on with its mission: {pilot.note}" if pilot.obeys else f"it is {pilot.mode.value}")
+            goes_on = f"it goes on with its mission: {standing(pilot)}"
+            self._refuse(goes_on if pilot.obeys else f"it is {pilot.mode.value}")
         if not self.drone.pilot.commanded:
             self._refuse("it was held on its way")
 
