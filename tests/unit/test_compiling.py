@@ -80,7 +80,7 @@ def test_what_is_wrong_with_a_swarm_is_said_before_any_law_is_compiled(text, wor
     kept = tmp_path / "kept"
     kept.mkdir()
     command = [sys.executable, "-m", f"crazychoir.cli.{program}", *rest]
-    run = subprocess.run(  # noqa: S603 - a program of this package
+    run = subprocess.run(
         command, env={**os.environ, "NUMBA_CACHE_DIR": str(kept)}, capture_output=True, text=True, check=False
     )
     assert (run.returncode, said in run.stderr) == (2, True), run.stderr

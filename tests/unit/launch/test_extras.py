@@ -31,7 +31,12 @@ def swarm(uri="mujoco://", **tables):
     [
         (swarm(), [WORLD], False, "drone 0: uri = .mujoco://.: found no module mujoco; .*'crazychoir.mujoco.'"),
         (swarm(), [], True, "no module mujoco"),
-        (swarm("udp://127.0.0.1:{}", mocap={"source": "vicon"}), [MOCAP], False, "source = .vicon.*'crazychoir.mocap.'"),
+        (
+            swarm("udp://127.0.0.1:{}", mocap={"source": "vicon"}),
+            [MOCAP],
+            False,
+            "source = .vicon.*'crazychoir.mocap.'",
+        ),
     ],
 )
 def test_what_a_run_needs_here_is_named_with_how_to_install_it(nothing_installed, config, owners, fast, words):
