@@ -16,6 +16,7 @@ from msgspec import Meta
 from crazychoir import CFGuidance, SwarmConfig
 from crazychoir.errors import ConfigError
 from crazychoir.guidance.aggregative import Defence, Defender
+from crazychoir.guidance.inside import require_inside
 from crazychoir.guidance.mission_options import Duration, Period, Spot, Spots, given, require_none
 from crazychoir.guidance.timed import SETTLE, TimedFlight
 from crazychoir.math3d import Mat, Vec
@@ -129,7 +130,9 @@ def round_of(i: int, config: SwarmConfig) -> Piecewise:
     limits = Limits(
         v_max=flight.speed_limit, a_max=flight.acceleration_limit, low=config.fence.min, high=config.fence.max
     )
-    return timed_goals(FullState.at(places[0]), np.array(goals), limits)
+    way = timed_goals(FullState.at(places[0]), np.array(goals), limits)
+    require_inside(way, config, f"swarm {config.name}: drone {i}")
+    return way
 
 
 def swarm(drones: int | None = None) -> SwarmConfig:

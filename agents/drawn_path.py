@@ -14,6 +14,7 @@ from scipy.spatial import cKDTree
 from crazychoir import CFGuidance, SwarmConfig
 from crazychoir.control.gains import STANDARD
 from crazychoir.errors import ConfigError
+from crazychoir.guidance.inside import require_inside
 from crazychoir.guidance.mission_options import Offset, Yaw, given, require_none
 from crazychoir.guidance.timed import Way, noted
 from crazychoir.planning.drawing import Drawing, Pen, drawing
@@ -78,7 +79,9 @@ def drawn(config: SwarmConfig, i: int) -> Drawing:
         v_max=flight.speed_limit, a_max=flight.acceleration_limit, j_max=STANDARD.kr[0] * flight.acceleration_limit,
         low=config.fence.min, high=config.fence.max,
     )  # fmt: skip
-    return drawing(placed, pen, limits)
+    planned = drawing(placed, pen, limits)
+    require_inside(planned.path, config, "drawing")
+    return planned
 
 
 def guidance(i: int, config: SwarmConfig) -> CFGuidance:

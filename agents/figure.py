@@ -10,6 +10,7 @@ from msgspec import Meta
 
 from crazychoir import CFGuidance, SwarmConfig
 from crazychoir.errors import ConfigError
+from crazychoir.guidance.inside import require_inside
 from crazychoir.guidance.mission_options import Laps, Length, Period, Ramp, Yaw, given, require_none
 from crazychoir.planning import feasibility
 from crazychoir.planning.feasibility import Limits
@@ -78,6 +79,7 @@ def check(config: SwarmConfig, force: bool = False) -> list[str]:
     for i in config.ids:
         try:
             feasibility.check(_figure(config, i), limits)
+            require_inside(_figure(config, i), config, "trajectory")
         except ConfigError as error:
             raise ConfigError(f"{where}: drone {i}: {error.where}", error.found, error.allowed, error.do) from error
     return []

@@ -13,6 +13,7 @@ from msgspec import Meta
 
 from crazychoir import CFGuidance, SwarmConfig
 from crazychoir.errors import ConfigError
+from crazychoir.guidance.inside import require_inside
 from crazychoir.guidance.mission_options import Coordinate, given, require_each, require_none
 from crazychoir.guidance.timed import TimedFlight
 from crazychoir.math3d import Vec
@@ -67,10 +68,12 @@ def flight(i: int, config: SwarmConfig) -> Piecewise:
         v_max=limits.speed_limit, a_max=limits.acceleration_limit, low=config.fence.min, high=config.fence.max
     )
     try:
-        return timed_goals(start, np.array(rows), room)
+        way = timed_goals(start, np.array(rows), room)
+        require_inside(way, config, "goals")
     except ConfigError as error:
         where = f"swarm {config.name}: mission_options.goals: drone {i}: {error.where}"
         raise ConfigError(where, error.found, error.allowed, error.do) from error
+    return way
 
 
 def goals(config: SwarmConfig) -> dict[int, tuple[Row, ...]]:

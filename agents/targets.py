@@ -15,6 +15,7 @@ from crazychoir.guidance.mission_options import Place, given, require_none
 from crazychoir.guidance.timed import TargetList
 from crazychoir.math3d import Mat, Vec
 from crazychoir.recording.tracks import draw_ways
+from crazychoir.swarm.flight_room import room_of
 from crazychoir.swarm.tables import Table
 
 Results = dict[int, dict[str, Any]]
@@ -60,10 +61,11 @@ def check(config: SwarmConfig, force: bool = False) -> list[str]:
     """There are targets, all of them inside the fence."""
     require_none(config)
     low, high = config.fence.min, config.fence.max
+    a, b = room_of(config)
     for i in config.ids:
         places = targets(i, config)
         for k, place in enumerate(places):
-            if not (np.all(place >= low) and np.all(place <= high)):
+            if not (np.all(place >= a) and np.all(place <= b)):
                 where = f"swarm {config.name}: mission_options.targets[{k}]"
                 allowed = f"inside [fence], {list(low)} to {list(high)} m"
                 raise ConfigError(where, f"{place.tolist()} of drone {i}", allowed, "Move it, or widen [fence].")

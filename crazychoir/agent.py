@@ -294,7 +294,13 @@ class Agent:
 
     def _orders_of(self, drone: Drone) -> Orders:
         i = drone.id
-        abort, over = lambda why: self._guidances[i].abort(why), lambda: self._guidances[i].over
+
+        def abort(why: str) -> None:
+            self._guidances[i].abort(why, by_operator=True)
+
+        def over() -> str:
+            return self._guidances[i].over
+
         arm = self._remotes[i].arm if i in self.config.reached else None
         return Orders(drone, self.config, abort, over, arm)
 

@@ -18,14 +18,21 @@
     └── Livelock(RuntimeError)             virtual time: the clock stands still
 """
 
+import contextlib
 import sysconfig
 import traceback
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from os import PathLike
+
+UNSAID = "no reason was given"
 
 
 class CrazyChoirError(Exception):
-    """Root of all errors of this package."""
+    """Root of all errors of this package; its text is never empty, and never ends before its reason."""
+
+    def __init__(self, *args: object) -> None:
+        text, *rest = args or ("",)
+        super().__init__(spoken(text, UNSAID) if isinstance(text, str) else text, *rest)
 
 
 class ConfigError(CrazyChoirError, ValueError):
@@ -119,8 +126,8 @@ class Refused(CrazyChoirError, RuntimeError):
     """Somebody refused; `by` is who, `reason` is why."""
 
     def __init__(self, by: str, reason: str) -> None:
-        self.by, self.reason = by, reason
-        super().__init__(f"{by}: refused: {reason}")
+        self.by, self.reason = by, spoken(reason, UNSAID)
+        super().__init__(f"{by}: refused: {self.reason}")
 
 
 class SolverError(CrazyChoirError, RuntimeError):
@@ -135,8 +142,8 @@ class AgentFailed(CrazyChoirError, RuntimeError):
     """A distributed algorithm has ended at all agents because it failed at one; `agent` is which, `reason` is why."""
 
     def __init__(self, agent: int, reason: str) -> None:
-        self.agent, self.reason = agent, reason
-        super().__init__(f"agent {agent} has failed, and with it the team: {reason}")
+        self.agent, self.reason = agent, spoken(reason, UNSAID)
+        super().__init__(f"agent {agent} has failed, and with it the team: {self.reason}")
 
 
 class ProcessFailed(CrazyChoirError, RuntimeError):
@@ -175,3 +182,39 @@ def raised_at(error: BaseException) -> traceback.FrameSummary:
     places = traceback.extract_tb(error.__traceback__)
     own = [place for place in places if not is_library(place.filename)]
     return (own or places)[-1]
+
+
+def exit_call(end: SystemExit) -> str:
+    """How a user's code has ended the process, as it is written there."""
+    return f"sys.exit({'' if end.code is None else repr(end.code)})"
+
+
+def exit_of(end: SystemExit, what: str) -> ConfigError:
+    """The error for a user's code that has called sys.exit, exit or quit; it names the file and the line.
+
+    what: what called it, in words, such as "the mission".
+    """
+    place = raised_at(end)
+    allowed = "code that returns, or raises an exception"
+    do = "Remove the call: the process belongs to crazychoir, and drones may fly in it."
+    return ConfigError(f"{place.filename}:{place.lineno}", f"{what} called {exit_call(end)}", allowed, do)
+
+
+@contextlib.contextmanager
+def without_exit(what: str) -> Iterator[None]:
+    """A user's code that may not end the process: sys.exit becomes the error of `exit_of`."""
+    try:
+        yield
+    except SystemExit as end:
+        raise exit_of(end, what) from end
+
+
+def spoken(reason: object, otherwise: str) -> str:
+    """The reason in words, never empty: `otherwise` stands for a missing one.
+
+    A reason that ends in a colon lacks its last part, as where a note was empty; `otherwise` is put there.
+    """
+    words = "" if reason is None else str(reason).strip()
+    if not words:
+        return otherwise
+    return f"{words} {otherwise}" if words.endswith(":") else words

@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from crazychoir.cache import keep
+from crazychoir.compiling import LATER
 
 Vec = npt.NDArray[np.float64]
 Mat = npt.NDArray[np.float64]
@@ -34,6 +35,8 @@ table = numba.float64[:, ::1]
 def kernel(*arguments: Any, **options: bool) -> Callable[[Law], Law]:
     """Compile a law for these argument types when its module is imported; after the first time, from the disk.
 
+    A program that has something to check first lets them wait, see crazychoir.compiling.
+
     Fixed types on purpose: another kind of array raises TypeError at once instead of compiling for a second in flight.
     Without arguments: a piece of other kernels, compiled with them. options: of numba, as nogil and forceinline.
     """
@@ -46,8 +49,7 @@ def kernel(*arguments: Any, **options: bool) -> Callable[[Law], Law]:
             return law
         keep(dispatcher, law, arguments, sorted(dispatcher.targetoptions.items()))
         if arguments:
-            dispatcher.compile(arguments)
-            dispatcher.disable_compile()
+            LATER.compile_or_wait(dispatcher, arguments)
         return cast(Law, dispatcher)
 
     return compiled

@@ -8,7 +8,8 @@ import typer
 
 from crazychoir.cli import ending, options
 from crazychoir.cli.show import STDERR, STDOUT, fail, prints_aside, result_table, set_up_logging, write_json
-from crazychoir.errors import CrazyChoirError
+from crazychoir.compiling import LATER
+from crazychoir.errors import CrazyChoirError, without_exit
 
 log = logging.getLogger(__name__)
 app = typer.Typer(add_completion=False)
@@ -31,17 +32,20 @@ def agent(
     if child is not None:
         ending.with_parent()
     set_up_logging()
-    from crazychoir.cli.chosen import configured  # kernels and network: 1 s that --help does not need
-    from crazychoir.cli.process import run_agent
-    from crazychoir.guidance.mission import load, look_before
-    from crazychoir.launch.processes import write_results
+    with LATER.checks_first():
+        from crazychoir.cli.chosen import configured  # kernels and network: 1 s that --help does not need
+        from crazychoir.cli.process import run_agent
+        from crazychoir.guidance.mission import load, look_before
+        from crazychoir.launch.processes import write_results
 
     try:
-        with prints_aside():
-            config, which = configured(swarm, mission, loss, seed)
-            flown = load(str(config.mission))
-            members = tuple(sorted({config.drone(i).id: None for i in ids}))
-            warned = look_before(flown, config, force)
+        with prints_aside(), without_exit("the mission"):
+            with LATER.checks_first():
+                config, which = configured(swarm, mission, loss, seed)
+                members = tuple(sorted({config.drone(i).id: None for i in ids}))
+                flown = load(str(config.mission))
+                warned = look_before(flown, config, force)
+            LATER.compile()
             if not as_json and child is None:
                 STDERR.print(f"swarm {config.name} ({which}), mission {config.mission}, drone(s) {ids}")
             for text in warned:

@@ -46,7 +46,8 @@ from crazychoir.cli.show import (
     summary_table,
     write_json,
 )
-from crazychoir.errors import CrazyChoirError
+from crazychoir.compiling import LATER
+from crazychoir.errors import CrazyChoirError, without_exit
 
 if TYPE_CHECKING:
     from crazychoir.guidance.mission import Mission
@@ -125,32 +126,37 @@ def run(
 ) -> None:
     """Fly a mission on this machine; Ctrl-C lands the drones."""
     set_up_logging()
-    from crazychoir.cli.chosen import (  # kernels and network: 1 s that --help does not need
-        check_options,
-        named_file,
-        to_run,
-        to_start,
-        with_operator,
-    )
-    from crazychoir.guidance.mission import look_before
-    from crazychoir.launch.flight import dongles, fly_fast, fly_real
-    from crazychoir.launch.network import set_apart, swarm_file
-    from crazychoir.launch.recording import recording_file
-    from crazychoir.launch.running import Run, recorded
-    from crazychoir.radio.ownership import require_free
+    with LATER.checks_first():
+        from crazychoir.cli.chosen import (  # kernels and network: 1 s that --help does not need
+            check_options,
+            named_file,
+            to_run,
+            to_start,
+            with_operator,
+        )
+        from crazychoir.guidance.mission import look_before
+        from crazychoir.launch.extras import require_extras
+        from crazychoir.launch.flight import dongles, fly_fast, fly_real, owners
+        from crazychoir.launch.network import set_apart, swarm_file
+        from crazychoir.launch.recording import recording_file
+        from crazychoir.launch.running import Run, recorded
+        from crazychoir.radio.ownership import require_free
 
     given = {"--fast": fast, "--processes": processes, "--picture": picture, "--drones": drones}
     try:
         check_options(what, swarm, only, given)
-        with prints_aside():
-            config, mission = to_run(what, drones, swarm, loss, seed)
-            config = with_operator(config, wait, fast)
-            require_drawable(picture)
-            started, source = to_start(only, config), named_file(what, swarm)
-            if not fast:
-                require_free(config, dongles(config, started))
-            named = {} if source is None else {"swarm": config.name}
-            warned = look_before(mission, config, force)
+        with prints_aside(), without_exit("the mission"):
+            with LATER.checks_first():
+                config, mission = to_run(what, drones, swarm, loss, seed)
+                config = with_operator(config, wait, fast)
+                require_drawable(picture)
+                started, source = to_start(only, config), named_file(what, swarm)
+                require_extras(config, [] if fast else owners(config, started), fast)
+                if not fast:
+                    require_free(config, dongles(config, started))
+                named = {} if source is None else {"swarm": config.name}
+                warned = look_before(mission, config, force)
+            LATER.compile()
             with Progress(status_table, enabled=not as_json) as progress:
                 for text in warned:
                     progress.say(text)

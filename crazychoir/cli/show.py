@@ -252,10 +252,9 @@ class Progress(Generic[T]):
 
 
 def _verdict(run: dict[str, Any]) -> str:
-    if run["success"]:
-        return "success"
-    commanded = run["reasons"] and all(str(reason).endswith("on command") for reason in run["reasons"].values())
-    return "ended by its operator" if commanded and not run.get("reason") else "failed"
+    if not run["success"]:
+        return "failed"
+    return "success, ended by its operator" if run.get("ended") else "success"
 
 
 def summary_table(run: dict[str, Any]) -> Table:
@@ -282,6 +281,8 @@ def summary_table(run: dict[str, Any]) -> Table:
         table.add_row("recording", Text(_recording(run["recording"])))
     if run.get("reason"):
         table.add_row("reason", Text(run["reason"], "red"))
+    for i, words in run.get("ended", {}).items():
+        table.add_row(f"drone {i}", Text(_of(i, words)))
     for i, reason in run["reasons"].items():
         table.add_row(f"drone {i}", Text(_of(i, reason), "red"))
     return table

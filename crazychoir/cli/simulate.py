@@ -22,7 +22,8 @@ from crazychoir.cli.show import (
     set_up_logging,
     write_json,
 )
-from crazychoir.errors import ConfigError, CrazyChoirError
+from crazychoir.compiling import LATER
+from crazychoir.errors import ConfigError, CrazyChoirError, without_exit
 
 if TYPE_CHECKING:
     from crazychoir.optimization.history import History
@@ -69,8 +70,9 @@ def simulate(
     its `result` is shown at the end.
     """
     set_up_logging()
-    from crazychoir import simulate as simulation  # numerics: 1 s that --help does not need
-    from crazychoir.optimization.history import require_suffix
+    with LATER.checks_first():
+        from crazychoir import simulate as simulation  # numerics: 1 s that --help does not need
+        from crazychoir.optimization.history import require_suffix
 
     asked = None if record is None else [name.strip() for name in record.split(",") if name.strip()]
     try:
@@ -78,11 +80,13 @@ def simulate(
         if save is not None:
             require_suffix(save, "--save")
         require_folder(save, "--save")
-        with prints_aside():
-            links, team = _team(file, agents, graph, seed, directed)
-            names = simulation.recorded(team, asked)
-            if picture is not None and not names:
-                raise ConfigError("--picture", "nothing recorded", "what --record names, to draw it")
+        with prints_aside(), without_exit("the algorithm"):
+            with LATER.checks_first():
+                links, team = _team(file, agents, graph, seed, directed)
+                names = simulation.recorded(team, asked)
+                if picture is not None and not names:
+                    raise ConfigError("--picture", "nothing recorded", "what --record names, to draw it")
+            LATER.compile()
             ended = False
             try:
                 with Progress(_progress_table, enabled=STDERR.is_terminal and not as_json) as progress:

@@ -1,5 +1,7 @@
 """What a mission is written in: CFGuidance, a coroutine with the paper's verbs."""
 
+import logging
+import sys
 from abc import abstractmethod
 from collections.abc import Callable
 from types import MethodType
@@ -9,14 +11,16 @@ import numpy as np
 
 from crazychoir.control.position import HEADROOM
 from crazychoir.errors import ConfigError, Refused
+from crazychoir.guidance.awaited import awaited, called_from, watch_coroutines
 from crazychoir.guidance.hook import shown
-from crazychoir.guidance.member import PATIENCE, SETTLE, Interrupted, Member, touch_down
+from crazychoir.guidance.member import PATIENCE, SETTLE, Interrupted, Member, standing, touch_down
 from crazychoir.guidance.sensors import Readings
 from crazychoir.guidance.turns import CLOSE, TURN, aside, blocked, first_at
 from crazychoir.optimization.checks import require_graph
-from crazychoir.planning.feasibility import Limits, check
+from crazychoir.planning.feasibility import Limits, check_references, references
 from crazychoir.planning.scaling import GETS_UP, Resumed
 from crazychoir.planning.trajectory import Trajectory
+from crazychoir.safety.goals import require_path, require_trajectory
 from crazychoir.safety.modes import HELD, Mode
 from crazychoir.safety.pilot import Pilot
 from crazychoir.swarm.communicator import Communicator
@@ -25,6 +29,7 @@ from crazychoir.swarm.round import Round
 from crazychoir.swarm.running import Pace, run_algorithm
 from crazychoir.types import Point, Reference, State, Vec
 
+log = logging.getLogger(__name__)
 P = ParamSpec("P")
 R = TypeVar("R")
 FLYING = (Mode.TAKEOFF, Mode.HOVER, Mode.FOLLOW)
@@ -48,6 +53,10 @@ UNCOMMANDED = 1800.0
 GATES = {"take-off": "waits for its operator: take-off", "start": "waits for its operator: start"}
 
 
+WATCHED_BY_RUNTIME = frozenset({"mission", "asked"})
+"""Coroutine functions that the runtime itself awaits."""
+
+
 class Verb(Generic[P, R]):
     """A method of the communicator as a method of CFGuidance: the same arguments, defaults and documentation."""
 
@@ -59,7 +68,19 @@ class Verb(Generic[P, R]):
     @overload
     def __get__(self, guidance: "CFGuidance", owner: type) -> Callable[P, R]: ...
     def __get__(self, guidance: "CFGuidance | None", owner: type) -> Callable[..., R]:
-        return self.verb if guidance is None else MethodType(self.verb, guidance.member.communicator)
+        if guidance is None:
+            return self.verb
+        return MethodType(_talk, (guidance, self.verb))
+
+
+def _talk(verb: "tuple[CFGuidance, Callable[..., Any]]", *args: Any, **kwargs: Any) -> Any:
+    """Call a verb of the communicator of a guidance, which is known until it is awaited."""
+    caller = sys._getframe(1)
+    guidance, function = verb
+    communicator = guidance.member.communicator
+    return called_from(
+        caller.f_code.co_filename, caller.f_lineno, guidance, function, communicator, *args, **kwargs
+    )  # fmt: skip
 
 
 class CFGuidance:
@@ -69,6 +90,11 @@ class CFGuidance:
     """
 
     member: Member
+
+    def __init_subclass__(cls, **kwargs: Any) -> None:
+        """Know the calls of a user's own coroutine functions until they are awaited."""
+        super().__init_subclass__(**kwargs)
+        watch_coroutines(cls, WATCHED_BY_RUNTIME)
 
     def bind(self, member: Member) -> None:
         """Meet the drone."""
@@ -125,6 +151,7 @@ class CFGuidance:
     asynchronous_receive = Verb(Communicator.asynchronous_receive)
     neighbors_exchange = Verb(Communicator.neighbors_exchange)
 
+    @awaited
     async def optimize(
         self, algorithm: Round, channel: str = "optimize", deadline: float | None = None, pace: Pace | None = None
     ) -> None:
@@ -142,6 +169,7 @@ class CFGuidance:
         if not getattr(algorithm, "asynchronous", False):
             await communicator.close(channel)
 
+    @awaited
     async def rendezvous(self, channel: str = "rendezvous") -> None:
         """Go on only when the whole team is here: as many empty rounds as the graph's diameter.
 
@@ -153,6 +181,7 @@ class CFGuidance:
 
     # Flying ---------------------------------------------------------------------------------------------------
 
+    @awaited
     async def take_off(self, height: float | None = None) -> None:
         """Rise to `height` m above the ground (None: that of the swarm file), inside the fence, and be there.
 
@@ -180,7 +209,7 @@ class CFGuidance:
         goal = pilot.above(height)
         await self._while(pilot.take_off(height), Mode.TAKEOFF)
         if pilot.gap(goal) > RISEN:
-            await self.go_to(goal)
+            await self._fly_to_place(goal)
         await self._settle(goal)
         if why := pilot.misjudged():
             pilot.land(why)
@@ -202,6 +231,7 @@ class CFGuidance:
     def foresee(self, member: Member) -> None:
         """Look ahead, before anybody flies: compile what takes long; raise ConfigError for what cannot be flown."""
 
+    @awaited
     async def wait_for_start(self) -> None:
         """In a run with an operator, wait on the ground for his start, and for the team's; else go on at once.
 
@@ -232,7 +262,7 @@ class CFGuidance:
         if waits():
             raise Interrupted(f"drone {self.id}: no {gate} by its operator within {seconds:g} s")
         if pilot.mode is Mode.CUT:
-            raise Interrupted(f"drone {self.id}: {pilot.mode.value}: {pilot.note}")
+            raise Interrupted(f"drone {self.id}: {standing(pilot)}")
 
     async def _settle(self, goal: Vec) -> None:
         """Wait, at most PATIENT s, until it has stood still at goal: then it has learnt its thrust and its trim."""
@@ -244,13 +274,20 @@ class CFGuidance:
             stood = stood + 1 if there else 0
             await self.sleep(SETTLE)
 
+    @awaited
     async def go_to(self, p: Point, duration: float = 0.0, yaw: float | None = None) -> None:
         """Fly to p (3,) m, world, yaw rad (None: as it is), and be there; stopped by the safety table, it flies again.
 
         It waits, at most PATIENCE s, while an operator holds the drone or the safety table brakes it, and where it
         gives way to others, as to one who stands at p.
-        Raises Interrupted when the pilot lands, and when p cannot be reached, as outside the fence.
+        Raises ConfigError, before it moves, for what is no place, and for a place outside the fence, at its edge, or on
+        the floor; Interrupted when the pilot lands, and when p cannot be reached.
         """
+        place = self.member.pilot.require_goal(f"drone {self.id}: go_to()", p, yaw, duration)
+        await self._fly_to_place(place, duration, yaw)
+
+    async def _fly_to_place(self, p: Vec, duration: float = 0.0, yaw: float | None = None) -> None:
+        """Fly to p (3,) m, which may be flown to, and be there."""
         attempts, hindered, pilot, clock = 0, 0, self.member.pilot, self.member.clock
         ends = clock.now() + PATIENCE
         while attempts < ATTEMPTS and clock.now() < ends:
@@ -264,9 +301,9 @@ class CFGuidance:
             if pilot.gap(p) < (CLOSE if hindered else ARRIVED):
                 return
             attempts += seconds > 0.0 and pilot.clearance.gave_way < began
-            if hindered > 2 and first_at(pilot, np.asarray(p)) < self.id:
-                await self._wait_aside(np.asarray(p))
-        place = np.round(np.asarray(p), 2).tolist()
+            if hindered > 2 and first_at(pilot, p) < self.id:
+                await self._wait_aside(p)
+        place = np.round(p, 2).tolist()
         why = HELD if pilot.held else pilot.note or "no reason"
         raise Interrupted(f"drone {self.id}: does not reach {place}, still {pilot.gap(p):.2f} m from it: {why}")
 
@@ -278,6 +315,7 @@ class CFGuidance:
         while first_at(pilot, p) < self.id and clock.now() < ends:
             await self._while(SETTLE, Mode.FOLLOW)
 
+    @awaited
     async def fly(self, trajectory: Trajectory) -> None:
         """Go to where a trajectory begins, fly it, and be at its end.
 
@@ -287,10 +325,7 @@ class CFGuidance:
         Raises ConfigError, before it leaves, if the trajectory leaves the fence or is faster than [flight] allows;
         Interrupted when the flight is stopped on the way, as by a hold, or not ended where the trajectory ends.
         """
-        if not all(hasattr(trajectory, name) for name in ("duration", "sample", "done")):
-            do = "Make one of places: crazychoir.planning.minimum_snap.minimum_snap(places)."
-            found = type(trajectory).__name__
-            raise ConfigError(f"drone {self.id}: fly", found, "a trajectory: duration, sample(t), done(t)", do)
+        require_trajectory(f"drone {self.id}: fly()", trajectory)
         require_feasible(trajectory, self.member.pilot)
         pilot, clock, left, attempts = self.member.pilot, self.member.clock, trajectory, 0
         end, ends = trajectory.sample(trajectory.duration), clock.now() + trajectory.duration + PATIENCE
@@ -307,7 +342,7 @@ class CFGuidance:
                 attempts += 1
                 left = Resumed(left, t, max(GETS_UP, 4.0 * flight.speed_limit / flight.acceleration_limit))
             await self.sleep(SETTLE)
-        why = HELD if pilot.held else pilot.note
+        why = HELD if pilot.held else standing(pilot)
         raise Interrupted(f"drone {self.id}: its trajectory of {trajectory.duration:.1f} s was not flown: {why}")
 
     async def _flown(self, trajectory: Trajectory) -> float:
@@ -320,6 +355,7 @@ class CFGuidance:
             left = pilot.remaining()
         return t
 
+    @awaited
     async def land(self) -> None:
         """Come down and stop the motors; a drone that its operator holds waits in the air, at most PATIENCE s.
 
@@ -332,13 +368,21 @@ class CFGuidance:
         pilot.land()
         await touch_down(pilot, TOUCHDOWN)
         if pilot.mode is not Mode.GROUND:
-            raise Interrupted(f"drone {self.id}: {pilot.mode.value}: {pilot.note}")
+            raise Interrupted(f"drone {self.id}: {standing(pilot)}")
 
     def follow(self, reference: Reference) -> None:
-        """Fly this reference; renew it before it is stale."""
+        """Fly this reference; renew it before it is stale. One that cannot be flown is none, and the log says why."""
         self._may_fly()
-        self.member.pilot.follow(reference)
+        pilot = self.member.pilot
+        if pilot.follow(reference) is False:
+            caller = sys._getframe(1)
+            place = f"{caller.f_code.co_filename}:{caller.f_lineno}"
+            said: set[str] = self.__dict__.setdefault("_said_at", set())  # places whose reference was not flown
+            if place not in said:
+                said.add(place)
+                log.warning("drone %d: %s: follow(): %s", self.id, place, pilot.note)
 
+    @awaited
     async def sleep(self, seconds: float) -> None:
         """Wait, in the swarm's time."""
         await self.member.clock.sleep(seconds, drone=self.id)
@@ -358,20 +402,19 @@ class CFGuidance:
         while pilot.mode in flying and (left := ends + pilot.flights.waited - clock.now()) > 0.0:
             await self.sleep(min(SETTLE, max(left, 1e-3)))
         if pilot.mode not in flying:
-            raise Interrupted(f"drone {self.id}: {pilot.mode.value}: {pilot.note}")
+            raise Interrupted(f"drone {self.id}: {standing(pilot)}")
 
 
 def require_feasible(trajectory: Trajectory, pilot: Pilot) -> None:
-    """Raise ConfigError for a trajectory that leaves the fence, or that the drone cannot fly or [flight] forbids."""
+    """Raise ConfigError for a trajectory that leaves the guard's room, or that the drone or [flight] forbids."""
     flight, platform = pilot.limits, pilot.controls.platform
-    check(
-        trajectory,
-        Limits(
-            v_max=flight.speed_limit, a_max=flight.acceleration_limit, mass=platform.mass,
-            thrust_max=HEADROOM * platform.max_thrust, rate_max=platform.max_rate, low=pilot.fence.low,
-            high=pilot.fence.high,
-        ),
+    t, path = references(trajectory)
+    limits = Limits(
+        v_max=flight.speed_limit, a_max=flight.acceleration_limit, mass=platform.mass,
+        thrust_max=HEADROOM * platform.max_thrust, rate_max=platform.max_rate,
     )  # fmt: skip
+    require_path("trajectory", t, path, pilot.guard, pilot.controls.planar)
+    check_references(t, path, limits)
 
 
 def _number(value: object) -> float | None:

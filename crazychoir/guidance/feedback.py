@@ -14,11 +14,12 @@ from crazychoir.control.gains import FORMATION, Gains
 from crazychoir.errors import ConfigError
 from crazychoir.guidance.base import CFGuidance
 from crazychoir.guidance.hearing import Hearing, Paired, VelocitySum
-from crazychoir.guidance.hook import Hook
-from crazychoir.guidance.member import Interrupted, Member, raisable
+from crazychoir.guidance.hook import Hook, place_of
+from crazychoir.guidance.member import Interrupted, Member, raisable, standing
 from crazychoir.runtime.clock import SECOND, wake
 from crazychoir.runtime.mailbox import Call
 from crazychoir.safety.modes import Mode
+from crazychoir.safety.references import taken, unflyable
 from crazychoir.types import Acceleration, FullState, Goto, Heard, Reference, State, Velocity
 
 log = logging.getLogger(__name__)
@@ -181,7 +182,7 @@ class CFDistributedFeedback(CFGuidance):
                 return
             self._due_ns += max(1, late_ns // self._period_ns + 1) * self._period_ns
             if pilot.mode not in LAW_MODES:
-                raise Interrupted(f"drone {self.id}: {pilot.mode.value}: {pilot.note}{self._deaf()}")
+                raise Interrupted(f"drone {self.id}: {standing(pilot)}{self._deaf()}")
             reference = self._stepped(self._me)
             self._steps += 1
             if reference is None:
@@ -214,7 +215,12 @@ class CFDistributedFeedback(CFGuidance):
 
     def _not_taken(self, reference: object) -> None:
         """Count what can never be flown, and say once why."""
-        self._refused, self._amiss = self._refused + 1, self.member.pilot.unflown(reference) or amiss(reference)
+        self._refused += 1
+        if taken(reference) is None:
+            why = f"{amiss(reference)}; {unflyable(reference)}"
+        else:
+            why = self.member.pilot.unflown(reference)
+        self._amiss = f"{why} ({place_of(self.step)})"
         if self._refused == 1:
             log.warning("drone %d: %s: not flown", self.id, self._amiss)
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from crazychoir.errors import ConfigError, CrazyChoirError, Hung
+from crazychoir.errors import ConfigError, CrazyChoirError, Hung, without_exit
 from crazychoir.runtime.hanging import HOOK, limited
 
 README = 'See "Write your own mission" in README.md.'
@@ -43,7 +43,7 @@ class Hook:
     def __call__(self, *values: Any) -> Any:
         """Call it; an error that is no word of this package becomes one that names file, line and hook."""
         try:
-            with limited(HOOK, f"{self.kind} {self.file}: {self.call}"):
+            with limited(HOOK, f"{self.kind} {self.file}: {self.call}"), without_exit(f"{self.kind} {self.call}"):
                 return self.function(*values)
         except Hung as error:
             raise self.wrong(f"no end within {HOOK:g} s", self._line(error)) from error
@@ -77,6 +77,14 @@ def require_signature(
         signature.bind(*arguments)
     except TypeError:
         raise ConfigError(f"{where}: {name}", f"def {name}{signature}", wanted, chapter) from None
+
+
+def place_of(function: Callable[..., Any]) -> str:
+    """Return where a user's function is written, as "file:line name"; its name alone where that is not known."""
+    plain = inspect.unwrap(getattr(function, "__func__", function))
+    code = getattr(plain, "__code__", None)
+    name = getattr(plain, "__qualname__", type(function).__qualname__)
+    return name if code is None else f"{code.co_filename}:{code.co_firstlineno} {name}"
 
 
 def shown(value: object) -> str:

@@ -8,6 +8,7 @@ from msgspec import Meta
 from crazychoir.errors import ConfigError
 from crazychoir.guidance.base import require_feasible
 from crazychoir.guidance.feedback import CFDistributedFeedback
+from crazychoir.guidance.inside import inside
 from crazychoir.guidance.mission_options import Duration, HeightOption, Laps, Length, Period, Ramp, own
 from crazychoir.math3d import Mat, Vec
 from crazychoir.planning import feasibility
@@ -131,6 +132,7 @@ def require_flyable(config: SwarmConfig, options: LeaderOptions) -> None:
             moved = x.copy()
             moved[:, 0:3] += place - x[0, 0:3]
             _require_within(config, i, t, moved, room)
+            inside(config).check_places(moved[:, 0:3], f"swarm {config.name}: drone {i}: leads")
 
 
 def _require_within(config: SwarmConfig, i: int, t: Vec, x: Mat, room: Limits) -> None:

@@ -7,7 +7,8 @@ from typing import Any
 
 from crazychoir.bus.codec import decode, encode
 from crazychoir.bus.topics import LOG, RESULT, STATUS
-from crazychoir.errors import AgentFailed, CodecError, CrazyChoirError, Hung, Refused, raised_at
+from crazychoir.errors import AgentFailed, CodecError, CrazyChoirError, Hung, Refused, exit_call, raised_at, spoken
+from crazychoir.guidance.awaited import forgotten
 from crazychoir.guidance.drone import Drone
 from crazychoir.guidance.member import Member, raisable, touch_down
 from crazychoir.guidance.turns import blocked
@@ -30,6 +31,13 @@ FAREWELL = 1.5
 STOPPED = "emergency stop in force: it does not take off until `crazychoir stop --clear`"
 STAYS = "emergency stop in force: stays, to tell who starts, until `crazychoir stop --clear` or Ctrl-C"
 
+LANDED = "landed on command"
+SENT_HOME = "sent home on command"
+ENDS_ON_COMMAND = (LANDED, SENT_HOME)
+"""Why a mission is over that its operator has ended: it has not failed."""
+ENDED = "ended"
+"""The key of a result that says how an operator has ended the mission; absent from all others."""
+
 Result = dict[str, Any]
 
 
@@ -46,6 +54,7 @@ class GuidanceActor(Actor):
         self._life: asyncio.Task[Result] | None = None
         self._member: Member | None = None
         self._abort: asyncio.Future[str] = asyncio.get_running_loop().create_future()
+        self._by_operator = False
 
     async def run(self) -> None:
         """The whole life; afterwards the drone stays for a while, for the others."""
@@ -57,10 +66,10 @@ class GuidanceActor(Actor):
             await asyncio.wait(ends, return_when=asyncio.FIRST_COMPLETED)
             if not life.done():
                 await self._last_words(life)
-            drone.result = self._outcome(life)
+            drone.result = self._unforgotten(self._outcome(life))
             if drone.barrier.apart:
                 drone.result = {**drone.result, "apart": drone.barrier.apart}
-            if not drone.result["success"]:
+            if not drone.result["success"] or ENDED in drone.result:
                 telling.append(asyncio.create_task(drone.communicator.fail(self._last_word(life))))
         except asyncio.CancelledError:
             drone.result = failure("the mission was cancelled")
@@ -76,11 +85,16 @@ class GuidanceActor(Actor):
         await drone.port.bus.clock.sleep(FAREWELL, drone=drone.id)
         await self._until_cleared(STAYS)
 
-    def abort(self, reason: str) -> None:
-        """End the mission where it is, for good; the first reason stays."""
-        reason = self.drone.pilot.cut_for or reason  # whoever ends it after that has not brought it down
+    def abort(self, reason: str, by_operator: bool = False) -> None:
+        """End the mission where it is, for good; the first reason stays.
+
+        by_operator: whether the drone's operator has ended it, by a command: then the mission has not failed.
+        """
+        cut_for = self.drone.pilot.cut_for  # whoever ends it after that has not brought it down
+        reason = spoken(cut_for or reason, "its mission was ended")
         if not self._abort.done():
             self._abort.set_result(reason)
+            self._by_operator = by_operator and not cut_for
         self._forbid(reason)
         if self._life is not None:
             self._life.cancel()
@@ -115,11 +129,11 @@ class GuidanceActor(Actor):
         member.sensors = drone.sensors
         member.announce = lambda: drone.port.publish(STATUS, drone.status())
         self._member = member
-        drone.guidance.bind(member)
         try:
+            drone.guidance.bind(member)
             return checked(await self._guarded(drone.guidance.mission()))
         except SystemExit as end:
-            raise RuntimeError(f"the mission called sys.exit({end.code!r})") from end
+            raise RuntimeError(f"the mission called {exit_call(end)}").with_traceback(end.__traceback__) from end
         except asyncio.CancelledError as cancelled:
             if self._life is not None and self._life.cancelling():
                 raise
@@ -187,19 +201,42 @@ class GuidanceActor(Actor):
             pilot.cut("does not come down")
 
     def _outcome(self, life: asyncio.Task[Result]) -> Result:
-        """What the mission has come to, before its drone is down; an aborted one has failed, whatever it says."""
+        """What the mission has come to, before its drone is down.
+
+        An aborted one has failed, whatever it says, unless its operator has ended it, or has ended a member that it
+        waits for. A mission whose own code fails while it is being ended has failed.
+        """
         pilot = self.drone.pilot
+        error = life.exception() if life.done() and not life.cancelled() else None
+        if self._by_operator:
+            return self._aborted_by_operator(error)
         if self._aborted:
             return failure(self._aborted)
-        error = None if life.cancelled() else life.exception()
         if error is None:
             pilot.land("the mission has ended in the air")
             return life.result()
+        if isinstance(error, AgentFailed) and error.reason in ENDS_ON_COMMAND:
+            pilot.land(str(error))
+            return ended_by_operator(f"drone {error.agent}: {error.reason}, and with it the team")
         if isinstance(error, CrazyChoirError) and not isinstance(error, Hung):  # somebody lost, a refusal
             log.warning("drone %d: %s", self.drone.id, str(error).removeprefix(f"drone {self.drone.id}: "))
             pilot.land(str(error))
             return failure(str(error))
         return failure(self._broken(error))
+
+    def _unforgotten(self, result: Result) -> Result:
+        """The outcome; a failure that names the calls which the mission has made without await, if there are any."""
+        words = forgotten(self.drone.guidance)
+        if not words:
+            return result
+        reason = "" if result["success"] else f"; {result['reason']}"
+        return failure(f"drone {self.drone.id}: {words}{reason}", result)
+
+    def _aborted_by_operator(self, error: BaseException | None) -> Result:
+        """The operator's end; a failure if the mission's own code has broken meanwhile."""
+        if error is None or _is_expected(error):
+            return ended_by_operator(self._aborted)
+        return failure(f"{self._aborted}; {self._broken(error)}")
 
     def _last_word(self, life: asyncio.Task[Result]) -> Failure:
         """What the others hear who wait for this drone: who has failed first, and why."""
@@ -226,12 +263,17 @@ class GuidanceActor(Actor):
         if pilot.at_fence:
             result = {**result, "at_fence_s": round(pilot.at_fence * pilot.period_ns / SECOND, 2)}
         cut = pilot.note if pilot.mode is Mode.CUT else ""
-        brought_down = self._aborted or cut or pilot.guard.latched or pilot.brought_down
+        aborted = "" if self._by_operator else self._aborted
+        brought_down = aborted or cut or pilot.guard.latched or pilot.brought_down
         if result.get("success"):
             reasons = [text for text in (brought_down, harm) if text]
-            return failure(f"drone {self.drone.id}: {'; '.join(reasons)}", result) if reasons else result
+            if reasons:
+                return failure(f"drone {self.drone.id}: {'; '.join(reasons)}", result)
+            return result if not self._by_operator else {**result, ENDED: result.get(ENDED, self._aborted)}
         reason = str(result.get("reason") or "")
-        return failure("; ".join(filter(None, (reason, harm))), result) if harm and harm not in reason else result
+        if harm and harm not in reason:
+            return failure("; ".join(filter(None, (reason, harm))), result)
+        return failure(reason, result)
 
 
 def checked(returned: object) -> Result:
@@ -253,6 +295,19 @@ def checked(returned: object) -> Result:
     return result | {"success": bool(success)}
 
 
+def ended_by_operator(words: str) -> Result:
+    """The result of a mission that its operator has ended: no failure, and it says so."""
+    return {"success": True, "reason": words, ENDED: words}
+
+
 def failure(reason: str, result: Result | None = None) -> Result:
-    """The result of a mission that has failed, with what is known else."""
-    return {**(result or {}), "success": False, "reason": reason}
+    """The result of a mission that has failed, with what is known else; its reason is never empty."""
+    told = {key: value for key, value in (result or {}).items() if key != ENDED}
+    return {**told, "success": False, "reason": spoken(reason, "it has failed, and does not say why")}
+
+
+def _is_expected(error: BaseException) -> bool:
+    """Whether a mission may end so when it is told to end: by errors of this package alone."""
+    if isinstance(error, BaseExceptionGroup):
+        return all(map(_is_expected, error.exceptions))
+    return isinstance(error, CrazyChoirError | asyncio.CancelledError) and not isinstance(error, Hung)

@@ -45,6 +45,23 @@ class Interrupted(CrazyChoirError):
     """The pilot does something else than what guidance asked: it lands, or its motors are cut."""
 
 
+UNSAID_OF = {
+    Mode.GROUND: "it has not taken off, or has landed",
+    Mode.TAKEOFF: "it still rises",
+    Mode.HOVER: "nothing has stopped it",
+    Mode.FOLLOW: "nothing has stopped it",
+    Mode.RETURN: "its operator has sent it home",
+    Mode.LAND: "it was told to land",
+    Mode.CUT: "its motors were cut",
+}
+"""Why a drone is in a mode, where its pilot has noted nothing."""
+
+
+def standing(pilot: Pilot) -> str:
+    """Return what a drone does and why, such as "landing: pose 0.61 s old"; the why is never empty."""
+    return f"{pilot.mode.value}: {pilot.note or UNSAID_OF[pilot.mode]}"
+
+
 async def touch_down(pilot: Pilot, grace: float) -> None:
     """Wait until a pilot's motors are off; at most `grace` s beyond the flight that it has planned, whenever it did.
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, Protocol, cast
 
-from crazychoir.errors import ConfigError, Hung
+from crazychoir.errors import ConfigError, Hung, without_exit
 from crazychoir.guidance.base import CFGuidance
 from crazychoir.guidance.hooks import MissionFile
 from crazychoir.radio.budget import rates
@@ -115,9 +115,11 @@ def from_file(path: Path, kind: str) -> ModuleType:
     module = importlib.util.module_from_spec(spec)
     _see_neighbors(path)
     try:
-        with limited(HOOK, f"the import of {path}"):
+        with limited(HOOK, f"the import of {path}"), without_exit(f"the {kind} file"):
             spec.loader.exec_module(module)
     except Exception as error:
+        if isinstance(error.__cause__, SystemExit):
+            raise
         lines = [at.lineno for at in traceback.extract_tb(error.__traceback__) if at.filename == spec.origin]
         where = f"{kind} {path}{f':{lines[-1]}' if lines else ''}"
         hangs = isinstance(error, Hung)

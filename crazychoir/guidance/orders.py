@@ -9,8 +9,8 @@ from crazychoir.bus.topics import STATE, STATUS
 from crazychoir.errors import Refused
 from crazychoir.guidance.base import FLYING
 from crazychoir.guidance.drone import Drone
-from crazychoir.guidance.life import LANDING_DEADLINE
-from crazychoir.guidance.member import PATIENCE, Member, touch_down
+from crazychoir.guidance.life import LANDED, LANDING_DEADLINE, SENT_HOME
+from crazychoir.guidance.member import PATIENCE, Member, standing, touch_down
 from crazychoir.runtime.mailbox import Latest
 from crazychoir.safety.guard import EDGE
 from crazychoir.safety.homecoming import level_above
@@ -38,8 +38,8 @@ WAITS = "crazychoir run --wait, or [flight] operator = true, makes missions wait
 class Orders:
     """The commands of one drone's operator.
 
-    abort: ends its mission with a reason;  over: why it is over, empty if it is not;  arm: lets the motors of a drone
-    turn that a radio reaches, and says what has come of it; None: the first command does.
+    abort: ends its mission with a reason, as its operator;  over: why it is over, empty if it is not;  arm: lets the
+    motors of a drone turn that a radio reaches, and says what has come of it; None: the first command does.
     """
 
     def __init__(
@@ -109,7 +109,7 @@ class Orders:
         while pilot.mode is Mode.TAKEOFF and pilot.clock.now() < ends:
             await pilot.clock.sleep(POLL, drone=self.drone.id)
         if pilot.mode not in FLYING:
-            self._refuse(f"{pilot.mode.value}: {pilot.note}")
+            self._refuse(standing(pilot))
         return pilot.mode.value
 
     def _start(self) -> str:
@@ -119,13 +119,13 @@ class Orders:
 
     async def _land(self) -> str:
         self.drone.pilot.land("landing on command")
-        self.abort("landed on command")
+        self.abort(LANDED)
         return await self._on_the_ground()
 
     async def _home(self) -> str:
         """Above the others as far as it hears of them, and those returning each at a level of its own."""
         drone, pilot = self.drone, self.drone.pilot
-        self.abort("sent home on command")
+        self.abort(SENT_HOME)
         pilot.commanded = False
         pilot.hover()
         self._others = self._others or _Others(drone.port, tuple(i for i in self.config.ids if i != drone.id))
@@ -146,7 +146,7 @@ class Orders:
         pilot = self.drone.pilot
         await touch_down(pilot, LANDING_DEADLINE + PATIENCE)
         if pilot.mode is not Mode.GROUND:
-            self._refuse(f"{pilot.mode.value}: {pilot.note}")
+            self._refuse(standing(pilot))
         return str(pilot.mode.value)
 
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from crazychoir.errors import ConfigError
+from crazychoir.guidance.inside import inside, require_inside
 from crazychoir.guidance.steering import MOST_PIECES, path_message
 from crazychoir.math3d import Mat
 from crazychoir.planning.drawing import Pen, drawing
@@ -75,14 +76,15 @@ def planned(
     """
     if not 1.0 <= slower <= SLOWEST:
         raise ConfigError("drawing: slower", slower, f"1 to {SLOWEST:g} times as long as the limits ask for")
-    flight, fence = config.flight, config.fence
+    flight = config.flight
     v_max, a_max = min(v_max, flight.speed_limit), min(a_max, flight.acceleration_limit)
-    limits = Limits(v_max=v_max, a_max=a_max, yaw_rate_max=YAW_RATE, low=fence.min, high=fence.max)
+    limits = Limits(v_max=v_max, a_max=a_max, yaw_rate_max=YAW_RATE, low=config.fence.min, high=config.fence.max)
     drawn = [np.array(stroke, dtype=float) for stroke in strokes]
     _check_size(drawn, pen, limits, slower)
     made = drawing(drawn, pen, limits, LONGEST / slower)
     path = made.path.slowed(slower)
     check(path, limits)
+    require_inside(path, config, "drawing")
     most = peaks(path)
     return Planned(path, made.deviation, most["speed"], most["acceleration"])
 
@@ -139,7 +141,7 @@ def messages(path: Piecewise, drones: Sequence[int], offset: Offset, config: Swa
     """
     if not all(config.drone(i).leader for i in drones):
         _check_apart(drones, offset, config)
-    limits, told = Limits(low=config.fence.min, high=config.fence.max), {}
+    limits, told = inside(config), {}
     ways = references(path)[1][:, 0:3]
     for i, by in _beside((0.0, 0.0, 0.0), offset, drones).items():
         limits.check_places(ways + by, f"path of drone {i}")

@@ -10,6 +10,7 @@ from crazychoir.bus.codec import MAX_PAYLOAD
 from crazychoir.errors import ConfigError, Refused
 from crazychoir.guidance.base import ARRIVED, ATTEMPTS, require_feasible
 from crazychoir.guidance.drone import Drone
+from crazychoir.guidance.member import standing
 from crazychoir.guidance.turns import blocked
 from crazychoir.planning.piecewise import DEGREE, Piecewise
 from crazychoir.safety.modes import Mode
@@ -55,7 +56,11 @@ class Steering:
             self._refuse(f"go-to: {error}; allowed: p [x, y, z] m, yaw rad, duration s")
         self._require_cleared()
         self._require_steerable()
-        await self._reach(np.array(goal.p), goal.yaw, goal.duration, self._turn())
+        try:
+            place = self.drone.pilot.require_goal("go-to", goal.p, goal.yaw, goal.duration)
+        except ConfigError as error:
+            self._refuse(str(error))
+        await self._reach(place, goal.yaw, goal.duration, self._turn())
         return "there"
 
     async def fly(self, arguments: dict[str, Any]) -> str:
@@ -130,7 +135,8 @@ class Steering:
         self._require_cleared()
         if not self.drone.pilot.steerable:
             pilot = self.drone.pilot
-            self._refuse(f"it goes on with its mission: {pilot.note}" if pilot.obeys else f"it is {pilot.mode.value}")
+            goes_on = f"it goes on with its mission: {standing(pilot)}"
+            self._refuse(goes_on if pilot.obeys else f"it is {pilot.mode.value}")
         if not self.drone.pilot.commanded:
             self._refuse("it was held on its way")
 

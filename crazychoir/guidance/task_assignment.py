@@ -13,7 +13,7 @@ import numpy as np
 from crazychoir.errors import CrazyChoirError, RosterChanged
 from crazychoir.guidance.base import TOUCHDOWN, CFGuidance
 from crazychoir.guidance.generation import Draw, Generation, NextGeneration, open_tasks
-from crazychoir.guidance.member import Interrupted, Member, touch_down
+from crazychoir.guidance.member import Interrupted, Member, standing, touch_down
 from crazychoir.guidance.room import Room
 from crazychoir.guidance.task_book import Deed, Place, Task
 from crazychoir.guidance.task_source import TaskSource
@@ -262,7 +262,7 @@ class TaskAssignmentGuidance(CFGuidance):
         """Fly to the own task, and have done it there; without one, wait in the air, where nobody else wants to be."""
         pilot = self.member.pilot
         if pilot.mode not in FLIES:
-            raise Interrupted(f"drone {self.id}: {pilot.mode.value}: {pilot.note}")
+            raise Interrupted(f"drone {self.id}: {standing(pilot)}")
         generation, mine = self.generation, self._mine
         if generation is None or mine is None:
             if (away := self._turns.away()) is None:

@@ -10,8 +10,10 @@ import numpy as np
 
 from crazychoir.agent import Agent
 from crazychoir.bus.commands import Commander
+from crazychoir.errors import spoken
 from crazychoir.guidance.drone import WAITING
 from crazychoir.guidance.feedback import idle
+from crazychoir.guidance.life import ENDED
 from crazychoir.guidance.mission import Mission, has
 from crazychoir.launch.network import attached, observer
 from crazychoir.launch.processes import WORLD_OWNER, Owner, run_children
@@ -118,16 +120,23 @@ def summary(
     is of the whole swarm. The mission's own report needs the results of all drones, and is left out without them.
     """
     started = config.ids if started is None else started
-    report = mission.report(config, results) if started == config.ids and has(mission, "report") else {}
+    ended = {i: r[ENDED] for i, r in sorted(results.items()) if ENDED in r}
+    report = mission.report(config, unended(results)) if started == config.ids and has(mission, "report") else {}
     reached, off, said = bool(report.pop("success", True)), report.pop("reasons", {}), report.pop("reason", None)
+    if ended and not reached:
+        of_all = said is not None and any(i not in ended for i in config.ids)
+        reached, off, ended = excused(off, ended)
+        reached = reached and not of_all
+        said = said if of_all else None
     held = hindrances(results)
     failed = failures(results, score.touching, started)
     absent = [i for i in started if i not in results]
-    reasons = {i: "; ".join([str(text), *held.get(i, [])]) for i, text in (off | failed).items()}
+    told = {i: spoken(text, NO_REASON) for i, text in (off | failed).items()}
+    reasons = {i: "; ".join([text, *held.get(i, [])]) for i, text in told.items()}
     reasons |= dict.fromkeys(absent, NO_RESULT)
-    if said is None and not (reached or reasons):
-        said = NO_REASONS
-    of_all = [str(said), *(f"drone {i}: {', '.join(texts)}" for i, texts in held.items() if i not in reasons)]
+    if not (reached or reasons):
+        said = spoken(said, NO_REASONS)
+    for_all = [str(said), *(f"drone {i}: {', '.join(texts)}" for i, texts in held.items() if i not in reasons)]
     separation = score.min_separation
     if idle(results):
         log.warning(NOBODY_MOVED)
@@ -147,8 +156,9 @@ def summary(
         "messages": score.messages(),
         "rounds": max((status.round for status in score.statuses.values()), default=0),
         "digest": None,
-        "reason": None if said is None else "; ".join(of_all),
+        "reason": None if said is None else "; ".join(for_all),
         "reasons": reasons,
+        "ended": ended,
         "absent": absent,
         "flown_m": {i: round(length, 4) for i, length in score.flown.items()},
         "log": list(score.log),
@@ -191,11 +201,30 @@ def hindrances(results: Results) -> dict[int, list[str]]:
     return {i: texts for i, texts in told.items() if texts}
 
 
+def unended(results: Results) -> Results:
+    """The results as the mission's report sees them: a drone that its operator has ended did not do its part."""
+    return {i: {**r, "success": False} if ENDED in r else r for i, r in results.items()}
+
+
+def excused(
+    off: Mapping[int, object], ended: Mapping[int, str]
+) -> tuple[bool, dict[int, object], dict[int, str]]:
+    """Take the consequences of an operator's end from the reasons of a report that is no success.
+
+    off: the report's reasons, by drone;  ended: by drone, how its operator has ended it.
+    Returns whether no reason is left; the reasons that are left, of drones that were not ended; and `ended` with the
+    reasons that were taken.
+    """
+    others = {i: text for i, text in off.items() if i not in ended}
+    words = {i: "; ".join([text, *([str(off[i])] if i in off else [])]) for i, text in ended.items()}
+    return not others, others, words
+
+
 def failures(
     results: Results, touching: Mapping[tuple[int, int], float], started: tuple[int, ...]
 ) -> dict[int, str]:
     """Why each drone has failed: by its own result, or because it came near enough to others to touch them."""
-    reasons = {i: [r.get("reason", NO_REASON)] for i, r in sorted(results.items()) if not r.get("success")}
+    reasons = {i: [spoken(r.get("reason"), NO_REASON)] for i, r in sorted(results.items()) if not r.get("success")}
     for (i, j), gap in touching.items():
         for one, other in ((i, j), (j, i)):
             if one in started:

@@ -45,4 +45,9 @@ def setpoints(trajectory: Trajectory, rate: float) -> tuple[Vec, Mat]:
     t = instants(trajectory.duration, rate)
     if isinstance(trajectory, Piecewise):
         return t, trajectory.samples(t)
-    return t, np.array([trajectory.sample(k).flat for k in t.tolist()])
+    rows = [trajectory.sample(k).flat for k in t.tolist()]
+    wrong = next((k for k, row in enumerate(rows) if np.shape(row) != (14,)), None)
+    if wrong is not None:
+        where = f"trajectory: sample({t[wrong]:.2f})"
+        raise ConfigError(where, f"a FullState of shape {np.shape(rows[wrong])}", "a FullState of 14 numbers")
+    return t, np.array(rows, dtype=float)

@@ -7,6 +7,7 @@ from crazychoir.planning.landing import Landing, Legs
 from crazychoir.planning.point_to_point import PEAK_SPEED, PointToPoint, duration_for, stopping
 from crazychoir.planning.trajectory import Trajectory
 from crazychoir.platforms import Platform
+from crazychoir.safety.goals import require_setpoint
 from crazychoir.safety.guard import INSET, Fence
 from crazychoir.swarm.tables import Flight
 from crazychoir.types import FullState, State
@@ -43,7 +44,10 @@ class Flights:
 
     def sample(self, now: float) -> FullState | None:
         """The reference of the plan."""
-        return None if self.plan is None else self.plan.sample(now - self.start)
+        if self.plan is None:
+            return None
+        t = now - self.start
+        return require_setpoint(self.plan.sample(t), t)
 
     def done(self, now: float, late: float = 0.0) -> bool:
         """Is the plan, if any, over, and has been for `late` s?"""

@@ -7,10 +7,12 @@ from enum import IntEnum
 import numpy as np
 
 from crazychoir.errors import ConfigError
-from crazychoir.math3d import kernel, real, vector
+from crazychoir.math3d import Mat, kernel, matrix, memory, real, vector
 from crazychoir.planning.point_to_point import STOP
 from crazychoir.runtime.throttle import Throttle as Throttle
 from crazychoir.swarm.checks import AROUND
+from crazychoir.swarm.flight_room import EDGE as EDGE
+from crazychoir.swarm.flight_room import flight_room
 from crazychoir.types import Point, State, Vec
 
 
@@ -94,8 +96,6 @@ TEXT = {
     "gone": "its body, or another, is seen {value:.2f} m outside the limit area: {doing}",
     "tumbled": "{said}tumbled, crashed or locked, as its firmware says: {doing}",
 }
-EDGE = 0.005
-"""m: how far from the fence is said from here on."""
 AT_EDGE = "can just come to rest inside the fence: {doing}"
 
 
@@ -170,6 +170,13 @@ def _outside(x: Vec, box: Vec, reach: float) -> float:
     return furthest + finite
 
 
+@kernel(matrix, vector, memory)
+def _each_outside(rows: Mat, box: Vec, out: Vec) -> None:
+    """The measure "stop" of each of the rows (n, 6 or more) of a path, which brakes by itself, into out (n,)."""
+    for k in range(rows.shape[0]):
+        out[k] = _outside(rows[k], box, 0.0)
+
+
 class Guard:
     """Judges one drone every tick: each rule of the table that acts has a say, the worst action wins.
 
@@ -207,6 +214,9 @@ class Guard:
         limit = self._whole.grown(AROUND) if limit is None else limit
         self._limit = limit.with_floor(min(limit.low[2], self._whole.low[2] - AROUND))
         self._flying, self._low = (np.array([*box.low, *box.high]) for box in (fence, self._whole))
+        drives = fence.low[2] < ground
+        self.room = Fence(*flight_room(fence.low, fence.high, None if drives else ground))
+        """Where a drone may be sent: nowhere inside does this guard brake it."""
 
     @property
     def latched(self) -> str:
@@ -226,6 +236,15 @@ class Guard:
         if well and self._told_well and not self._acting:
             return ALL_WELL
         return self._judge(now, self._measured(state, pose_age, age, stop))
+
+    def leaves_room(self, path: Mat) -> Vec:
+        """Return (n,) m by which each set-point of a path (n, 14) is outside `room`, negative inside.
+
+        The measure is "stop" of the table, as `check` takes it of a drone that flies a plan of its own.
+        """
+        out = np.empty(len(path))
+        _each_outside(np.ascontiguousarray(path), np.array([*self.room.low, *self.room.high]), out)
+        return out
 
     def tell(self, measure: str, value: float, said: str = "") -> None:
         """A measure of TOLD now; said: what its reason says in place of {said}."""

@@ -20,6 +20,7 @@ from crazychoir.control.controller import CrazyflieController
 from crazychoir.control.parameters import Parameters
 from crazychoir.control.position import HEADROOM, HEIGHT_SHARE
 from crazychoir.control.senders import FPQRSender
+from crazychoir.errors import ConfigError
 from crazychoir.filters.state_filter import StateFilter
 from crazychoir.math3d import yaw_of
 from crazychoir.planning.landing import Landing
@@ -32,6 +33,7 @@ from crazychoir.safety.collision.filter import CollisionFilter
 from crazychoir.safety.collision.planned import PlannedFlights
 from crazychoir.safety.estimate import SEEN, believed, filter_of
 from crazychoir.safety.flights import Flights, braking
+from crazychoir.safety.goals import require_goal, require_setpoint
 from crazychoir.safety.guard import (
     BELOW_GROUND,
     EDGE,
@@ -62,7 +64,7 @@ from crazychoir.safety.modes import (
     refusal,
 )
 from crazychoir.safety.pose_gate import PoseGate
-from crazychoir.safety.references import ahead, flyable, unflyable
+from crazychoir.safety.references import ahead, taken, unflyable
 from crazychoir.swarm.tables import Flight
 from crazychoir.types import (
     STILL,
@@ -429,7 +431,7 @@ class Pilot(Actor):
             return 0.0
         start, now = self._departure(), self.clock.now()
         wanted = np.asarray(p, dtype=float)
-        goal = self.fence.nearest(wanted, inset=EDGE)
+        goal = self.guard.room.nearest(wanted, inset=0.0)
         if self._planar:
             wanted, goal = np.array([*wanted[0:2], start.p[2]]), np.array([*goal[0:2], start.p[2]])
             seconds = self.flights.drive_to(start, goal, start.yaw if yaw is None else yaw, duration, now)
@@ -449,10 +451,15 @@ class Pilot(Actor):
         """
         if not self._may_fly(commanded):
             return 0.0
-        self._flown, self._reference, self._obeyed = trajectory.sample(0.0), None, NOMINAL
+        self._flown = require_setpoint(trajectory.sample(0.0), 0.0)
+        self._reference, self._obeyed = None, NOMINAL
         self._beyond = False
         self._change(Event.FLY)
         return self.flights.fly(trajectory, self.clock.now())
+
+    def require_goal(self, where: str, p: object, yaw: object = None, duration: object = 0.0) -> Vec:
+        """Return the goal p as (3,) m; raise ConfigError for one that it must not fly to, see goals.require_goal."""
+        return require_goal(where, p, yaw, duration, self.guard, self._planar)
 
     def _may_fly(self, commanded: bool) -> bool:
         """Whether a flight may begin now. One that its operator wants, and that must wait, is his until he holds it."""
@@ -465,23 +472,23 @@ class Pilot(Actor):
     def follow(self, reference: Reference) -> bool:
         """Fly this reference from the next tick on; it must be renewed before it is stale. False: it never can.
 
-        One that is not a reference, has another shape or is not finite counts as none; one that asks for more than
-        [flight] allows is cut to that, see ReferenceLimits. The same Goto again lets its flight go on. A held drone
-        follows nothing.
+        Its numbers are converted here, once, see references.taken. One that is not a reference, has another shape or is
+        not finite counts as none, and so does a Goto to where no goal may be; one that asks for more than [flight]
+        allows is cut to that, see ReferenceLimits. The same Goto again lets its flight go on. A held drone follows
+        nothing.
         """
         state = self.state
         if state is None or not self.obeys:
             return True
-        if isinstance(reference, Acceleration):
-            wanted: Reference | None = self.reference_limits.acceleration(reference, state, self.filter.speed)
-        else:
-            wanted = reference if flyable(reference) else None
-        if why := self.unflown(reference):
+        wanted = taken(reference)
+        if wanted is None:
+            self._say("reference", f"{unflyable(reference)}: not flown")
+            return False
+        if why := self._forbids(wanted):
             self._say("sender", why)
             return False
-        if wanted is None:
-            self._say("reference", f"{type(reference).__name__} is {unflyable(reference)}: not flown")
-            return False
+        if isinstance(wanted, Acceleration):
+            wanted = self.reference_limits.acceleration(wanted, state, self.filter.speed) or wanted
         if isinstance(wanted, Goto):
             self._fly_goto(wanted)
         else:
@@ -491,7 +498,17 @@ class Pilot(Actor):
         return True
 
     def unflown(self, reference: object) -> str:
-        """Why a reference of this kind can never be flown; empty if it can."""
+        """Why a reference can never be flown: its numbers, its place, or its kind; empty if it can."""
+        wanted = taken(reference)
+        return unflyable(reference) if wanted is None else self._forbids(wanted)
+
+    def _forbids(self, reference: Reference) -> str:
+        """Why this drone never flies a reference that is one: its place, or its kind; empty if it does."""
+        if isinstance(reference, Goto):
+            try:
+                self.require_goal("Goto", reference.p)
+            except ConfigError as error:
+                return str(error)
         if isinstance(reference, Acceleration) and self.controls.follower is None:
             do = "Send fpqr or frpy" if self._takes_off else "Return a Velocity"
             return f"an Acceleration cannot be sent as {self.controls.sender.kind}: not flown. {do}"
@@ -621,7 +638,7 @@ class Pilot(Actor):
         """Rise to `level` m, fly to above where it took off, else home (3,) m, and land there."""
         if self.refuses(Event.HOME) or self.state is None:
             return
-        inside = self.fence.nearest(np.array([*self.state.p[:2], level]), inset=EDGE)
+        inside = self.guard.room.nearest(np.array([*self.state.p[:2], level]), inset=0.0)
         self._way = Homecoming(inside, home if self.started_at is None else self.started_at, inside[2])
         self.held, self.commanded, self._reference = False, False, None
         self._brake()
@@ -636,7 +653,7 @@ class Pilot(Actor):
             return
         start = self._departure()
         self._flown = start
-        self.flights.go_to(start, self.fence.nearest(leg, inset=EDGE), start.yaw, 0.0, now)
+        self.flights.go_to(start, self.guard.room.nearest(leg, inset=0.0), start.yaw, 0.0, now)
 
     def _change(self, event: Event) -> None:
         self.mode = after(self.mode, event)

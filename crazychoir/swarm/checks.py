@@ -10,6 +10,7 @@ from itertools import chain, combinations
 from crazychoir import platforms
 from crazychoir.bus.endpoints import address_fault, is_loopback
 from crazychoir.errors import ConfigError
+from crazychoir.swarm.flight_room import EDGE, room_of
 from crazychoir.swarm.graph import Graph, named, span
 from crazychoir.swarm.radios import check_radios, dongles, is_reached
 from crazychoir.swarm.reading import show
@@ -257,14 +258,16 @@ def _limit_area(swarm: Swarm, where: str) -> None:
 
 def _homes(swarm: Swarm, where: str) -> None:
     low, high = swarm.fence.min, swarm.fence.max
+    (a, b, _), top = room_of(swarm)
     for n, drone in enumerate(swarm.drones):
-        if not all(a <= x <= b for a, x, b in zip(low, drone.home, high, strict=True)):
+        is_inside = all(x <= y <= z for x, y, z in zip(low, drone.home, high, strict=True))
+        if not is_inside or not all(x <= y <= z for x, y, z in zip((a, b, low[2]), drone.home, top, strict=True)):
             raise ConfigError(
                 f"{where}: drones[{n}].home",
                 show(drone.home),
                 f"[fence] goes from {_between(low, high)}",
                 "Move the drone, or widen [fence].",
-                "outside the fence",
+                f"nearer than {EDGE:g} m to a side of the fence" if is_inside else "outside the fence",
             )
     _apart(swarm, where)
 

@@ -7,7 +7,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from crazychoir.errors import AgentFailed, ChannelEnded, CodecError, ConfigError, CrazyChoirError, PeerLost, raised_at
+from crazychoir.errors import (
+    AgentFailed,
+    ChannelEnded,
+    CodecError,
+    ConfigError,
+    CrazyChoirError,
+    PeerLost,
+    raised_at,
+    without_exit,
+)
 from crazychoir.swarm.communicator import LAST_WORDS, Communicator, Policy
 from crazychoir.swarm.graph import GraphSequence
 from crazychoir.swarm.round import Round
@@ -80,7 +89,8 @@ async def _in_rounds(
     compute = communicator.port.bus.clock.compute
     while not algorithm.done:
         try:
-            message = algorithm.message()
+            with without_exit(f"message() of agent {i}"):
+                message = algorithm.message()
         except Exception as error:
             raise _Ended.at(i, error) from error
         try:
@@ -93,10 +103,11 @@ async def _in_rounds(
             raise _Ended(error, error) from error
         _require_alive(heard)
         try:
-            if heavy:
-                await compute(algorithm.step, heard)
-            else:
-                algorithm.step(heard)
+            with without_exit(f"step() of agent {i}"):
+                if heavy:
+                    await compute(algorithm.step, heard)
+                else:
+                    algorithm.step(heard)
         except Exception as error:
             raise _Ended.at(i, error, heard) from error
 
@@ -118,14 +129,16 @@ async def _wake_and_sleep(communicator: Communicator, algorithm: Round, channel:
         if pace.compute[1] > 0.0:
             await clock.sleep(chance.uniform(*pace.compute), drone=i)
         try:
-            if heavy:
-                await clock.compute(algorithm.step, heard)
-            else:
-                algorithm.step(heard)
+            with without_exit(f"step() of agent {i}"):
+                if heavy:
+                    await clock.compute(algorithm.step, heard)
+                else:
+                    algorithm.step(heard)
         except Exception as error:
             raise _Ended.at(i, error, heard) from error
         try:
-            message = algorithm.message()
+            with without_exit(f"message() of agent {i}"):
+                message = algorithm.message()
         except Exception as error:
             raise _Ended.at(i, error) from error
         try:

@@ -162,11 +162,14 @@ def test_a_run_says_who_failed():
     assert "drone 1" not in text
 
 
-def test_a_run_that_its_operator_has_landed_has_not_failed_by_itself():
-    landed = {"success": False, "reasons": {0: "landed on command", 1: "drone 1: sent home on command"}}
-    assert "m: ended by its operator" in printed(show.summary_table(RUN | landed))
-    landed["reasons"][1] = "drone 1: lost"
-    assert "m: failed" in printed(show.summary_table(RUN | landed))
+def test_a_run_that_its_operator_has_landed_is_a_success_and_says_so():
+    landed = {"success": True, "reasons": {}, "ended": {0: "landed on command", 1: "drone 1: sent home on command"}}
+    text = printed(show.summary_table(RUN | landed))
+    assert "m: success, ended by its operator" in text
+    assert "landed on command" in text
+    assert text.count("drone 1") == 1, "its name is said once"
+    failed = landed | {"success": False, "reasons": {1: "drone 1: lost"}, "ended": {0: "landed on command"}}
+    assert "m: failed" in printed(show.summary_table(RUN | failed))
 
 
 def test_a_run_says_where_its_recording_is_and_what_it_lacks():

@@ -156,10 +156,12 @@ async def test_a_height_beyond_the_fence_is_refused_on_the_ground(clock):
 
 
 @virtual
-async def test_a_place_outside_the_fence_is_the_reason_why_it_is_not_reached(clock):
-    async with in_the_air(clock) as (guidance, _):
-        with pytest.raises(Interrupted, match=r"\[9.0, 0.0, 1.0\] is outside the fence: flies to \[3.0, 0.0, 1.0\]"):
+async def test_a_place_outside_the_fence_is_refused_before_the_drone_moves(clock):
+    async with in_the_air(clock) as (guidance, pilot):
+        began = clock.now()
+        with pytest.raises(ConfigError, match=r"drone 0: go_to\(\) = \[9.0, 0.0, 1.0\]: outside the fence"):
             await guidance.go_to([9.0, 0.0, 1.0])
+        assert (clock.now(), pilot.mode, pilot.remaining()) == (began, Mode.HOVER, 0.0)
 
 
 @virtual

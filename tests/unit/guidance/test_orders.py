@@ -205,7 +205,7 @@ def test_hold_freezes_and_go_frees():
         assert await operator.order("hold", 0) == (REFUSED, "it is landing")
 
     results = play(There, scene)
-    assert (results[0]["success"], results[0]["reason"]) == (False, "landed on command")
+    assert (results[0]["success"], results[0]["reason"]) == (True, "landed on command")
     assert results[1] == {"success": True, "there": True}
 
 
@@ -266,7 +266,7 @@ def test_what_is_over_does_not_begin_again():
         assert await operator.order("take-off", 0) == (REFUSED, "its mission is over: landed on command")
         await operator.order("land")
 
-    assert play(Stay, scene)[0] == {"success": False, "reason": "landed on command"}
+    assert play(Stay, scene)[0] == {"success": True, "reason": "landed on command", "ended": "landed on command"}
 
 
 # Flights on command ---------------------------------------------------------------------------------------------
@@ -466,3 +466,105 @@ def test_a_flight_on_command_puts_off_the_end_of_waiting(monkeypatch):
         await operator.order("land")
 
     play(There, scene)
+
+
+# Ends on command ------------------------------------------------------------------------------------------------
+
+
+class Exchanges(CFGuidance):
+    """Talks with its neighbours for long: none can go on without the others."""
+
+    async def mission(self):
+        await self.take_off()
+        for k in range(10_000):
+            await self.neighbors_exchange(k)
+            await self.sleep(0.01)
+
+
+class BreaksAtItsEnd(CFGuidance):
+    """Has a mistake in the code that runs when it is ended."""
+
+    async def mission(self):
+        try:
+            await self.take_off()
+            await self.sleep(60.0)
+        finally:
+            raise ZeroDivisionError("in the clean-up")
+
+
+async def in_flight(operator, *verbs, drone=0):
+    """Wait until the drones fly, then command drone `drone` one verb after the other."""
+    await operator.clock.sleep(4.0)
+    for verb in verbs:
+        if verb == "stop":
+            operator.pilot(drone).cut("emergency stop")
+        else:
+            await operator.order(verb, drone)
+
+
+@pytest.mark.parametrize(("verb", "words"), [("land", "landed on command"), ("home", "sent home on command")])
+def test_a_mission_that_its_operator_ends_in_flight_is_a_success_and_says_so(verb, words):
+    results = play(There, lambda operator: in_flight(operator, verb), config_of(1, operator=False))
+    assert results == {0: {"success": True, "reason": words, "ended": words}}
+
+
+def test_landing_one_of_several_ends_those_that_cannot_go_on_without_it_as_a_success_too():
+    results = play(Exchanges, lambda operator: in_flight(operator, "land", drone=1), config_of(3, operator=False))
+    assert [result["success"] for result in results.values()] == [True] * 3, results
+    assert results[1]["ended"] == "landed on command"
+    assert {results[i]["ended"] for i in (0, 2)} == {"drone 1: landed on command, and with it the team"}
+
+
+@pytest.mark.parametrize("verbs", [("land", "stop"), ("stop", "land"), ("stop",)])
+def test_an_operator_that_cuts_the_motors_does_not_make_a_success(verbs):
+    async def scene(operator):
+        await operator.clock.sleep(4.0)
+        if verbs[0] == "land":
+            landing = asyncio.create_task(operator.order("land", 0))
+            await operator.clock.sleep(0.2)
+            operator.pilot(0).cut("emergency stop")
+            await landing
+        else:
+            await in_flight(operator, *verbs)
+        await operator.order("land", 0)
+
+    result = play(There, scene, config_of(1, operator=False))[0]
+    assert (result["success"], "ended" in result) == (False, False), result
+    assert "emergency stop" in result["reason"]
+
+
+def test_a_drone_that_the_safety_table_lands_is_no_success_though_its_operator_lands_it_too():
+    async def scene(operator):
+        await operator.clock.sleep(4.0)
+        operator.pilot(0).guard.tell("empty", 0.5, "3.0")
+        await operator.clock.sleep(0.1)
+        assert operator.pilot(0).mode is Mode.LAND
+        await operator.order("land", 0)
+
+    result = play(There, scene, config_of(1, operator=False))[0]
+    assert (result["success"], "ended" in result) == (False, False), result
+    assert "battery" in result["reason"]
+
+
+def test_a_drone_that_breaks_while_its_operator_lands_it_is_no_success():
+    async def scene(operator):
+        operator.agent.drones[0].harm = lambda: "hit the floor at 3 m/s"
+        await in_flight(operator, "land")
+
+    result = play(There, scene, config_of(1, operator=False))[0]
+    assert (result["success"], result["reason"]) == (False, "drone 0: hit the floor at 3 m/s")
+
+
+def test_a_mission_whose_own_code_breaks_when_its_operator_ends_it_has_failed():
+    result = play(BreaksAtItsEnd, lambda operator: in_flight(operator, "land"), config_of(1, operator=False))[0]
+    assert not result["success"]
+    assert result["reason"].startswith("landed on command; drone 0: guidance failed: ZeroDivisionError: in the clean")
+
+
+def test_a_landing_by_anything_else_than_an_operator_is_no_success():
+    async def scene(operator):
+        await operator.clock.sleep(4.0)
+        operator.agent.land_all("Ctrl-C (SIGINT): landing")
+
+    result = play(There, scene, config_of(1, operator=False))[0]
+    assert result == {"success": False, "reason": "Ctrl-C (SIGINT): landing"}

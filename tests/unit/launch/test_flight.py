@@ -202,3 +202,54 @@ def test_owners_of_cameras_and_dongles_start_with_the_drones_of_their_host():
         (0, 1, 2): ["mocap", "dongle 0", "dongle 1"], (0,): ["dongle 0"], (2,): [], (1,): ["mocap", "dongle 1"]
     }  # fmt: skip
     assert owners(config, None)[1].options == ("--dongle", "0")
+
+
+# What an operator has ended -----------------------------------------------------------------------------------------
+
+
+LANDED = {"success": True, "reason": "landed on command", "ended": "landed on command"}
+DONE = {"success": True}
+
+
+def reporting(report):
+    return SimpleNamespace(report=lambda config, results: dict(report(results)))
+
+
+def test_a_run_that_its_operator_has_ended_is_a_success_and_names_the_drones():
+    result = result_of({0: LANDED, 1: DONE, 2: LANDED})
+    assert (result["success"], result["reasons"], result["reason"]) == (True, {}, None)
+    assert result["ended"] == {0: "landed on command", 2: "landed on command"}
+    assert result_of(dict.fromkeys(range(3), DONE))["ended"] == {}
+
+
+def test_a_report_that_lacks_only_what_the_operator_has_ended_is_a_success():
+    def undone(results):
+        return {"success": False, "reasons": {i: "2 of 5 places" for i, r in results.items() if not r["success"]}}
+
+    result = result_of({0: LANDED, 1: DONE, 2: DONE}, mission=reporting(undone))
+    assert (result["success"], result["reasons"]) == (True, {})
+    assert result["ended"] == {0: "landed on command; 2 of 5 places"}
+    result = result_of({0: LANDED, 1: DONE, 2: DONE}, mission=reporting(lambda results: {"success": False}))
+    assert (result["success"], result["reason"]) == (True, None)
+
+
+def test_what_else_has_failed_stays_a_failure_beside_an_operators_end():
+    off = reporting(lambda results: {"success": False, "reasons": {0: "undone", 1: "0.3 m from its place"}})
+    result = result_of({0: LANDED, 1: DONE, 2: DONE}, mission=off)
+    assert (result["success"], result["reasons"]) == (False, {1: "0.3 m from its place"})
+    result = result_of({0: LANDED, 1: DONE, 2: DONE}, mission=reporting(lambda _: {"success": False, "reason": "late"}))
+    assert (result["success"], result["reason"]) == (False, "late")
+    result = result_of({0: LANDED, 1: {"success": False, "reason": "lost"}, 2: DONE})
+    assert (result["success"], result["reasons"]) == (False, {1: "lost"})
+    assert not result_of(dict.fromkeys(range(3), LANDED), touching={(0, 1): 0.05})["success"]
+    assert not result_of({0: LANDED, 1: LANDED})["success"], "the process of drone 2 has ended without a result"
+
+
+def test_a_run_that_fails_never_has_an_empty_reason():
+    for empty in ("", " ", None):
+        assert result_of({0: {"success": False, "reason": empty}, 1: DONE, 2: DONE})["reasons"] == {0: NO_REASON}
+        every = dict.fromkeys(range(3), DONE)
+        mission = reporting(lambda _, empty=empty: {"success": False, "reason": empty})
+        assert result_of(every, mission=mission)["reason"] == NO_REASONS
+        mission = reporting(lambda _, empty=empty: {"success": False, "reasons": {1: empty}})
+        assert result_of(every, mission=mission)["reasons"] == {1: NO_REASON}

@@ -1,0 +1,35 @@
+"""What is not installed here: said once, before any process is started."""
+
+import importlib.util
+from collections.abc import Iterable
+
+from crazychoir.errors import ConfigError
+from crazychoir.launch.processes import WORLD_OWNER, Owner
+from crazychoir.mocap.system import EXTRA, MODULE
+from crazychoir.swarm.checks import MUJOCO
+from crazychoir.swarm.config import SwarmConfig
+
+WITHOUT_EXTRA = ("virtual", "replay")
+"""Sources of [mocap] that need no extra."""
+
+
+def require_extras(config: SwarmConfig, owners: Iterable[Owner], fast: bool) -> None:
+    """Raise ConfigError for an extra that the processes of a run on this machine need and that is not installed.
+
+    owners: those that this run starts.
+    fast: whether it flies in this process, in virtual time.
+    """
+    started = {owner.name for owner in owners}
+    in_mujoco = [drone.id for drone in config.drones if drone.uri.startswith(MUJOCO)]
+    if in_mujoco and (fast or WORLD_OWNER.name in started):
+        where = f'swarm {config.name}: drone {in_mujoco[0]}: uri = "{config.drone(in_mujoco[0]).uri}"'
+        _require(where, "mujoco", "mujoco")
+    source = config.mocap.source
+    if not fast and "mocap" in started and source not in WITHOUT_EXTRA:
+        _require(f'swarm {config.name}: [mocap] source = "{source}"', MODULE, EXTRA)
+
+
+def _require(where: str, module: str, extra: str) -> None:
+    if importlib.util.find_spec(module) is None:
+        do = f"pip install 'crazychoir[{extra}]'."
+        raise ConfigError(where, f"no module {module}", f"the extra {extra}, installed on this machine", do)

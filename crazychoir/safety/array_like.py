@@ -1,0 +1,38 @@
+"""Numbers that users' code hands over: made into float64 once, where they are taken."""
+
+import numbers
+
+import numpy as np
+
+from crazychoir.types import Vec
+
+
+def as_floats(value: object, shape: tuple[int, ...]) -> Vec | None:
+    """Return the value as a new or unchanged float64 array of this shape that a kernel takes; None if it is none.
+
+    Lists, tuples, whole numbers, truth values, numpy's scalars, arrays of other types, of objects, read-only,
+    big-endian or not contiguous are converted; texts, complex numbers, missing values and other shapes are not.
+    A masked entry becomes NaN.
+    """
+    if type(value) is np.ndarray and value.dtype == np.float64 and value.shape == shape and value.flags.carray:
+        return value
+    try:
+        found = np.asarray(np.ma.filled(value.astype(float), np.nan) if isinstance(value, np.ma.MaskedArray) else value)
+        if found.shape != shape:
+            return None
+        if found.dtype.kind == "O" and not all(isinstance(one, numbers.Real) for one in found.flat):
+            return None
+        return np.array(found, dtype=np.float64, order="C") if found.dtype.kind in "biufO" else None
+    except (TypeError, ValueError, OverflowError):
+        return None
+
+
+def described(value: object) -> str:
+    """Return what a value is, in a few words: its type, of an array also its numbers' type and its shape."""
+    try:
+        text = " ".join(repr(value).split())
+    except Exception:  # noqa: BLE001 - a user's class may not even be able to say what it is
+        text = ""
+    if isinstance(value, np.ndarray):
+        return f"{value.dtype} array of shape {value.shape}, {text:.60}"
+    return f"{type(value).__name__} {text:.80}".strip()
