@@ -18,6 +18,7 @@ from crazychoir.cache import COMPILES
 from crazychoir.errors import CodecError
 from crazychoir.guidance.life import LANDING_DEADLINE
 from crazychoir.planning.point_to_point import PEAK_SPEED, duration_for
+from crazychoir.runtime.worker import add_signal_handler
 from crazychoir.swarm.config import SwarmConfig
 from crazychoir.types import FullState
 
@@ -100,9 +101,8 @@ async def _run_agents(
     all_wait: Callable[[], bool],
 ) -> None:
     """Start one a file, and stay until all have ended."""
-    loop = asyncio.get_running_loop()
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        loop.add_signal_handler(number, _signal, children.values(), number)
+        add_signal_handler(number, _signal, children.values(), number)
 
     async def until_its_end(group: tuple[int, ...]) -> None:
         await _listen(children[group], say)
