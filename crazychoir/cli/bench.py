@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 import typer
 from rich.console import RenderableType
-from rich.markup import escape
+from rich.text import Text
 
 from crazychoir.cli.bench_latency import latency
 from crazychoir.cli.show import STDERR, STDOUT, fail, set_up_logging
@@ -150,7 +150,7 @@ def _show(
     try:
         if STDERR.is_terminal:
             with STDERR.status("starting") as status:
-                result = measure(lambda text: status.update(escape(text)))
+                result = measure(lambda text: status.update(Text(text)))
         else:
             result = measure(lambda text: STDERR.print(text, markup=False, highlight=False, soft_wrap=True))
     except CrazyChoirError as error:

@@ -18,6 +18,7 @@ from crazychoir.cache import COMPILES
 from crazychoir.errors import CodecError
 from crazychoir.guidance.life import LANDING_DEADLINE
 from crazychoir.planning.point_to_point import PEAK_SPEED, duration_for
+from crazychoir.runtime.texts import child_environment
 from crazychoir.runtime.worker import add_signal_handler
 from crazychoir.swarm.config import SwarmConfig
 from crazychoir.types import FullState
@@ -189,6 +190,7 @@ async def _start(module: str, *words: str) -> Process:
         stdin=DEVNULL,
         stdout=PIPE,
         stderr=STDOUT,
+        env=child_environment(),
         start_new_session=True,  # Ctrl-C reaches this process alone, which passes it on once
     )  # fmt: skip
 

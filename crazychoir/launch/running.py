@@ -33,7 +33,7 @@ def recorded(run: Run) -> Iterator[None]:
         yield
         return
     path, hidden = (folder / f"{prefix}{run.swarm}-{os.getpid()}" for prefix in ("", "."))
-    with hidden.open("w") as file:
+    with hidden.open("w", encoding="utf-8") as file:
         try:
             fcntl.flock(file, fcntl.LOCK_EX)
             json.dump(asdict(run), file)
@@ -63,7 +63,7 @@ def _read(path: Path) -> Run | None:
     if path.name.startswith("."):
         return None
     try:
-        with path.open() as file:
+        with path.open(encoding="utf-8") as file:
             if _locked(file.fileno()):
                 return Run(**json.load(file))
             path.unlink()

@@ -74,7 +74,7 @@ class TableOfContents:
 
     def _read(self, crc: int) -> Contents | None:
         try:
-            return decoded(self._file(crc).read_text())
+            return decoded(self._file(crc).read_text(encoding="utf-8"))
         except FileNotFoundError:
             return None
         except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
@@ -85,7 +85,7 @@ class TableOfContents:
         self.folder.mkdir(parents=True, exist_ok=True)
         handle, name = tempfile.mkstemp(dir=self.folder, prefix=".")
         try:
-            with os.fdopen(handle, "w") as file:
+            with os.fdopen(handle, "w", encoding="utf-8") as file:
                 file.write(encoded(contents))
             os.replace(name, self._file(crc))
         except BaseException:

@@ -44,7 +44,7 @@ def _locked(name: str, dongle: int, who: str | None) -> Iterator[None]:
     if folder is None:
         yield
         return
-    file: IO[str] = (folder / f".{name}.lock").open("a+")
+    file: IO[str] = (folder / f".{name}.lock").open("a+", encoding="utf-8")
     try:
         fcntl.flock(file, (fcntl.LOCK_SH if who is None else fcntl.LOCK_EX) | fcntl.LOCK_NB)
     except BlockingIOError:

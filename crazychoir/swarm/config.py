@@ -2,6 +2,7 @@
 
 import hashlib
 import ipaddress
+import json
 import math
 from collections.abc import Iterable
 from pathlib import Path
@@ -14,6 +15,7 @@ from crazychoir.bus.endpoints import are_local
 from crazychoir.bus.local import BODIES, EYES
 from crazychoir.bus.topics import POSE, TRUTH, Topic
 from crazychoir.errors import ConfigError
+from crazychoir.runtime.texts import as_path, json_bytes
 from crazychoir.security import authority
 from crazychoir.swarm.checks import REPLAY, ROUTER_BELOW, check, graph_of, owned, secured
 from crazychoir.swarm.graph import Graph, span
@@ -72,7 +74,10 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
 
     def dumps(self) -> str:
         """JSON text for `loads`, defaults and all: hands a swarm to another process."""
-        return msgspec.json.format(msgspec.json.encode(self), indent=2).decode()
+        try:
+            return msgspec.json.format(msgspec.json.encode(self), indent=2).decode()
+        except UnicodeEncodeError:  # a path with bytes that are not UTF-8: they are escaped
+            return json.dumps(msgspec.to_builtins(self), indent=2)
 
     def replace(self, **changes: Any) -> Self:
         """This swarm with other values of some keys, named as in the file; a mission's path is relative to here."""
@@ -83,27 +88,27 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
     def _with_mission_from(self, folder: Path) -> Self:
         if self.mission is None or not self.mission.endswith(".py"):
             return self
-        return msgspec.structs.replace(self, mission=str((folder / self.mission).resolve()))
+        return msgspec.structs.replace(self, mission=_found(folder, self.mission))
 
     def _with_files_from(self, folder: Path) -> Self:
         named = {key: value for key, value in self.mission_options.items() if key in FILES and isinstance(value, str)}
-        found = {key: str((folder / value).resolve()) for key, value in named.items()}
+        found = {key: _found(folder, value) for key, value in named.items()}
         drones = tuple(_replaying(drone, folder) for drone in self.drones)
         mocap = self.mocap
         if mocap.file:
-            mocap = msgspec.structs.replace(mocap, file=str((folder / mocap.file).resolve()))
+            mocap = msgspec.structs.replace(mocap, file=_found(folder, mocap.file))
         return msgspec.structs.replace(self, mission_options=self.mission_options | found, drones=drones, mocap=mocap)
 
     def _with_shapes_from(self, folder: Path) -> Self:
         named = {key: value for key in SHAPES if (value := getattr(self.mujoco, key))}
-        found = {key: str((folder / value).resolve()) for key, value in named.items()}
+        found = {key: _found(folder, value) for key, value in named.items()}
         mujoco = msgspec.structs.replace(self.mujoco, **found)
         return msgspec.structs.replace(self, mujoco=mujoco) if found else self
 
     def _with_keys(self, folder: Path) -> Self:
         if not self.secured:
             return self
-        keys = str((folder / self.security.keys).resolve())
+        keys = _found(folder, self.security.keys)
         return msgspec.structs.replace(self, security=msgspec.structs.replace(self.security, keys=keys))
 
     @property
@@ -123,12 +128,12 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
         Everything counts but `hosts`, `base_port`, `network` and the folders of the mission, of shapes and of poses. A
         file that the mission's options name counts by what is in it, wherever it lies.
         """
-        return hashlib.blake2b(msgspec.json.encode(self._agreed(), order="sorted"), digest_size=8).hexdigest()
+        return hashlib.blake2b(json_bytes(self._agreed(), order="sorted"), digest_size=8).hexdigest()
 
     def digests(self) -> str:
         """Of each of the keys AGREED alone two hex digits, so that two files that differ are told in what."""
         agreed = self._agreed()
-        said = [msgspec.json.encode(agreed[key], order="sorted") for key in AGREED]
+        said = [json_bytes(agreed[key], order="sorted") for key in AGREED]
         return "".join(hashlib.blake2b(value, digest_size=1).hexdigest() for value in said)
 
     def of_bodies(self) -> dict[str, str]:
@@ -137,7 +142,7 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
         agreed["mujoco"] |= {key: Path(getattr(self.mujoco, key)).name for key in SHAPES}
         for drone in agreed["drones"]:
             drone["uri"] = drone["uri"].rpartition("/")[2] if drone["uri"].startswith(REPLAY) else drone["uri"]
-        said = {key: msgspec.json.encode(agreed[key], order="sorted") for key in OF_BODIES}
+        said = {key: json_bytes(agreed[key], order="sorted") for key in OF_BODIES}
         return {key: hashlib.blake2b(value, digest_size=4).hexdigest() for key, value in said.items()}
 
     def _agreed(self) -> dict[str, Any]:
@@ -315,7 +320,12 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
 def _replaying(drone: Drone, folder: Path) -> Drone:
     """The drone, with the recording that it replays, if it does, found from a folder."""
     name = drone.uri.removeprefix(REPLAY)
-    return drone if name == drone.uri else msgspec.structs.replace(drone, uri=f"{REPLAY}{(folder / name).resolve()}")
+    return drone if name == drone.uri else msgspec.structs.replace(drone, uri=f"{REPLAY}{_found(folder, name)}")
+
+
+def _found(folder: Path, name: str) -> str:
+    """The path of what the swarm file names, from its folder."""
+    return str((folder / as_path(name)).resolve())
 
 
 def _content(value: Any) -> Any:

@@ -23,13 +23,23 @@ def parse(text: str, where: str) -> dict[str, Any]:
 
     Raises ConfigError, also for what not every host could read back: dates, infinities, NaN, huge numbers, deep nests.
     """
-    language, decode = ("JSON", msgspec.json.decode) if text.lstrip().startswith("{") else ("TOML", tomllib.loads)
+    language, decode = ("JSON", _decode_json) if text.lstrip().startswith("{") else ("TOML", tomllib.loads)
     try:
         raw: dict[str, Any] = decode(text)
     except (ValueError, RecursionError) as error:
         raise ConfigError(where, str(error), f"{language} text", "Mend the line.") from error
     require_plain(raw, where)
     return raw
+
+
+def _decode_json(text: str) -> Any:
+    """The values of a JSON text; only the standard library reads a path with bytes that are not UTF-8."""
+    try:
+        return msgspec.json.decode(text)
+    except msgspec.DecodeError:
+        if "\\ud" not in text:
+            raise
+        return json.loads(text)
 
 
 def require_plain(raw: dict[str, Any], where: str) -> None:
