@@ -31,6 +31,7 @@ from crazychoir.bus.arrays import (
     flat_layout,
 )
 from crazychoir.errors import CodecError
+from crazychoir.runtime.texts import readable_texts
 
 MAX_PAYLOAD: Final = 600_000
 """Bytes of one payload; a message of them fits into a frame, so that what is encoded here can leave the process."""
@@ -70,13 +71,16 @@ _GENERIC_HEAD = bytes([_GENERIC])
 
 
 def encode(value: Any, limit: int = MAX_PAYLOAD) -> bytes:
-    """Bytes of None, bool, int, float, str, bytes, list, tuple, dict, numpy array or scalar, wire type; nested.
+    r"""Bytes of None, bool, int, float, str, bytes, list, tuple, dict, numpy array or scalar, wire type; nested.
 
-    Tuples arrive as lists (as tuples in the keys of a dict), numpy scalars as Python's.
+    Tuples arrive as lists (as tuples in the keys of a dict), numpy scalars as Python's. In texts, bytes of file
+    names that are not UTF-8 arrive as \xfc.
     Raises CodecError: where in the value, what was found, what is allowed.
     """
     try:
         payload = _ENCODERS.get(type(value), _encode_generic)(value)
+    except UnicodeEncodeError:
+        payload = _encode_readable(value)
     except Exception as error:
         raise _refusal(value, error) from error
     if len(payload) > limit:
@@ -110,6 +114,15 @@ def register(cls: type[W]) -> type[W]:
     _ARRIVING.add(cls)
     _ENCODERS[cls], _DECODERS[tag] = flat_layout(cls, tag, *sizes) if sizes[0] else _typed(cls, tag)
     return cls
+
+
+def _encode_readable(value: Any) -> bytes:
+    """Bytes of the value with texts that can travel."""
+    texts = readable_texts(value)
+    try:
+        return _ENCODERS.get(type(texts), _encode_generic)(texts)
+    except Exception as other:
+        raise _refusal(texts, other) from other
 
 
 def _encode_float(value: float) -> bytes:

@@ -9,6 +9,7 @@ from crazychoir.bus.local import Bus
 from crazychoir.bus.topics import TOPICS, Topic
 from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.mailbox import Latest
+from crazychoir.runtime.texts import json_bytes
 
 
 class Announcer(Protocol):
@@ -61,4 +62,4 @@ def by_name(value: msgspec.Struct) -> dict[str, Any]:
 
 def as_json(value: msgspec.Struct) -> bytes:
     """The fields of a wire type by name, a flat vector by its parts; arrays as lists; what is not finite as null."""
-    return msgspec.json.encode(by_name(value), enc_hook=np.ndarray.tolist)
+    return json_bytes(by_name(value), enc_hook=np.ndarray.tolist)

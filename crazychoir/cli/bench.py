@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 import typer
 from rich.console import RenderableType
-from rich.markup import escape
+from rich.text import Text
 
 from crazychoir.cli import options
 from crazychoir.cli.bench_latency import latency
@@ -151,7 +151,7 @@ def _show(
     try:
         if STDERR.is_terminal:
             with STDERR.status("starting") as status:
-                result = measure(lambda text: status.update(escape(text)))
+                result = measure(lambda text: status.update(Text(text)))
         else:
             result = measure(lambda text: STDERR.print(text, markup=False, highlight=False, soft_wrap=True))
     except CrazyChoirError as error:

@@ -30,7 +30,7 @@ def run(
 
 def _solvers(folder: Path, quick: bool, say: Callable[[str], None]) -> list[Path]:
     found = bench_routing.run(prove=True, quick=quick, say=say)
-    (folder / "routing.json").write_text(json.dumps(found))
+    (folder / "routing.json").write_text(json.dumps(found), encoding="utf-8")
     runs = [{key: value for key, value in row.items() if key != "curve"} for row in found["rows"]]
     files = [folder / "routing.json", write_csv(folder / "routing_runs.csv", runs)]
     files.append(write_csv(folder / "routing.csv", [flat(row) for row in found["summary"]]))
@@ -40,7 +40,7 @@ def _solvers(folder: Path, quick: bool, say: Callable[[str], None]) -> list[Path
 def write_csv(path: Path, rows: Rows) -> Path:
     """A table with a head; all rows have the keys of any."""
     names = list(dict.fromkeys(name for row in rows for name in row))
-    with path.open("w", newline="") as file:
+    with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, names)
         writer.writeheader()
         writer.writerows(rows)

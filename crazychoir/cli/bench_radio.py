@@ -47,7 +47,7 @@ def run(quick: bool, say: Callable[[str], None]) -> dict[str, Any]:
                 link.bus.subscribe(topic, config.source(topic, i), address, Call(clock, hear))
         with tempfile.TemporaryDirectory() as folder, contextlib.ExitStack() as started:
             file = Path(folder) / "swarm.json"
-            file.write_text(config.dumps())
+            file.write_text(config.dumps(), encoding="utf-8")
             async with attached(link):
                 say("idle")
                 late = {PHASES[0]: await _lateness(clock, seconds)}

@@ -170,7 +170,7 @@ def measured(instance: Instance, peer: Peer, options: dict[str, Any]) -> dict[st
         return _nothing(INSTALL)
     with tempfile.TemporaryDirectory(prefix="crazychoir-bench-") as folder:
         file = Path(folder) / "instance.json"
-        file.write_text(json.dumps(instance.to_json()))
+        file.write_text(json.dumps(instance.to_json()), encoding="utf-8")
         spec = json.dumps(options | {"instance": str(file)})
         command = [sys.executable, "-c", BARE, str(PACKAGE), f"crazychoir.cli.{peer.module}", spec]
         try:

@@ -112,7 +112,7 @@ def in_crazyflow(n: int, calls: int) -> float:
         raise ModuleNotFoundError("crazyflow")
     program = Path(__file__).with_name("peers_crazyflow.py")
     words = [sys.executable, str(program), *map(str, (n, calls, REPEATS))]
-    done = subprocess.run(words, capture_output=True, text=True, timeout=PATIENCE, check=False)
+    done = subprocess.run(words, capture_output=True, text=True, errors="replace", timeout=PATIENCE, check=False)
     if done.returncode:
         raise Refused("crazyflow", (done.stderr.strip().splitlines() or ["it said nothing"])[-1])
     return float(json.loads(done.stdout.splitlines()[-1])["seconds"])

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich import box
 from rich.table import Table
+from rich.text import Text
 
 from crazychoir.cli.host_checks import Row, is_wrong
 from crazychoir.cli.show import STDOUT, prints_aside, write_json
@@ -159,9 +160,5 @@ def _show(rows: list[Row]) -> None:
     table = Table("", "what", "found", "how to mend it", box=box.SIMPLE_HEAD, padding=(0, 1))
     for row in rows:
         colour = COLOURS[row.state]
-        table.add_row(f"[{colour}]{row.state}[/]", row.what, _plain(row.found), _plain(row.mend))
+        table.add_row(Text(row.state, colour), row.what, row.found, row.mend)
     STDOUT.print(table)
-
-
-def _plain(text: str) -> str:
-    return text.replace("[", r"\[")

@@ -6,6 +6,8 @@ import signal
 import sys
 from collections.abc import Callable
 
+from crazychoir.runtime.texts import let_outputs_take_any_text
+
 _PR_SET_PDEATHSIG = 1
 
 
@@ -24,6 +26,7 @@ def run(app: Callable[[], None]) -> None:
     Who has had a Zenoh session has its threads, and maybe one that does not close: while the interpreter is being taken
     down they may hang it, or abort the process, after its result is written and with another exit code.
     """
+    let_outputs_take_any_text()
     try:
         app()
     except SystemExit as ended:

@@ -11,6 +11,7 @@ from typing import Any
 
 from rich import box
 from rich.table import Table
+from rich.text import Text
 
 from crazychoir.bus.hello import VERSION
 from crazychoir.bus.zenoh import ZenohLink
@@ -83,8 +84,8 @@ def mocap_table(process: MocapProcess) -> Table:
     return table
 
 
-def _cells(sight: Sight, age: float) -> list[str]:
-    shown = f"[red]{age:.1f}[/red]" if age > MISSING else f"{age:.2f}"
+def _cells(sight: Sight, age: float) -> list[str | Text]:
+    shown = Text(f"{age:.1f}", "red") if age > MISSING else f"{age:.2f}"
     return [_hertz(sight.rate), shown, *(f"{c:.3f}" for c in sight.flat[0:3]), str(sight.dropped)]
 
 

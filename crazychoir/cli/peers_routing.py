@@ -35,7 +35,7 @@ class Problem:
     @classmethod
     def load_from(cls, path: str) -> "Problem":
         """From an instance file; loads and capacities must be whole numbers there, as these solvers have them."""
-        raw = json.loads(Path(path).read_text())
+        raw = json.loads(Path(path).read_text(encoding="utf-8"))
         points = np.array([*raw["home"], *raw["pickup"], *raw["delivery"]])
         limit = raw.get("route_length_limit")
         return cls(

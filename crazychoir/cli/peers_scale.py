@@ -28,7 +28,7 @@ async def agent(communicator: Communicator, rounds: dict[int, int]) -> None:
 
 def private() -> int:
     """Bytes that are this process's alone."""
-    lines = Path("/proc/self/smaps_rollup").read_text().splitlines()
+    lines = Path("/proc/self/smaps_rollup").read_text(encoding="utf-8").splitlines()
     return 1024 * sum(int(line.split()[1]) for line in lines if line.startswith("Private_"))
 
 

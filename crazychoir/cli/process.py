@@ -1,6 +1,5 @@
 """One process of a swarm in real time: its drones, its place on the network, its signals."""
 
-import asyncio
 import logging
 import random
 import signal
@@ -19,6 +18,7 @@ from crazychoir.radio.owner import RadioProcess
 from crazychoir.radio.ownership import owned
 from crazychoir.runtime.clock import SECOND, Clock, run_wall
 from crazychoir.runtime.watchdog import Watchdog
+from crazychoir.runtime.worker import add_signal_handler
 from crazychoir.swarm.config import DONGLES, MOCAP, WORLD, SwarmConfig
 from crazychoir.worlds import WorldProcess
 
@@ -138,7 +138,6 @@ def _obey_signals(clock: Clock, agent: Agent) -> None:
     SIGHUP only lands: it says that the terminal or the parent has gone, and a parent of many threads says so once a
     thread, not that anybody insists.
     """
-    loop = asyncio.get_running_loop()
     times: list[int] = []
 
     def on_signal(number: int) -> None:
@@ -155,4 +154,4 @@ def _obey_signals(clock: Clock, agent: Agent) -> None:
             agent.land_all(f"{NAMES[number]}: landing")
 
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        loop.add_signal_handler(number, on_signal, number)
+        add_signal_handler(number, on_signal, number)

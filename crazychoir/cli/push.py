@@ -152,7 +152,8 @@ def run(host: str, step: Step) -> None:
     """Do it; raises ProcessFailed with what it says."""
     try:
         done = subprocess.run(
-            step.command, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=step.deadline, check=False
+            step.command, stdin=subprocess.DEVNULL, capture_output=True, text=True, errors="replace",
+            timeout=step.deadline, check=False,
         )
     except FileNotFoundError as error:
         raise ProcessFailed(step.command[0], "it is not on this machine. Install openssh-client.") from error

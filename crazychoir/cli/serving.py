@@ -11,6 +11,7 @@ from crazychoir.radio.virtual.server import VirtualServer
 from crazychoir.radio.virtual.setup import Hall
 from crazychoir.runtime.clock import Clock
 from crazychoir.runtime.supervisor import Supervisor
+from crazychoir.runtime.worker import add_signal_handler
 
 LOOKS = 4.0
 """Hz, of the live table."""
@@ -31,7 +32,7 @@ async def serve(
     failures: list[str] = []
     supervisor = Supervisor(clock, "virtual", lambda actor, error, again: failures.append(str(error)))
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        asyncio.get_running_loop().add_signal_handler(number, supervisor.stop)
+        add_signal_handler(number, supervisor.stop)
     progress.say(_where(hall))
     shows = asyncio.create_task(_show(clock, server, progress))
     try:

@@ -28,9 +28,9 @@ if TYPE_CHECKING:
     from crazychoir.types import Status
 
 T = TypeVar("T")
-STDERR = Console(stderr=True)
-"""For what goes on, and what goes wrong."""
-STDOUT = Console()
+STDERR = Console(stderr=True, markup=False, emoji=False)
+"""For what goes on, and what goes wrong. A text is printed as it is: names may look like the markup of rich."""
+STDOUT = Console(markup=False, emoji=False)
 """For what a command answers."""
 REFRESH = 4
 """Tables a second."""
@@ -128,7 +128,7 @@ def fail(error: CrazyChoirError, as_json: bool) -> NoReturn:
     """Say what is wrong, and end with exit code 2."""
     if as_json:
         write_json({"success": False, "error": str(error), "kind": type(error).__name__})
-    STDERR.print(f"[bold red]{type(error).__name__}[/]: ", end="")
+    STDERR.print(Text.assemble((type(error).__name__, "bold red"), ": "), end="")
     text = f"{error.by}: {error.reason}" if isinstance(error, Refused) else str(error)  # its name is said already
     STDERR.print(text, markup=False, highlight=False, soft_wrap=True)
     raise typer.Exit(2)
@@ -158,7 +158,7 @@ def result_table(results: dict[Any, dict[str, Any]]) -> Table:
     for i, result in results.items():
         rest = ", ".join(f"{k} {_short(v)}" for k, v in result.items() if k != "success")
         detail = _of(i, result["reason"]) if result.get("reason") else rest
-        table.add_row(str(i), "yes" if result.get("success") else "[red]no[/]", Text(detail))
+        table.add_row(str(i), "yes" if result.get("success") else Text("no", "red"), Text(detail))
     return table
 
 
@@ -181,7 +181,7 @@ def status_table(score: "Score") -> Group:
     for i in score.ids:
         status = score.statuses.get(i)
         if status is None:
-            table.add_row(str(i), "", "[dim]not heard yet[/]")
+            table.add_row(str(i), "", Text("not heard yet", "dim"))
             continue
         silent = _silent(status, score.statuses)
         marked = marked or bool(silent)

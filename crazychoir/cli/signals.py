@@ -1,10 +1,10 @@
 """How a process that owns something obeys signals: it ends when nobody needs it any more."""
 
-import asyncio
 import signal
 from typing import Protocol
 
 from crazychoir.runtime.clock import SECOND, Clock
+from crazychoir.runtime.worker import add_signal_handler
 
 AGAIN = 2.0
 """s within which signals count together."""
@@ -25,7 +25,6 @@ class Owner(Protocol):
 
 def end_on_signals(clock: Clock, owner: Owner) -> None:
     """The first signal lets those land who fly; a second of an operator within 2 s ends it where it is."""
-    loop = asyncio.get_running_loop()
     times: list[int] = []
 
     def on_signal(number: int) -> None:
@@ -38,4 +37,4 @@ def end_on_signals(clock: Clock, owner: Owner) -> None:
             times.append(clock.now_ns())
 
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        loop.add_signal_handler(number, on_signal, number)
+        add_signal_handler(number, on_signal, number)

@@ -210,7 +210,7 @@ def _agents_table(rows: "Mapping[int, Mapping[str, Any]]", title: str) -> Table 
     return _with_the_rest(table, len(rows)) if names else None
 
 
-def _violation(history: "History") -> str:
+def _violation(history: "History") -> str | Text:
     """The largest, and whose they are if they are not small: the agents' x are then no answer. "" if there is none."""
     if history.violation is None:
         return ""
@@ -218,7 +218,7 @@ def _violation(history: "History") -> str:
     if not over:
         return f"{history.violation:.3g}"
     whose = f"agent {over[0]}" if len(over) == 1 else f"{len(over)} agents, as {over[0]}"
-    return f"[red]{history.violation:.3g}, of {whose}: their x is not feasible[/]"
+    return Text(f"{history.violation:.3g}, of {whose}: their x is not feasible", "red")
 
 
 def _short(x: Any) -> str:

@@ -119,7 +119,7 @@ def _progress_table(progress: "TeamProgress") -> Table:
 
 def _tables(result: dict[str, Any]) -> Group:
     """What came of it, and a row a trip."""
-    figures = Table("figure", "value", title="plan" if result["feasible"] else "[red]not feasible[/]")
+    figures = Table("figure", "value", title="plan" if result["feasible"] else Text("not feasible", "red"))
     for name, text in _figures(result).items():
         figures.add_row(name, Text(text))
     for wrong in result["violations"]:

@@ -18,6 +18,7 @@ from crazychoir.dashboard.watch import Watch
 from crazychoir.errors import CrazyChoirError
 from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import Clock
+from crazychoir.runtime.texts import json_bytes
 
 log = logging.getLogger(__name__)
 TABLES = 2.0
@@ -115,7 +116,7 @@ class Stream(Actor):
                 continue
             self.frame = self.model.frame()
             if count % every == 0:
-                self.table, self.tables = msgspec.json.encode(self.news()), self.tables + 1
+                self.table, self.tables = json_bytes(self.news()), self.tables + 1
             count += 1
             self.wake()
 
@@ -238,4 +239,4 @@ def _gone(error: BaseException) -> bool:
 
 
 def _text(value: Any) -> str:
-    return msgspec.json.encode(value, enc_hook=str).decode()
+    return json_bytes(value, enc_hook=str).decode()

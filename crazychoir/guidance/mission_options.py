@@ -9,7 +9,7 @@ from crazychoir.errors import ConfigError
 from crazychoir.swarm.config import SwarmConfig
 from crazychoir.swarm.graph import span
 from crazychoir.swarm.reading import read
-from crazychoir.swarm.tables import Drone, Height, Id, Table
+from crazychoir.swarm.tables import Drone, Height, Id, Swarm, Table
 
 T = TypeVar("T", bound=Table)
 Coordinate = Annotated[float, Meta(ge=-1000, le=1000)]
@@ -59,12 +59,12 @@ class HeightOption(Table, frozen=True, kw_only=True):
 
 def given(config: SwarmConfig, kind: type[T]) -> T:
     """[mission_options] as the table `kind`; raises ConfigError that names the key, what was found, what is allowed."""
-    return read(config.mission_options, kind, f"swarm {config.name}", "mission_options")
+    return read(config.mission_options, kind, f"swarm {config.name}", "mission_options", Swarm)
 
 
 def own(config: SwarmConfig, drone: Drone, kind: type[T]) -> T:
     """`options` of a drone as the table `kind`; raises ConfigError as `given`."""
-    return read(drone.options, kind, f"swarm {config.name}: drone {drone.id}", "options")
+    return read(drone.options, kind, f"swarm {config.name}: drone {drone.id}", "options", Swarm)
 
 
 def require_none(config: SwarmConfig) -> None:

@@ -11,6 +11,8 @@ import time
 from collections.abc import Iterator
 from typing import Any, Self
 
+from crazychoir.runtime.texts import child_environment
+
 
 class Ended(TimeoutError):
     """A program has ended before its answer; number: which, as they were named."""
@@ -37,7 +39,8 @@ class Group:
         pipe = subprocess.PIPE
         for number, command in enumerate(self._commands):
             process = subprocess.Popen(
-                command, stdin=pipe, stdout=pipe, stderr=subprocess.STDOUT, text=True, start_new_session=True
+                command, stdin=pipe, stdout=pipe, stderr=subprocess.STDOUT, encoding="utf-8", errors="replace",
+                env=child_environment(), start_new_session=True,
             )
             self._processes.append(process)
             threading.Thread(target=self._read, args=(number, process), daemon=True).start()

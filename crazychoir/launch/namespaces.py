@@ -84,6 +84,8 @@ def ip(*arguments: str) -> None:
     program = shutil.which("ip")
     if program is None:
         raise ConfigError(where, "no program `ip`", "that of iproute2", needed)
-    done = subprocess.run([program, *arguments], capture_output=True, text=True, check=False, timeout=30.0)
+    done = subprocess.run(
+        [program, *arguments], capture_output=True, text=True, errors="replace", check=False, timeout=30.0
+    )
     if done.returncode:
         raise ConfigError(where, f"`ip {' '.join(arguments)}`: {done.stderr.strip()}", "success", needed)

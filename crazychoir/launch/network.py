@@ -84,7 +84,7 @@ def swarm_file(config: SwarmConfig) -> Iterator[Path]:
     """The swarm as a file, while it flies: for its processes, and for who wants to look into it."""
     with scratch_folder(f"crazychoir-{config.name}-") as folder:
         path = folder / "swarm.json"
-        path.write_text(config.dumps())
+        path.write_text(config.dumps(), encoding="utf-8")
         yield path
 
 
@@ -170,7 +170,7 @@ def _bases(offsets: list[int]) -> Iterator[int]:
 
 def _first_of_connections() -> int:
     try:
-        return int(Path("/proc/sys/net/ipv4/ip_local_port_range").read_text().split()[0])
+        return int(Path("/proc/sys/net/ipv4/ip_local_port_range").read_text(encoding="utf-8").split()[0])
     except (OSError, ValueError, IndexError):
         return 32_768
 

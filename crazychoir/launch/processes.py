@@ -18,6 +18,8 @@ from crazychoir.cache import COMPILES, shared_by_children
 from crazychoir.errors import CodecError, ProcessFailed
 from crazychoir.guidance.life import LANDING_DEADLINE
 from crazychoir.planning.point_to_point import PEAK_SPEED, duration_for
+from crazychoir.runtime.texts import child_environment
+from crazychoir.runtime.worker import add_signal_handler
 from crazychoir.swarm.config import SwarmConfig
 from crazychoir.types import FullState
 from crazychoir.user_folders import WARNING
@@ -102,9 +104,8 @@ async def _run_agents(
     all_wait: Callable[[], bool],
 ) -> None:
     """Start one a file, and stay until all have ended."""
-    loop = asyncio.get_running_loop()
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        loop.add_signal_handler(number, _signal, children.values(), number)
+        add_signal_handler(number, _signal, children.values(), number)
 
     async def until_its_end(group: tuple[int, ...]) -> None:
         await _listen(children[group], say)
@@ -198,6 +199,7 @@ async def _start(module: str, *words: str) -> Process:
         stdin=DEVNULL,
         stdout=PIPE,
         stderr=STDOUT,
+        env=child_environment(),
         start_new_session=True,  # Ctrl-C reaches this process alone, which passes it on once
     )  # fmt: skip
 

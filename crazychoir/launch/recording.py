@@ -45,7 +45,7 @@ def new_recording(path: Path, config: SwarmConfig, mission: Mission | None, virt
 def text_of(mission: Mission | None) -> str:
     """The text of a mission's file; empty without one."""
     path = Path(getattr(mission, "__file__", None) or "")
-    return path.read_text(errors="replace") if path.is_file() else ""
+    return path.read_text(encoding="utf-8", errors="replace") if path.is_file() else ""
 
 
 def digests(config: SwarmConfig, mission: Mission | None) -> dict[str, str]:

@@ -60,7 +60,7 @@ def _record(run: Run) -> Iterator[None]:
     with contextlib.ExitStack() as kept:
         for left in (path, hidden):
             kept.callback(_remove, left)
-        file = kept.enter_context(hidden.open("w"))
+        file = kept.enter_context(hidden.open("w", encoding="utf-8"))
         fcntl.flock(file, fcntl.LOCK_EX)
         json.dump(asdict(run), file)
         file.flush()
@@ -139,7 +139,7 @@ def _read(path: Path, uid: int) -> Run | None:
     if path.name.startswith("."):
         return None
     try:
-        with open(path, opener=_open_file) as file:
+        with open(path, encoding="utf-8", opener=_open_file) as file:
             found = os.fstat(file.fileno())
             if not stat.S_ISREG(found.st_mode) or found.st_uid != uid:
                 return None

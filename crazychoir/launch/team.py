@@ -71,7 +71,7 @@ def solve_in_processes(
     parts = [part.tolist() for part in np.array_split(np.arange(instance.robots), processes)]
     with scratch_folder("crazychoir-solve-") as folder:
         file = folder / "instance.json"
-        file.write_text(json.dumps(instance.to_json()))
+        file.write_text(json.dumps(instance.to_json()), encoding="utf-8")
         common = {"instance": str(file), "method": method, "seed": seed, "deadline": deadline, "effects": rule.effects,
                   "settings": asdict(settings or Settings())}  # fmt: skip
         common |= {"neighbors": {i: links.neighbors(i) for i in links.ids}, "watched": watch is not None}

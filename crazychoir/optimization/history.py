@@ -108,10 +108,11 @@ class History:
         require_suffix(path)
         path.parent.mkdir(exist_ok=True)
         if path.suffix == ".csv":
-            with path.open("w", newline="") as file:
+            with path.open("w", newline="", encoding="utf-8") as file:
                 csv.writer(file, lineterminator="\n").writerows(self._rows())
         elif path.suffix == ".json":
-            path.write_text(json.dumps(plain(self.to_json() | {"values": self.values, "times": self.times})))
+            told = self.to_json() | {"values": self.values, "times": self.times}
+            path.write_text(json.dumps(plain(told)), encoding="utf-8")
         else:
             series = {f"{name}_{i}": x for i, values in self.values.items() for name, x in values.items()}
             changing = next((name for name, x in series.items() if isinstance(x, list)), None)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from crazychoir.errors import ConfigError
+from crazychoir.runtime.texts import readable
 from crazychoir.types import Vec
 
 if TYPE_CHECKING:
@@ -45,7 +46,7 @@ def draw_convergence(
         axes.grid(color="#e6e6e6", linewidth=0.6)
         axes.set_axisbelow(True)
         axes.spines[["top", "right"]].set_visible(False)
-    figure.suptitle(title, color=INK, fontsize=10)
+    figure.suptitle(readable(title), color=INK, fontsize=10, parse_math=False)
     figure.savefig(path, bbox_inches="tight")
 
 

@@ -94,7 +94,7 @@ class TableOfContents:
             return None
         file = _file(self.folder, crc)
         try:
-            return decoded(file.read_text())
+            return decoded(file.read_text(encoding="utf-8"))
         except FileNotFoundError:
             return None
         except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
@@ -106,7 +106,7 @@ class TableOfContents:
         folder.mkdir(parents=True, exist_ok=True)
         handle, name = tempfile.mkstemp(dir=folder, prefix=".")
         try:
-            with os.fdopen(handle, "w") as file:
+            with os.fdopen(handle, "w", encoding="utf-8") as file:
                 file.write(encoded(contents))
             os.replace(name, _file(folder, crc))
         except BaseException:

@@ -19,6 +19,7 @@ from crazychoir.errors import ConfigError
 from crazychoir.recording.messages import Message
 from crazychoir.recording.writer import Timed, Writer
 from crazychoir.runtime.clock import SECOND
+from crazychoir.runtime.texts import readable_texts
 
 ABOUT = "crazychoir"
 """Name of the record that says what was flown."""
@@ -80,7 +81,7 @@ class RecordingFile:
         self._schemas: dict[str, int] = {}
         self._writer = Writer()
         self._writer.begin(profile="ros2", library=f"crazychoir {about['version']}")
-        self._writer.metadata(ABOUT, about)
+        self._writer.metadata(ABOUT, readable_texts(about))
         self._writer.attachment(SWARM_FILE, "application/json", swarm.encode())
         if mission:
             self._writer.attachment(MISSION_FILE, "text/x-python", mission.encode())
@@ -110,7 +111,7 @@ class RecordingFile:
                 return
             if self.written and not self.error:
                 said = {"lost": str(self.lost), "missed": str(self.missed), "ended": UNKNOWN, **(outcome or {})}
-                self._writer.metadata(OUTCOME, said)
+                self._writer.metadata(OUTCOME, readable_texts(said))
                 self._writer.finish()
                 self._put(sync=self.durable)
             os.close(self._fd)

@@ -82,7 +82,7 @@ class Bag:
         self._writer.finish()
         self._file.write(self._writer.take())
         self._file.close()
-        (self.folder / METADATA).write_text(self._metadata())
+        (self.folder / METADATA).write_text(self._metadata(), encoding="utf-8")
         self.whole = True
 
     def discard(self) -> None:

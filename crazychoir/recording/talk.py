@@ -62,7 +62,7 @@ class Talk:
             name = json.dumps(channel.name)
             for k, number, far in zip(channel.rounds, channel.different, spread, strict=True):
                 rows.append(f"{name},{k:.0f},{number:.0f},{far:.6g}")
-        path.write_text("\n".join(rows) + "\n")
+        path.write_text("\n".join(rows) + "\n", encoding="utf-8")
 
     def write_history(self, path: Path) -> None:
         """The planning of all drones as a CSV file."""

@@ -63,7 +63,7 @@ class Work:
             words = (span.phase, span.task, done.replace(SIGNS["delivery"], "-"))
             texts = ",".join('"' + word.replace('"', '""') + '"' for word in words)
             rows.append(f"{span.drone},{span.begin:.3f},{span.end:.3f},{texts}")
-        path.write_text("\n".join(rows) + "\n")
+        path.write_text("\n".join(rows) + "\n", encoding="utf-8")
 
 
 def work_of(path: Path, began: float) -> Work:

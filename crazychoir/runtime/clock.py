@@ -22,6 +22,7 @@ from types import FrameType
 from typing import Any, TypeVar
 
 from crazychoir.errors import Deadlock, Livelock
+from crazychoir.runtime.worker import Worker, is_inside_loop
 
 T = TypeVar("T")
 SECOND = 1_000_000_000
@@ -115,6 +116,10 @@ class Clock:
             if not alarm.cancelled():
                 return when_ns, alarm
         return None
+
+
+Main = Callable[[Clock], Coroutine[Any, Any, T]]
+"""What a clock's loop runs."""
 
 
 def wake(waiter: "asyncio.Future[None]") -> None:
@@ -411,15 +416,26 @@ def _place(task: "asyncio.Task[Any]") -> str:
     return f"{where} ({owner})" if owner else where
 
 
-def run_virtual(main: Callable[[Clock], Coroutine[Any, Any, T]]) -> T:
-    """Run `main(clock)` to its end in virtual time."""
+def run_virtual(main: Main[T]) -> T:
+    """Run `main(clock)` to its end in virtual time; in a worker thread where a loop runs already, as in a notebook."""
+    return Worker[Clock, T](_run_virtual).result(main) if is_inside_loop() else _run_virtual(main)
+
+
+def run_wall(main: Main[T]) -> T:
+    """Run `main(clock)` to its end in real time, on uvloop, in a process that is prompt meanwhile.
+
+    It runs in a worker thread where a loop runs already, as in a notebook.
+    """
+    return Worker[Clock, T](_run_wall).result(main) if is_inside_loop() else _run_wall(main)
+
+
+def _run_virtual(main: Main[T]) -> T:
     clock = VirtualClock()
     with asyncio.Runner(loop_factory=lambda: clock.loop) as runner:
         return runner.run(main(clock))
 
 
-def run_wall(main: Callable[[Clock], Coroutine[Any, Any, T]]) -> T:
-    """Run `main(clock)` to its end in real time, on uvloop, in a process that is prompt meanwhile."""
+def _run_wall(main: Main[T]) -> T:
     import uvloop
 
     async def with_clock() -> T:

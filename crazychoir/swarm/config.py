@@ -2,6 +2,7 @@
 
 import hashlib
 import ipaddress
+import json
 import math
 from collections.abc import Iterable
 from pathlib import Path
@@ -14,6 +15,7 @@ from crazychoir.bus.endpoints import are_local
 from crazychoir.bus.local import BODIES, EYES
 from crazychoir.bus.topics import POSE, TRUTH, Topic
 from crazychoir.errors import ConfigError
+from crazychoir.runtime.texts import as_path, json_bytes
 from crazychoir.security import authority
 from crazychoir.swarm.checks import REPLAY, ROUTER_BELOW, check, graph_of, owned, secured
 from crazychoir.swarm.graph import Graph, span
@@ -73,15 +75,11 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
         return msgspec.structs.replace(config, drones=drones)
 
     def dumps(self) -> str:
-        """JSON text for `loads`, defaults and all: hands a swarm to another process.
-
-        Errors: ConfigError for a file whose name is not UTF-8, which no JSON text can say.
-        """
-        for key, path in self.files.items():
-            if not _is_text(str(path)):
-                do = "Rename the file or the folder that it is in, or fly with --fast, in one process."
-                raise ConfigError(f"swarm {self.name}: {key}", ascii(str(path)), "a name of UTF-8 characters", do)
-        return msgspec.json.format(msgspec.json.encode(self), indent=2).decode()
+        """JSON text for `loads`, defaults and all: hands a swarm to another process."""
+        try:
+            return msgspec.json.format(msgspec.json.encode(self), indent=2).decode()
+        except UnicodeEncodeError:  # a path with bytes that are not UTF-8: they are escaped
+            return json.dumps(msgspec.to_builtins(self), indent=2)
 
     def replace(self, **changes: Any) -> Self:
         """This swarm with other values of some keys, named as in the file; a mission's path is relative to here."""
@@ -92,7 +90,7 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
     def _with_mission_from(self, folder: Path) -> Self:
         if self.mission is None or not self.mission.endswith(".py"):
             return self
-        return msgspec.structs.replace(self, mission=str((folder / self.mission).resolve()))
+        return msgspec.structs.replace(self, mission=_resolved(folder, self.mission, "mission"))
 
     def _with_files_from(self, folder: Path) -> Self:
         named = {key: value for key, value in self.mission_options.items() if key in FILES and isinstance(value, str)}
@@ -100,19 +98,19 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
         drones = tuple(_replaying(drone, folder) for drone in self.drones)
         mocap = self.mocap
         if mocap.file:
-            mocap = msgspec.structs.replace(mocap, file=str((folder / mocap.file).resolve()))
+            mocap = msgspec.structs.replace(mocap, file=_resolved(folder, mocap.file, "mocap.file"))
         return msgspec.structs.replace(self, mission_options=self.mission_options | found, drones=drones, mocap=mocap)
 
     def _with_shapes_from(self, folder: Path) -> Self:
         named = {key: value for key in SHAPES if (value := getattr(self.mujoco, key))}
-        found = {key: str((folder / value).resolve()) for key, value in named.items()}
+        found = {key: _resolved(folder, value, f"mujoco.{key}") for key, value in named.items()}
         mujoco = msgspec.structs.replace(self.mujoco, **found)
         return msgspec.structs.replace(self, mujoco=mujoco) if found else self
 
     def _with_keys(self, folder: Path) -> Self:
         if not self.secured:
             return self
-        keys = str((folder / self.security.keys).resolve())
+        keys = _resolved(folder, self.security.keys, "security.keys")
         return msgspec.structs.replace(self, security=msgspec.structs.replace(self.security, keys=keys))
 
     @property
@@ -132,12 +130,12 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
         Everything counts but `hosts`, `base_port`, `network` and the folders of the mission, of shapes and of poses. A
         file that the mission's options name counts by what is in it, wherever it lies.
         """
-        return hashlib.blake2b(msgspec.json.encode(self._agreed(), order="sorted"), digest_size=8).hexdigest()
+        return hashlib.blake2b(json_bytes(self._agreed(), order="sorted"), digest_size=8).hexdigest()
 
     def digests(self) -> str:
         """Of each of the keys AGREED alone two hex digits, so that two files that differ are told in what."""
         agreed = self._agreed()
-        said = [msgspec.json.encode(agreed[key], order="sorted") for key in AGREED]
+        said = [json_bytes(agreed[key], order="sorted") for key in AGREED]
         return "".join(hashlib.blake2b(value, digest_size=1).hexdigest() for value in said)
 
     def of_bodies(self) -> dict[str, str]:
@@ -146,7 +144,7 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
         agreed["mujoco"] |= {key: Path(getattr(self.mujoco, key)).name for key in SHAPES}
         for drone in agreed["drones"]:
             drone["uri"] = drone["uri"].rpartition("/")[2] if drone["uri"].startswith(REPLAY) else drone["uri"]
-        said = {key: msgspec.json.encode(agreed[key], order="sorted") for key in OF_BODIES}
+        said = {key: json_bytes(agreed[key], order="sorted") for key in OF_BODIES}
         return {key: hashlib.blake2b(value, digest_size=4).hexdigest() for key, value in said.items()}
 
     def _agreed(self) -> dict[str, Any]:
@@ -332,15 +330,10 @@ def _replaying(drone: Drone, folder: Path) -> Drone:
 def _resolved(folder: Path, name: str, key: str) -> str:
     """Return the whole path of a file. Errors: ConfigError with `key` for a name that no file here can have."""
     try:
-        return str((folder / name).resolve())
+        return str((folder / as_path(name)).resolve())
     except (ValueError, OSError, RuntimeError) as error:
         do = "Rename the file; or, for letters that this system does not know, set PYTHONUTF8=1 or LC_ALL=C.UTF-8."
         raise ConfigError(key, ascii(name), f"the name of a file ({error})", do) from error
-
-
-def _is_text(name: str) -> bool:
-    """Is it text? The bytes of a file's name that are not UTF-8 are half characters in Python, which no text has."""
-    return not any("\ud800" <= letter <= "\udfff" for letter in name)
 
 
 def _content(value: Any) -> Any:

@@ -1,6 +1,5 @@
 """From the text of a swarm file to its tables, with errors that name file, key, value and what is allowed."""
 
-import difflib
 import json
 import math
 import tomllib
@@ -11,6 +10,7 @@ import msgspec
 from msgspec.structs import FieldInfo
 
 from crazychoir.errors import ConfigError
+from crazychoir.swarm.misplaced import keys_of_the_file, names, not_a_table, place_of_missing, remedy
 
 T = TypeVar("T", bound=msgspec.Struct)
 
@@ -23,13 +23,23 @@ def parse(text: str, where: str) -> dict[str, Any]:
 
     Raises ConfigError, also for what not every host could read back: dates, infinities, NaN, huge numbers, deep nests.
     """
-    language, decode = ("JSON", msgspec.json.decode) if text.lstrip().startswith("{") else ("TOML", tomllib.loads)
+    language, decode = ("JSON", _decode_json) if text.lstrip().startswith("{") else ("TOML", tomllib.loads)
     try:
         raw: dict[str, Any] = decode(text)
     except (ValueError, RecursionError) as error:
         raise ConfigError(where, str(error), f"{language} text", "Mend the line.") from error
     require_plain(raw, where)
     return raw
+
+
+def _decode_json(text: str) -> Any:
+    """The values of a JSON text; only the standard library reads a path with bytes that are not UTF-8."""
+    try:
+        return msgspec.json.decode(text)
+    except msgspec.DecodeError:
+        if "\\ud" not in text:
+            raise
+        return json.loads(text)
 
 
 def require_plain(raw: dict[str, Any], where: str) -> None:
@@ -53,20 +63,26 @@ def _is_plain(value: object) -> bool:
     return math.isfinite(value) if isinstance(value, float) else isinstance(value, str | bool | None)
 
 
-def read(raw: object, kind: type[T], where: str, key: str = "") -> T:
-    """The table `kind` with the values of `raw`; `where` is the file, `key` the path to this table in it."""
+def read(raw: object, kind: type[T], where: str, key: str = "", file: type[msgspec.Struct] | None = None) -> T:
+    """The table `kind` with the values of `raw`; `where` is the file, `key` the path to this table in it.
+
+    file: the whole file, whose tables are told where a key belongs to another one; else the table without a path.
+    """
+    file = kind if file is None and not key else file
     if not isinstance(raw, Mapping):
-        raise ConfigError(_at(where, key), show(raw), f"a table with {_names(kind)}")
+        raise ConfigError(_at(where, key), show(raw), f"a table with {_names(kind)}", not_a_table(raw, key))
     fields = {entry.encode_name: entry for entry in msgspec.structs.fields(kind)}
     for name, value in raw.items():
         if name not in fields:
-            raise _unknown(name, value, kind, where, key)
+            raise _unknown(name, value, kind, where, key, file)
     for name, entry in fields.items():
         if entry.required and name not in raw:
             description, example = _allowed(entry)
-            raise ConfigError(_at(where, key, name), "nothing", description, f"Add for example {name} = {example}.")
+            elsewhere = "" if key else place_of_missing(name, raw, kind)
+            do = elsewhere or f"Add for example {name} = {example}."
+            raise ConfigError(_at(where, key, name), "nothing", description, do)
     return kind(
-        **{fields[name].name: _value(value, fields[name], where, _path(key, name)) for name, value in raw.items()}
+        **{fields[name].name: _value(value, fields[name], where, _path(key, name), file) for name, value in raw.items()}
     )
 
 
@@ -85,17 +101,19 @@ def _toml(value: object) -> str:
     return json.dumps(value, ensure_ascii=False, default=str)
 
 
-def _value(raw: object, entry: FieldInfo, where: str, key: str) -> object:
+def _value(
+    raw: object, entry: FieldInfo, where: str, key: str, file: type[msgspec.Struct] | None
+) -> object:
     kind = _bare(entry.type)
     if isinstance(kind, type) and issubclass(kind, msgspec.Struct):
-        return read(raw, kind, where, key)
+        return read(raw, kind, where, key, file)
     if isinstance(raw, list | tuple) and (table := _row(kind)):
-        return tuple(read(item, table, where, f"{key}[{n}]") for n, item in enumerate(raw))
+        return tuple(read(item, table, where, f"{key}[{n}]", file) for n, item in enumerate(raw))
     try:
         return msgspec.convert(raw, entry.type, str_keys=True)
     except msgspec.ValidationError:
         description, example = _allowed(entry)
-        do = f"For example {entry.encode_name} = {example}."
+        do = f"For example {entry.encode_name} = {example}.{keys_of_the_file(raw, key, file)}"
         raise ConfigError(f"{where}: {key}", show(raw), description, do) from None
 
 
@@ -116,16 +134,16 @@ def _allowed(entry: FieldInfo) -> tuple[str, str]:
     return meta.description, show(meta.examples[0])
 
 
-def _unknown(name: str, value: object, kind: type[msgspec.Struct], where: str, key: str) -> ConfigError:
-    names = [entry.encode_name for entry in msgspec.structs.fields(kind)]
-    near = difflib.get_close_matches(name, names, n=1)
-    do = f"Did you mean {near[0]}?" if near else "Remove it; keys of your own go into [mission_options]."
-    allowed = f"the keys here are {', '.join(names)}" if names else "there is no key here"
+def _unknown(
+    name: str, value: object, kind: type[msgspec.Struct], where: str, key: str, file: type[msgspec.Struct] | None
+) -> ConfigError:
+    do = remedy(name, value, kind, key, file)
+    allowed = f"the keys here are {_names(kind)}" if names(kind) else "there is no key here"
     return ConfigError(_at(where, key, name), show(value), allowed, do, problem="there is no such key")
 
 
 def _names(kind: type[msgspec.Struct]) -> str:
-    return ", ".join(entry.encode_name for entry in msgspec.structs.fields(kind))
+    return ", ".join(names(kind))
 
 
 def _path(*keys: str) -> str:

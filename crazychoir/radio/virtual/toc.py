@@ -53,7 +53,7 @@ def names() -> tuple[tuple[Entry, ...], tuple[Entry, ...]]:
     """Log variables and parameters of the firmware, in the order of their indices."""
     logs: list[Entry] = []
     parameters: list[Entry] = []
-    for line in (files("crazychoir.radio.virtual") / "names.txt").read_text().splitlines():
+    for line in (files("crazychoir.radio.virtual") / "names.txt").read_text(encoding="utf-8").splitlines():
         if not line.startswith("#"):
             which, group, *items = line.split()
             (logs if which == "L" else parameters).extend(_entry(group, item) for item in items)

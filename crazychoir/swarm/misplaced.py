@@ -1,0 +1,145 @@
+"""Keys of a swarm file that stand in the wrong table: which table they belong to, and what to do.
+
+In TOML every key below a [table] is a key of that table: a key of the file itself belongs above the first one.
+"""
+
+import difflib
+import re
+from collections.abc import Iterator, Mapping
+from typing import Annotated, Any, get_args, get_origin
+
+import msgspec
+from msgspec.structs import FieldInfo
+
+Kind = type[msgspec.Struct]
+FILE = ""
+"""The label of the file itself."""
+ROW = re.compile(r"\[\d+\]")
+"""The number of a table in a list of tables."""
+MOST_TABLES = 4
+"""Tables that are named for one key."""
+OWN_KEYS = "mission_options"
+"""The table for keys of the user's own."""
+
+
+def remedy(name: str, value: object, kind: Kind, key: str, file: Kind | None) -> str:
+    """Return what to do with a key that its table does not have.
+
+    name, value: of the key;  kind: the table that it stands in;  key: the path of that table, empty for the file
+    itself;  file: the whole file, None where a table is read alone.
+    """
+    tables = {} if file is None else _tables_of_keys(file)
+    near = difflib.get_close_matches(name, names(kind), n=1)
+    if name in tables:
+        alternative = f" Or did you mean {near[0]}, a key of this table?" if near else ""
+        own = "" if key else f" Keys of your own go into [{OWN_KEYS}]."
+        return _where_it_belongs(name, value, tables[name], key) + alternative + own
+    if near:
+        return f"Did you mean {near[0]}?"
+    elsewhere = difflib.get_close_matches(name, list(tables), n=1, cutoff=0.75)
+    if elsewhere:
+        return f"Did you mean {elsewhere[0]}? {_where_it_belongs(elsewhere[0], value, tables[elsewhere[0]], key)}"
+    return "Remove it." if key == OWN_KEYS else f"Remove it; keys of your own go into [{OWN_KEYS}]."
+
+
+def place_of_missing(name: str, raw: Mapping[str, Any], kind: Kind) -> str:
+    """Return where a key that the file lacks stands instead, and what to do; empty if it stands nowhere."""
+    fields = {entry.encode_name: entry for entry in msgspec.structs.fields(kind)}
+    for other, value in raw.items():
+        table = _table_of(fields[other])[0] if other in fields else None
+        for path, row in _rows(other, value):
+            if name in row and (table is None or name not in names(table)):
+                return f"It stands in {label(path)}. {_write_it_in_the_file(name, row[name], path)}"
+    return ""
+
+
+def keys_of_the_file(raw: object, key: str, file: Kind | None) -> str:
+    """Return what to do with keys of the file that stand in a table of the user's own names; empty without any."""
+    if not isinstance(raw, Mapping) or file is None:
+        return ""
+    return "".join(f" {name}: {_write_it_in_the_file(name, raw[name], key)}" for name in names(file) if name in raw)
+
+
+def not_a_table(raw: object, key: str) -> str:
+    """Return what to do with a list where a table is allowed; empty where it is something else."""
+    if isinstance(raw, list | tuple) and raw and all(isinstance(row, Mapping) for row in raw):
+        return f"Write it once, as [{key}], with one pair of brackets."
+    return ""
+
+
+def names(kind: Kind) -> list[str]:
+    """Return the keys of a table."""
+    return [entry.encode_name for entry in msgspec.structs.fields(kind)]
+
+
+def label(path: str) -> str:
+    """Return the path of a table as a TOML file writes it: [flight], [[drones]]."""
+    plain = ROW.sub("", path)
+    return f"[[{plain}]]" if path.endswith("]") else f"[{plain}]"
+
+
+def _where_it_belongs(name: str, value: object, labels: list[str], key: str) -> str:
+    if FILE in labels:
+        others = ", ".join(table for table in labels if table != FILE)
+        also = f" {others} has a key of this name, too." if others else ""
+        return _write_it_in_the_file(name, value, key) + also
+    if len(labels) == 1:
+        return f"It is a key of {labels[0]}: write it there."
+    shown = labels[:MOST_TABLES]
+    more = f" and {len(labels) - MOST_TABLES} more" if len(labels) > MOST_TABLES else ""
+    return f"It is a key of {', '.join(shown)}{more}: write it in the one that you mean."
+
+
+def _write_it_in_the_file(name: str, value: object, key: str) -> str:
+    if isinstance(value, Mapping):
+        return f"It is a table of its own: write [{name}], not [{_plain(key, name)}]."
+    if isinstance(value, list | tuple) and value and isinstance(value[0], Mapping):
+        return f"It is a list of tables: write [[{name}]], not [[{_plain(key, name)}]]."
+    beside = "in JSON beside name" if name != "name" else "in JSON in the outermost braces"
+    told = f" What stands below {label(key)} is a key of that table." if key else ""
+    return f"It is a key of the file itself: write it above the first table ({beside}).{told}"
+
+
+def _plain(key: str, name: str) -> str:
+    return ".".join(filter(None, (ROW.sub("", key), name)))
+
+
+def _tables_of_keys(file: Kind) -> dict[str, list[str]]:
+    """Return the labels of the tables that have each key."""
+    found: dict[str, list[str]] = {}
+    for table, kind in [(FILE, file), *_tables(file, "")]:
+        for name in names(kind):
+            found.setdefault(name, []).append(table)
+    return found
+
+
+def _tables(kind: Kind, path: str) -> Iterator[tuple[str, Kind]]:
+    """Yield the tables within a table, with their labels."""
+    for entry in msgspec.structs.fields(kind):
+        table, is_list = _table_of(entry)
+        if table is None:
+            continue
+        inner = f"{path}.{entry.encode_name}" if path else entry.encode_name
+        yield (f"[[{inner}]]" if is_list else f"[{inner}]"), table
+        yield from _tables(table, inner)
+
+
+def _table_of(entry: FieldInfo) -> tuple[Kind | None, bool]:
+    """Return the table that a key holds, and whether it holds a list of them."""
+    kind: Any = entry.type
+    if get_origin(kind) is Annotated:
+        kind = get_args(kind)[0]
+    is_list = get_origin(kind) is tuple
+    inner = get_args(kind)[0] if is_list else kind
+    is_table = isinstance(inner, type) and issubclass(inner, msgspec.Struct)
+    return (inner if is_table else None), is_list
+
+
+def _rows(name: str, value: object) -> Iterator[tuple[str, Mapping[str, Any]]]:
+    """Yield the tables of a key, with their paths."""
+    if isinstance(value, Mapping):
+        yield name, value
+    elif isinstance(value, list | tuple):
+        for n, row in enumerate(value):
+            if isinstance(row, Mapping):
+                yield f"{name}[{n}]", row
