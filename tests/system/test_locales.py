@@ -102,5 +102,5 @@ def test_processes_are_told_such_names_and_say_them(tmp_path):
     words = ["run", str(folder / "rise.py"), "--drones", "1", "--processes", "1", "--json"]
     done = run([sys.executable, "-m", "crazychoir.cli.crazychoir", *words], environment, folder)
     result = json.loads(done.stdout)
-    assert result["reasons"]["0"].endswith("[red]böse[/red] [/] :smile:")
+    assert "[red]böse[/red] [/] :smile:" in result["reasons"]["0"]
     assert done.returncode == 1
