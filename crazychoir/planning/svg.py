@@ -78,18 +78,18 @@ def parse_picture(text: str | bytes, where: str, scale: float = SCALE) -> Pictur
         raise ConfigError(where, f"places that are too far off: {error}", DRAWN) from error
     if not reader.strokes:
         raise ConfigError(where, _nothing(root, reader.words), DRAWN)
-    return Picture([stroke * (scale, -scale) + 0.0 for stroke in reader.strokes], shortened(reader.words))
+    return Picture([stroke * (scale, -scale) + 0.0 for stroke in reader.strokes], first_of(reader.words))
 
 
 def _nothing(root: Element, words: list[str]) -> str:
     """Return what was found in a picture where no line is seen."""
     counts = Counter(element.name for element in root.walk() if element.name)
     names = ", ".join(f"{count} {name}" for name, count in counts.items())
-    said = f" ({'; '.join(shortened(words))})" if words else ""
+    said = f" ({'; '.join(first_of(words))})" if words else ""
     return f"no line that is seen among {names}{said}"
 
 
-def shortened(words: list[str]) -> list[str]:
+def first_of(words: list[str]) -> list[str]:
     """Return the first remarks, and how many more there are."""
     more = len(words) - WORDS_SHOWN
     return [*words[:WORDS_SHOWN], f"and {more} more"] if more > 0 else words

@@ -13,6 +13,7 @@ LARGEST_FILE = 20_000_000  # bytes
 MOST_ELEMENTS = 200_000
 DEEPEST_NESTING = 100  # elements within elements
 LONGEST_ENTITY = 200  # characters: namespaces, as Illustrator names them
+LONGEST_QUOTE = 80  # characters of a text that an error quotes
 
 READABLE = "a readable SVG file"
 UNPACK = "Unpack it: gunzip -S .svgz FILE.svgz, or save it as plain SVG."
@@ -33,8 +34,8 @@ class Element:
     @property
     def label(self) -> str:
         """What errors call it."""
-        name = f' id="{self.attributes["id"]}"' if self.attributes.get("id") else ""
-        return f"<{self.name}{name}> in line {self.line}"
+        name = f' id="{shortened(self.attributes["id"])}"' if self.attributes.get("id") else ""
+        return f"<{shortened(self.name)}{name}> in line {self.line}"
 
     def walk(self) -> Iterator["Element"]:
         """Yield this element and all below it, in the order of the document."""
@@ -43,6 +44,16 @@ class Element:
             element = waiting.pop()
             yield element
             waiting.extend(reversed(element.children))
+
+
+def quoted(text: str) -> str:
+    """Return a text as errors quote it."""
+    return repr(shortened(text))
+
+
+def shortened(text: str) -> str:
+    """Return a text, or the begin of a long one."""
+    return text if len(text) <= LONGEST_QUOTE else f"{text[: LONGEST_QUOTE - 3]}..."
 
 
 def read_document(data: str | bytes, where: str) -> Element:
@@ -111,7 +122,7 @@ class _Builder:
 
     def _check_root(self, name: str, element: Element) -> None:
         if not element.name or element.name == "html":
-            found = f"a document of <{name.rpartition(' ')[2]}>"
+            found = f"a document of <{shortened(name.rpartition(' ')[2])}>"
             raise ConfigError(self.where, found, f'an <svg xmlns="{SVG_NAMESPACE}"> document')
 
     def _end(self, _: str) -> None:
@@ -129,11 +140,12 @@ class _Builder:
 
     def _check_instruction(self, target: str, said: str) -> None:
         if target == "xml-stylesheet":
-            found = f"a style sheet in another file, <?{target} {said}?> in line {self._parser.CurrentLineNumber}"
+            line = self._parser.CurrentLineNumber
+            found = f"a style sheet in another file, <?{target} {shortened(said)}?> in line {line}"
             raise ConfigError(self.where, found, "styles in the file itself", "Save the drawing as plain SVG.")
 
     def _refuse_entity(self, name: str, _: object) -> None:
-        found = f"entity {name!r} in line {self._parser.CurrentLineNumber}"
+        found = f"entity {quoted(name)} in line {self._parser.CurrentLineNumber}"
         allowed = f"entities that the document declares as texts of at most {LONGEST_ENTITY} characters"
         raise ConfigError(self.where, found, allowed, "Save the drawing as plain SVG.")
 

@@ -8,6 +8,8 @@ from itertools import pairwise
 import numpy as np
 from svgpathtools import Arc, CubicBezier, QuadraticBezier
 
+from crazychoir.planning.svg_document import shortened
+
 LEAST_LINES = 24
 """Straight lines a curve, at least."""
 MOST_LINES = 10_000
@@ -19,7 +21,7 @@ FLAGS = (3, 4)
 COMMANDS = "path data of M L H V C S Q T A Z and finite numbers"
 _TOKEN = re.compile(
     r"(?P<command>[MmLlHhVvCcSsQqTtAaZz])"
-    r"|(?P<number>[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?)"
+    r"|(?P<number>[-+]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][-+]?[0-9]+)?)"
     r"|(?P<separator>[\s,]+)",
     re.ASCII,
 )
@@ -91,9 +93,9 @@ def _commands(d: str) -> Iterator[Command]:
                 yield name, []
             continue
         if not name or COORDINATES[name.upper()] == 0:
-            raise PathDataError(f"path data with {number} after {name or 'nothing'!r}")
+            raise PathDataError(f"path data with {shortened(number)} after {name or 'nothing'!r}")
         if not math.isfinite(float(number)):
-            raise PathDataError(f"path data with {number} after {name!r}")
+            raise PathDataError(f"path data with {shortened(number)} after {name!r}")
         numbers.append(float(number))
         if len(numbers) == COORDINATES[name.upper()]:
             yield name, numbers

@@ -8,7 +8,7 @@ import numpy as np
 from crazychoir.errors import ConfigError
 from crazychoir.math3d import Mat
 from crazychoir.planning.svg_clip import Clip, corners_of
-from crazychoir.planning.svg_document import DEEPEST_NESTING, Element
+from crazychoir.planning.svg_document import DEEPEST_NESTING, Element, quoted, shortened
 from crazychoir.planning.svg_path import COMMANDS, PathDataError, PathSizeError, Places, strokes_of
 from crazychoir.planning.svg_shapes import (
     MILLIMETRE,
@@ -172,7 +172,7 @@ class Reader:
         is_moved = any(part not in ("0", "0px", "0%", "left", "top", *INITIAL_WORDS) for part in origin.split())
         if is_moved and element.attributes.get("transform", "").strip():
             do = "Write the transform without it, or save the drawing as plain SVG."
-            raise self._refusal(element, f"with transform-origin: {origin}", do)
+            raise self._refusal(element, f"with transform-origin: {shortened(origin)}", do)
 
     def _draw_children(self, element: Element, scene: Scene) -> None:
         for child in element.children:
@@ -206,13 +206,13 @@ class Reader:
     def _draw_use(self, element: Element, scene: Scene) -> None:
         link = element.attributes.get("href", "").strip()
         if link and not link.startswith("#"):
-            raise self._refusal(element, f"of {link!r}, which is another file", UNLINK)
+            raise self._refusal(element, f"of {quoted(link)}, which is another file", UNLINK)
         target = self._by_id.get(link[1:])
         if target is None:
-            self._leave_out(element, f"nothing in the file has the id {link[1:]!r}")
+            self._leave_out(element, f"nothing in the file has the id {quoted(link[1:])}")
             return
         if link in scene.users:
-            raise self._refusal(element, f"of {link!r}, which uses itself", UNLINK)
+            raise self._refusal(element, f"of {quoted(link)}, which uses itself", UNLINK)
         wide, high = scene.viewport or (None, None)
         move = np.eye(3)
         move[:2, 2] = (length(element, "x", wide), length(element, "y", high))
@@ -283,12 +283,12 @@ class Reader:
     def _clips_of(self, element: Element, style: dict[str, str], scene: Scene) -> tuple[Clip, ...]:
         """Return the clips of the element itself. Raise a ConfigError for masks, and for clips that are not convex."""
         if self._referred(style.get("mask", "none")) is not None:
-            raise self._refusal(element, f"with mask: {style['mask']}", RELEASE)
+            raise self._refusal(element, f"with mask: {shortened(style['mask'])}", RELEASE)
         clip = self._referred(style.get("clip-path", "none"))
         if clip is None:
             return ()
         if not isinstance(clip, Element) or clip.name != "clipPath":
-            raise self._refusal(element, f"with clip-path: {style['clip-path']}", RELEASE)
+            raise self._refusal(element, f"with clip-path: {shortened(style['clip-path'])}", RELEASE)
         shapes = [child for child in clip.children if child.name in (*SHAPES, *LIKE_TEXT, "use")]
         is_plain = len(shapes) == 1 and shapes[0].name in SHAPES
         styles = [self._styles.of(part) for part in (clip, *shapes)]

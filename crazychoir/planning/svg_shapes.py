@@ -8,7 +8,7 @@ import numpy as np
 from svgpathtools import parse_transform
 
 from crazychoir.math3d import Mat
-from crazychoir.planning.svg_document import Element
+from crazychoir.planning.svg_document import Element, quoted
 
 Size = tuple[float, float]
 """Width and height of a viewport, in its own units."""
@@ -28,9 +28,10 @@ LENGTHS = f"a number, or one with %, {', '.join(filter(None, UNITS))}"
 TRANSFORMS = "matrix(a b c d e f), translate(x y), scale(x y), rotate(deg x y), skewX(deg), skewY(deg)"
 MILLIMETRE = UNITS["mm"]  # units of the picture
 
-_NUMBER = r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
+# No expression here can match the same text in two ways: a hostile text costs no more than a good one of its length.
+_NUMBER = r"[-+]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
 _LENGTH = re.compile(rf"\s*({_NUMBER})\s*([a-zA-Z]*|%)\s*\Z", re.ASCII)
-_NUMBERS = re.compile(rf"[\s,]*(?:{_NUMBER}[\s,]*)*\Z", re.ASCII)
+_NUMBER_OR_GAP = re.compile(rf"({_NUMBER})|[\s,]+", re.ASCII)
 _FUNCTION = re.compile(r"[\s,]*([a-zA-Z]+)\s*\(([^()]*)\)", re.ASCII)
 
 
@@ -53,21 +54,27 @@ def length(element: Element, name: str, whole: float | None, default: str = "0")
     found = _LENGTH.match(text)
     unit = found[2].lower() if found else ""
     if found is None or not (unit == "%" or unit in UNITS) or not math.isfinite(float(found[1])):
-        raise ShapeError(f"{name}={text!r}", LENGTHS)
+        raise ShapeError(f"{name}={quoted(text)}", LENGTHS)
     if unit != "%":
         return float(found[1]) * UNITS[unit]
     if whole is None:
-        raise ShapeError(f"{name}={text!r} of a page without viewBox, width and height", "a length without %")
+        raise ShapeError(f"{name}={quoted(text)} of a page without viewBox, width and height", "a length without %")
     return float(found[1]) / 100.0 * whole
 
 
 def numbers(text: str, what: str) -> list[float]:
     """Return a list of numbers, with or without separators. Errors: ShapeError."""
-    if not _NUMBERS.match(text):
-        raise ShapeError(f"{what}={text!r}", "a list of numbers")
-    found = [float(number) for number in re.findall(_NUMBER, text)]
+    found: list[float] = []
+    at = 0
+    while at < len(text):
+        token = _NUMBER_OR_GAP.match(text, at)
+        if token is None:
+            raise ShapeError(f"{what}={quoted(text)}", "a list of numbers")
+        if token[1]:
+            found.append(float(token[1]))
+        at = token.end()
     if not all(map(math.isfinite, found)):
-        raise ShapeError(f"{what}={text!r}", "finite numbers")
+        raise ShapeError(f"{what}={quoted(text)}", "finite numbers")
     return found
 
 
@@ -89,7 +96,7 @@ def transform_of(text: str) -> Mat:
             raise ValueError(text[at:])
         matrix: Mat = parse_transform(" ".join(written), strict=True)
     except ValueError as error:
-        raise ShapeError(f"transform={text!r}", TRANSFORMS) from error
+        raise ShapeError(f"transform={quoted(text)}", TRANSFORMS) from error
     return matrix
 
 
@@ -252,7 +259,7 @@ def _view_box(element: Element) -> list[float] | None:
         return None
     box = numbers(text, "viewBox")
     if len(box) != 4 or box[2] < 0.0 or box[3] < 0.0:
-        raise ShapeError(f"viewBox={text!r}", "x, y, width and height, these not negative")
+        raise ShapeError(f"viewBox={quoted(text)}", "x, y, width and height, these not negative")
     return box
 
 
@@ -264,7 +271,7 @@ def _fit(text: str, box: list[float], size: Size) -> Mat:
         return np.diag([*scales, 1.0]) @ _moved(-box[0], -box[1])
     align = re.fullmatch(r"x(Min|Mid|Max)Y(Min|Mid|Max)", words[0])
     if align is None or words[1:] not in ([], ["meet"], ["slice"]):
-        raise ShapeError(f"preserveAspectRatio={text!r}", "none, or xMidYMid and its like with meet or slice")
+        raise ShapeError(f"preserveAspectRatio={quoted(text)}", "none, or xMidYMid and its like with meet or slice")
     scale = max(scales) if words[1:] == ["slice"] else min(scales)
     share = {"Min": 0.0, "Mid": 0.5, "Max": 1.0}
     left = [share[align[k + 1]] * (size[k] - scale * box[k + 2]) for k in range(2)]

@@ -2,9 +2,10 @@
 
 import re
 from dataclasses import dataclass
+from typing import NoReturn
 
 from crazychoir.errors import ConfigError
-from crazychoir.planning.svg_document import Element
+from crazychoir.planning.svg_document import Element, quoted, shortened
 
 INITIAL_WORDS = ("initial", "unset", "revert", "revert-layer")
 FOLLOWED_PROPERTIES = (
@@ -32,7 +33,8 @@ MARKERS = ("marker", "marker-start", "marker-mid", "marker-end")
 
 _NO_PAINT = re.compile(r"none|transparent|#[0-9a-f]{3}0|#[0-9a-f]{6}00", re.IGNORECASE)
 _ALPHA = re.compile(r"(?:rgb|hsl)a\([^()]*,([^(),]*)\)|(?:rgb|hsl)a?\([^()]*/([^()/]*)\)", re.IGNORECASE)
-_RULE = re.compile(r"([^{}]*)\{([^{}]*)\}")
+_COMMENT = re.compile(r"/\*.*?(?:\*/|\Z)|<!--|-->", re.DOTALL)
+_HARMLESS_RULE = re.compile(r"@(?:charset|namespace)[^;]*(?:;|\Z)|@font-face\s*\{[^{}]*(?:\}|\Z)")
 _SIMPLE_SELECTOR = re.compile(r"(\*|[A-Za-z][\w-]*)?((?:[.#][\w-]+)*)\Z", re.ASCII)
 _POINTED_AT = re.compile(r":(hover|focus|active|visited|focus-within|focus-visible)\b")
 
@@ -97,18 +99,20 @@ class Styles:
             value = found.get(name, "none").strip()
             is_meant = EVERYTHING in elements or (element.name in elements and element is not self._root)
             if is_meant and value not in ("none", "auto", *INITIAL_WORDS):
-                what = f"{element.label} with a style {name}: {value}"
+                what = f"{element.label} with a style {name}: {shortened(value)}"
                 do = f"Write it as an attribute of the element: {name}=..., or save the drawing as plain SVG."
                 raise ConfigError(self.where, what, "styles that neither move nor reshape", do)
 
     def _read_sheet(self, element: Element) -> list[Rule]:
-        sheet = re.sub(r"/\*.*?\*/|<!--|-->", " ", element.text, flags=re.DOTALL)
-        sheet = re.sub(r"@(charset|namespace)[^;]*;|@font-face\s*\{[^{}]*\}", " ", sheet)
+        sheet = _HARMLESS_RULE.sub(" ", _COMMENT.sub(" ", element.text))
         if mark := re.search(r"@[\w-]+", sheet):
-            self._refuse(element, mark.group())
+            self._refuse(element, shortened(mark.group()))
         rules: list[Rule] = []
-        for selectors, body in _RULE.findall(sheet):
-            declarations = _declarations(body)
+        for rule in sheet.split("}"):
+            selectors, opened, body = rule.partition("{")
+            if "{" in body:
+                self._refuse(element, f"a rule within {quoted(selectors.strip())}")
+            declarations = _declarations(body) if opened else {}
             for selector in selectors.split(","):
                 rules += self._read_rule(element, selector.strip(), declarations)
         return rules
@@ -120,8 +124,7 @@ class Styles:
             return []
         found = _SIMPLE_SELECTOR.match(selector)
         if found is None or not selector:
-            self._refuse(element, repr(selector))
-            return []
+            self._refuse(element, quoted(selector))
         parts = re.findall(r"[.#][\w-]+", found[2])
         ids = {part[1:] for part in parts if part[0] == "#"}
         if len(ids) > 1:
@@ -129,7 +132,7 @@ class Styles:
         classes = frozenset(part[1:] for part in parts if part[0] == ".")
         return [Rule("" if found[1] in (None, "*") else found[1], classes, min(ids, default=None), declarations)]
 
-    def _refuse(self, element: Element, what: str) -> None:
+    def _refuse(self, element: Element, what: str) -> NoReturn:
         do = "Write what it sets as attributes of the elements, or save the drawing as plain SVG."
         raise ConfigError(self.where, f"{element.label} with {what}", "selectors of an element, .class or #id", do)
 
@@ -143,7 +146,7 @@ def _is_followed(sheet: Element) -> bool:
 def _declarations(body: str) -> dict[str, tuple[str, bool]]:
     """Return the values of `name: value; ...` by name, and whether they are important."""
     found: dict[str, tuple[str, bool]] = {}
-    for part in re.sub(r"/\*.*?\*/", " ", body, flags=re.DOTALL).split(";"):
+    for part in _COMMENT.sub(" ", body).split(";"):
         name, colon, value = part.partition(":")
         name = name.strip().lower()
         if not colon or name not in (*FOLLOWED_PROPERTIES, *GEOMETRY_PROPERTIES):

@@ -18,8 +18,8 @@ UNITS = ("s", "m", "rad", "m/s", "rad/s", "m/s^2", "m/s2", "m/s²", "m/s^3", "m/
 ALIASES = {"time": "t"}
 _LINE_END = re.compile(r"\r\n|\r|\n")
 _SEPARATOR_LINE = re.compile(r"\s*\"?sep=([,;\t])\"?\s*\Z")
-_NAME = re.compile(r"([^\[\](){}]*)[\[(]\s*([^\[\](){}]*?)\s*[\])]\s*")
-_NUMBER = re.compile(r"\s*[-+]?(?:[0-9]+[.,]?[0-9]*|[.,][0-9]+)(?:[eE][-+]?[0-9]+)?\s*\Z")
+_NAME = re.compile(r"([^\[\](){}]*)[\[(]([^\[\](){}]*)[\])]")
+_NUMBER = re.compile(r"\s*[-+]?(?:[0-9]+(?:[.,][0-9]*)?|[.,][0-9]+)(?:[eE][-+]?[0-9]+)?\s*\Z")
 
 Line = tuple[int, list[str]]
 """The number of a line, and its cells."""
@@ -137,9 +137,9 @@ def _column(path: str | Path, line: int, column: int, written: str) -> str:
 
 def _name_and_unit(written: str) -> tuple[str, str]:
     """Return the parts of x [m]; the unit is empty where there is none."""
-    found = _NAME.fullmatch(written.lower())
+    found = _NAME.fullmatch(written.lower().strip())
     name = (found[1] if found else written.lower()).strip()
-    return ALIASES.get(name, name), found[2] if found else ""
+    return ALIASES.get(name, name), found[2].strip() if found else ""
 
 
 def _check_decimals(path: str | Path, head: list[str], rows: list[Line]) -> None:
