@@ -54,7 +54,7 @@ class Real:
     @property
     def allowed(self) -> str:
         """The limits in words."""
-        kind = "a finite number of s" if self.unit == "s" else "a finite number"
+        kind = {"s": "a finite number of s", "share": "a probability"}.get(self.unit, "a finite number")
         above = "above " if self.open_below else ""
         if self.least == -math.inf:
             return kind if self.most == math.inf else f"{kind}, at most {_plain(self.most)}"
