@@ -152,7 +152,12 @@ class TaskAssignment:
 
 
 class _Program:
-    """The linear program of one table. Rows: robots, then tasks; columns: own allowed pairs, then own slacks."""
+    """The linear program of one table.
+
+    Rows: robots, then tasks. Columns: own allowed pairs, then the columns of single rows that are dealt out to this
+    robot. These say that a row may stay below 1, at no cost, or that one must stay without: a first cost of 1, so that
+    as many as possible are served, before c counts.
+    """
 
     def __init__(self, robot: int, robots: Sequence[int], tasks: Sequence[Task], costs: Vec) -> None:
         self._robot, self._robots, self._tasks = robot, robots, sorted(tasks, key=lambda task: task.id)
@@ -167,14 +172,15 @@ class _Program:
         """The part of this robot."""
         n, m, pairs = len(self._robots), len(self._tasks), len(self._allowed)
         i = self._robots.index(self._robot)
-        # The columns of "<= 1" belong to one robot each: its own idleness, or tasks dealt out in turn.
-        slack = [i] if m <= n else [n + k for k in range(i, m, n)]
-        entries = np.zeros((n + m, pairs + len(slack)))
+        single = [i, *(n + k for k in range(i, m, n))]  # the tasks are dealt out in turn
+        entries = np.zeros((n + m, pairs + len(single)))
         entries[i, :pairs] = 1.0
         entries[[n + k for k in self._allowed], range(pairs)] = 1.0
-        entries[slack, range(pairs, pairs + len(slack))] = 1.0
-        c = np.concatenate([self._c, np.zeros(len(slack))])
-        return BasisExchange(self._robot, c, entries, np.ones(n + m), diameter)
+        entries[single, range(pairs, pairs + len(single))] = 1.0
+        c = np.concatenate([self._c, np.zeros(len(single))])
+        must = range(n, n + m) if m <= n else range(n)
+        first = np.array([0.0] * pairs + [float(row in must) for row in single])
+        return BasisExchange(self._robot, c, entries, np.ones(n + m), diameter, first)
 
     def outcome(self, label: int, bases: BasisExchange, rounds: int) -> Outcome:
         """What the common basis says."""
@@ -182,13 +188,15 @@ class _Program:
         mine = [k for k, x in zip(self._allowed, bases.x, strict=False) if x > 0.5]
         columns, level = bases.basis.columns, bases.basis.level
         pair = (columns.ids[:, 0] >= 0) & (columns.entries[:n].any(axis=0)) & (level > 0.5)
+        pair &= columns.entries[n:].any(axis=0)
         served = columns.entries[n:, pair].sum(axis=1) > 0.5
+        without = float(columns.cost[0] @ level)
         return Outcome(
             label=label,
             task=self._tasks[mine[0]] if mine else None,
             cost=bases.cost,
             unserved=tuple(task.id for task, done in zip(self._tasks, served, strict=True) if not done),
-            infeasible="" if bases.status == "optimal" else self._why(bases.certificate),
+            infeasible="" if without < 0.5 else self._why(bases.certificate),
             rounds=rounds,
         )
 
