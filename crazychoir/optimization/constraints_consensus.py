@@ -118,7 +118,7 @@ class ConstraintsConsensus(Iteration):
         terms = np.minimum(np.abs(a) @ np.abs(self.x), 1.0) + np.abs(b)
         excess = a @ self.x - b - TOLERANCE * terms - NEGLIGIBLE
         worst = np.argsort(-excess, kind="stable")[: BATCH * self.problem.n]
-        return rows[worst[excess[worst] > 0.0]]
+        return np.asarray(rows[worst[excess[worst] > 0.0]])
 
     def _take(self, rows: Mat) -> None:
         """The optimum over these rows, and its basis."""

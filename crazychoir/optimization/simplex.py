@@ -57,8 +57,14 @@ class BasisExchange:
     """
 
     def __init__(
-        self, agent: int, c: Vec, entries: Mat, b: Vec, diameter: int, first: Vec | None = None
-    ) -> None:  # fmt: skip
+        self,
+        agent: int,
+        c: Vec,
+        entries: Mat,
+        b: Vec,
+        diameter: int,
+        first: Vec | None = None,
+    ) -> None:
         sign = np.where(b < 0, -1.0, 1.0)
         self._sign, self._b, self._agent = sign, b * sign, agent
         self._own = Columns.own(agent, c, entries * sign[:, None], first)
@@ -262,7 +268,8 @@ class DistributedSimplex(Program[LinearSolution]):
     c: (n_i,), A: (m, n_i), own columns, n_i may be 0;  b: (m,), the same at all;  diameter: D, rounds in which a
     message of each agent reaches all: of a (directed) graph its diameter, of a graph sequence the longest such time.
     Raises ConfigError for data that do not fit, and SolverError, in the last round at every agent: infeasible, with
-    the rows that remain; unbounded, with a column that may grow for ever.
+    the rows that remain; unbounded, with a column that may grow for ever; or what double precision cannot tell.
+    Rows and columns may have any units: each number is judged by its own terms, none by the largest of the program.
     Source: Buerger, Notarstefano, Bullo & Allgoewer 2012, Automatica 48, 2298-2304.
     """
 
@@ -322,7 +329,8 @@ class DualDistributedSimplex(Program[CommonSolution]):
     x are the prices of the dual's rows at the common basis, the same at all agents.
     c: (d,), the same at all;  A: (n_i, d), b: (n_i,), own constraints, n_i may be 0;  diameter: D, as there.
     Raises ConfigError for data that do not fit, and SolverError, in the last round at every agent: infeasible, with a
-    constraint that contradicts others; unbounded, with the variables that no constraint holds.
+    constraint that contradicts others; unbounded, with the variables that no constraint holds; or what double precision
+    cannot tell. Constraints and variables may have any units.
     Source: Buerger, Notarstefano, Bullo & Allgoewer 2012, Automatica 48, 2298-2304, section on duality.
     """
 
