@@ -22,6 +22,8 @@ CERTAIN_ZERO = 1e-13
 """A sum smaller than this, relative to the sizes of its terms added up, is zero."""
 FEASIBLE = 1e-7
 """What an artificial column may be worth at the end, relative to the terms of its row."""
+LARGEST = 1e60
+"""Numbers beyond this, or nearer to 0 than its inverse: their products leave the range of double precision."""
 UNCERTAIN = 1e-3
 """Rounding error of a level, relative to it, from which on it says nothing."""
 
@@ -282,7 +284,9 @@ class DistributedSimplex(Program[LinearSolution]):
         b = vector(b, where, "b")
         self._where, self._b, self._agent, self.diameter = where, b, agent, diameter
         c = vector(c, where, "c")
-        self._bases = BasisExchange(agent, c, matrix(A, where, "A", (len(b), len(c))), b, diameter)
+        A = matrix(A, where, "A", (len(b), len(c)))
+        _require_range(where, c=c, A=A, b=b)
+        self._bases = BasisExchange(agent, c, A, b, diameter)
         super().__init__()
 
     @property
@@ -341,6 +345,7 @@ class DualDistributedSimplex(Program[CommonSolution]):
         where = f"agent {agent}: dual distributed simplex"
         self._c, b = vector(c, where, "c"), vector(b, where, "b")
         rows = matrix(A, where, "A", (len(b), len(self._c)))
+        _require_range(where, c=self._c, A=rows, b=b)
         self._where, self.diameter = where, diameter
         self._bases = BasisExchange(agent, b, rows.T, self._c, diameter)
         super().__init__()
@@ -363,6 +368,18 @@ class DualDistributedSimplex(Program[CommonSolution]):
         x = bases.prices(penalties)
         active = [(int(owner), int(row)) for owner, row in bases.basis.columns.ids if owner >= 0]
         return CommonSolution(x, float(self._c @ x), active, self.k)
+
+
+def _require_range(where: str, **arrays: npt.NDArray[np.float64]) -> None:
+    """Raise ConfigError for the first number whose products may overflow or vanish."""
+    for name, array in arrays.items():
+        size = np.abs(array)
+        beyond = np.argwhere((size > LARGEST) | ((size > 0.0) & (size < 1.0 / LARGEST)))
+        if len(beyond):
+            place = tuple(int(k) for k in beyond[0])
+            allowed = f"0, or a size from {1.0 / LARGEST:g} to {LARGEST:g}"
+            do = "Take other units."
+            raise ConfigError(f"{where}: {name}[{', '.join(map(str, place))}]", f"{array[place]:g}", allowed, do)
 
 
 def _remaining(bases: BasisExchange, what: str = "row") -> str:

@@ -135,6 +135,8 @@ def test_contradicting_constraints_and_free_variables_are_named():
         ([1.0], [[1.0, 2.0]], [1.0], r"A: found shape \(1, 2\); allowed: \(1, 1\)"),
         ([[1.0]], [[1.0]], [1.0], r"c: found shape \(1, 1\)"),
         (["one"], [[1.0]], [1.0], r"c: found list; allowed: an array of numbers"),
+        ([1.0], [[1e200]], [1e200], r"A\[0, 0\]: found 1e\+200; allowed: 0, or a size from 1e-60 to 1e\+60"),
+        ([1.0], [[1.0]], [1e-320], r"b\[0\]: found 9.99989e-321; allowed: 0, or a size from"),
     ],
 )
 def test_data_that_do_not_fit_are_refused_with_agent_row_and_value(c, A, b, match):
