@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from crazychoir.errors import ConfigError, SolverError
+from crazychoir.optimization.lexicographic import Columns, union
 from crazychoir.optimization.simplex import BasisExchange
 from crazychoir.swarm.graph import span
 from crazychoir.types import Vec, Wire
@@ -154,9 +155,9 @@ class TaskAssignment:
 class _Program:
     """The linear program of one table.
 
-    Rows: robots, then tasks. Columns: own allowed pairs, then the columns of single rows that are dealt out to this
-    robot. These say that a row may stay below 1, at no cost, or that one must stay without: a first cost of 1, so that
-    as many as possible are served, before c counts.
+    Rows: robots, then tasks. Columns: those of single rows, which all robots know and which are dealt out to be named,
+    then own allowed pairs. Those of single rows say that a row may stay below 1, at no cost, or that one must stay
+    without: a first cost of 1, so that as many as possible are served, before c counts.
     """
 
     def __init__(self, robot: int, robots: Sequence[int], tasks: Sequence[Task], costs: Vec) -> None:
@@ -171,21 +172,33 @@ class _Program:
     def exchange(self, diameter: int) -> BasisExchange:
         """The part of this robot."""
         n, m, pairs = len(self._robots), len(self._tasks), len(self._allowed)
-        i = self._robots.index(self._robot)
-        single = [i, *(n + k for k in range(i, m, n))]  # the tasks are dealt out in turn
-        entries = np.zeros((n + m, pairs + len(single)))
-        entries[i, :pairs] = 1.0
-        entries[[n + k for k in self._allowed], range(pairs)] = 1.0
-        entries[single, range(pairs, pairs + len(single))] = 1.0
-        c = np.concatenate([self._c, np.zeros(len(single))])
         must = range(n, n + m) if m <= n else range(n)
-        first = np.array([0.0] * pairs + [float(row in must) for row in single])
-        return BasisExchange(self._robot, c, entries, np.ones(n + m), diameter, first)
+        singles = [self._singles(i) for i in range(n)]
+        common = union(
+            [
+                Columns.own(robot, np.zeros(len(rows)), np.eye(n + m)[:, rows], np.isin(rows, must).astype(float))
+                for robot, rows in zip(self._robots, singles, strict=True)
+            ]
+        )
+        i = self._robots.index(self._robot)
+        entries = np.zeros((n + m, pairs))
+        entries[i] = 1.0
+        entries[[n + k for k in self._allowed], range(pairs)] = 1.0
+        entries = np.hstack([np.eye(n + m)[:, singles[i]], entries])
+        first = np.concatenate([np.isin(singles[i], must), np.zeros(pairs)])
+        c = np.concatenate([np.zeros(len(singles[i])), self._c])
+        return BasisExchange(self._robot, c, entries, np.ones(n + m), diameter, first, common)
+
+    def _singles(self, i: int) -> list[int]:
+        """Return the rows that have a column of the i-th robot alone: its own, and tasks that are dealt in turn."""
+        n = len(self._robots)
+        return [i, *(n + k for k in range(i, len(self._tasks), n))]
 
     def outcome(self, label: int, bases: BasisExchange, rounds: int) -> Outcome:
         """What the common basis says."""
         n = len(self._robots)
-        mine = [k for k, x in zip(self._allowed, bases.x, strict=False) if x > 0.5]
+        pairs = bases.x[len(self._singles(self._robots.index(self._robot))) :]
+        mine = [k for k, x in zip(self._allowed, pairs, strict=True) if x > 0.5]
         columns, level = bases.basis.columns, bases.basis.level
         pair = (columns.ids[:, 0] >= 0) & (columns.entries[:n].any(axis=0)) & (level > 0.5)
         pair &= columns.entries[n:].any(axis=0)

@@ -54,6 +54,7 @@ class BasisExchange:
     cost falls tells that there is no least cost; from then on c counts as 0 everywhere, and what is left to find out is
     whether there is a feasible point.
     entries: (m, n_i), c: (n_i,), b: (m,) the same at all;  first: (n_i,) >= 0, a cost that comes before c, or None.
+    common: columns that all agents know from the start, own ones among them, for a b >= 0.
     Data travel as they are, and what an agent computes of a basis depends on the basis alone: the agents agree bit by
     bit, in whatever units rows and columns are.
     """
@@ -66,10 +67,13 @@ class BasisExchange:
         b: Vec,
         diameter: int,
         first: Vec | None = None,
+        common: Columns | None = None,
     ) -> None:
         sign = np.where(b < 0, -1.0, 1.0)
         self._sign, self._b, self._agent = sign, b * sign, agent
-        self._own = Columns.own(agent, c, entries * sign[:, None], first)
+        own = Columns.own(agent, c, entries * sign[:, None], first)
+        self._n = len(own)
+        self._own = own if common is None else union([own, common])
         self._stillness = Stillness(diameter)
         self._ray: list[int] | None = None
         self._weighed: set[tuple[int, int]] = set()
@@ -161,7 +165,7 @@ class BasisExchange:
         """(n_i,) of the own columns."""
         ids = self.basis.columns.ids
         mine = ids[:, 0] == self._agent
-        x = np.zeros(len(self._own))
+        x = np.zeros(self._n)
         x[ids[mine, 1]] = self.basis.level[mine]
         return x
 
