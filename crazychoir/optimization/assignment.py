@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from crazychoir.errors import ConfigError, SolverError
+from crazychoir.optimization.lexicographic import Columns, union
 from crazychoir.optimization.simplex import BasisExchange
 from crazychoir.swarm.graph import span
 from crazychoir.types import Vec, Wire
@@ -152,7 +153,12 @@ class TaskAssignment:
 
 
 class _Program:
-    """The linear program of one table. Rows: robots, then tasks; columns: own allowed pairs, then own slacks."""
+    """The linear program of one table.
+
+    Rows: robots, then tasks. Columns: those of single rows, which all robots know and which are dealt out to be named,
+    then own allowed pairs. Those of single rows say that a row may stay below 1, at no cost, or that one must stay
+    without: a first cost of 1, so that as many as possible are served, before c counts.
+    """
 
     def __init__(self, robot: int, robots: Sequence[int], tasks: Sequence[Task], costs: Vec) -> None:
         self._robot, self._robots, self._tasks = robot, robots, sorted(tasks, key=lambda task: task.id)
@@ -166,29 +172,44 @@ class _Program:
     def exchange(self, diameter: int) -> BasisExchange:
         """The part of this robot."""
         n, m, pairs = len(self._robots), len(self._tasks), len(self._allowed)
+        must = range(n, n + m) if m <= n else range(n)
+        singles = [self._singles(i) for i in range(n)]
+        common = union(
+            [
+                Columns.own(robot, np.zeros(len(rows)), np.eye(n + m)[:, rows], np.isin(rows, must).astype(float))
+                for robot, rows in zip(self._robots, singles, strict=True)
+            ]
+        )
         i = self._robots.index(self._robot)
-        # The columns of "<= 1" belong to one robot each: its own idleness, or tasks dealt out in turn.
-        slack = [i] if m <= n else [n + k for k in range(i, m, n)]
-        entries = np.zeros((n + m, pairs + len(slack)))
-        entries[i, :pairs] = 1.0
+        entries = np.zeros((n + m, pairs))
+        entries[i] = 1.0
         entries[[n + k for k in self._allowed], range(pairs)] = 1.0
-        entries[slack, range(pairs, pairs + len(slack))] = 1.0
-        c = np.concatenate([self._c, np.zeros(len(slack))])
-        return BasisExchange(self._robot, c, entries, np.ones(n + m), diameter)
+        entries = np.hstack([np.eye(n + m)[:, singles[i]], entries])
+        first = np.concatenate([np.isin(singles[i], must), np.zeros(pairs)])
+        c = np.concatenate([np.zeros(len(singles[i])), self._c])
+        return BasisExchange(self._robot, c, entries, np.ones(n + m), diameter, first, common)
+
+    def _singles(self, i: int) -> list[int]:
+        """Return the rows that have a column of the i-th robot alone: its own, and tasks that are dealt in turn."""
+        n = len(self._robots)
+        return [i, *(n + k for k in range(i, len(self._tasks), n))]
 
     def outcome(self, label: int, bases: BasisExchange, rounds: int) -> Outcome:
         """What the common basis says."""
         n = len(self._robots)
-        mine = [k for k, x in zip(self._allowed, bases.x, strict=False) if x > 0.5]
+        pairs = bases.x[len(self._singles(self._robots.index(self._robot))) :]
+        mine = [k for k, x in zip(self._allowed, pairs, strict=True) if x > 0.5]
         columns, level = bases.basis.columns, bases.basis.level
         pair = (columns.ids[:, 0] >= 0) & (columns.entries[:n].any(axis=0)) & (level > 0.5)
+        pair &= columns.entries[n:].any(axis=0)
         served = columns.entries[n:, pair].sum(axis=1) > 0.5
+        without = float(columns.cost[0] @ level)
         return Outcome(
             label=label,
             task=self._tasks[mine[0]] if mine else None,
             cost=bases.cost,
             unserved=tuple(task.id for task, done in zip(self._tasks, served, strict=True) if not done),
-            infeasible="" if bases.status == "optimal" else self._why(bases.certificate),
+            infeasible="" if without < 0.5 else self._why(bases.certificate),
             rounds=rounds,
         )
 

@@ -15,11 +15,13 @@ from crazychoir.optimization.quadratic import Polyhedron, QuadraticProgram, posi
 from crazychoir.types import Mat, Vec
 
 TOLERANCE: Final = 1e-7
-"""Of a row a'x <= b with |a| = 1, relative to 1 + |b|."""
+"""What a row a'x <= b with |a| = 1 may be missed by, relative to its own terms, |a|'|x| + |b|, and to 1 + |b|."""
+NEGLIGIBLE: Final = 1e-12
+"""In the units of x: a row that is missed by less is met, whatever its terms are."""
 TIE: Final = 1e-5
 """Weight of 1/2 |x|^2 beside a linear objective of length one."""
 CERTAIN: Final = 1e-8
-"""What multipliers may leave of the gradient of an objective of length one."""
+"""What multipliers may leave of an entry of the gradient, relative to its own terms."""
 BATCH: Final = 4
 """Violated rows that the local solution takes in at a time, in dimensions of x."""
 
@@ -85,8 +87,13 @@ class ConstraintsConsensus(Iteration):
     def _require_least(self) -> None:
         """Of f without the tie-break: -grad f(x) = A'u over the basis, with some u >= 0."""
         pull = self._q + self._P @ self.x - TIE * self.x
-        missing = nnls(self.basis[:, :-1].T, -pull)[1] if len(self.basis) else float(np.linalg.norm(pull))
-        if missing > CERTAIN * (1.0 + float(np.abs(self._P @ self.x).max())):
+        rows = self.basis[:, :-1]
+        # Each entry in its own unit: beside a large one a small one, of an x in small units, would not be seen.
+        unit = np.abs(self._q) + np.abs(self._P) @ np.abs(self.x)
+        unit = np.where(unit > 0.0, unit, np.maximum(np.abs(rows).max(axis=0, initial=0.0), CERTAIN))
+        pull = pull / unit
+        missing = nnls((rows / unit).T, -pull)[1] if len(rows) else float(np.linalg.norm(pull))
+        if missing > CERTAIN:
             k = int(np.argmax(np.abs(self.x)))
             found = f"x[{k}] = {self.x[k]:.6g} is held by the tie-break {TIE:g} |x|^2 / 2, not by constraints"
             do = "the optimum is farther away, or there is none; bound x, take larger units, or DualDistributedSimplex"
@@ -98,15 +105,20 @@ class ConstraintsConsensus(Iteration):
         while len(worst := self._violated(rows)):
             steps += 1
             if steps > len(rows):
-                raise SolverError(f"agent {self.i}: constraints consensus", f"{steps} steps without an optimum")
+                found = f"{steps} steps without an optimum: rows that double precision cannot tell apart"
+                do = "take units in which x is near 1, or use DualDistributedSimplex"
+                raise SolverError(f"agent {self.i}: constraints consensus", f"{found}; {do}")
             self._take(np.vstack([self.basis, worst]))
         return steps > 0
 
     def _violated(self, rows: Mat) -> Mat:
         """The worst of the rows that x violates."""
-        excess = rows[:, :-1] @ self.x - rows[:, -1] - TOLERANCE * (1.0 + np.abs(rows[:, -1]))
+        a = rows[:, :-1]
+        b = rows[:, -1]
+        terms = np.minimum(np.abs(a) @ np.abs(self.x), 1.0) + np.abs(b)
+        excess = a @ self.x - b - TOLERANCE * terms - NEGLIGIBLE
         worst = np.argsort(-excess, kind="stable")[: BATCH * self.problem.n]
-        return rows[worst[excess[worst] > 0.0]]
+        return np.asarray(rows[worst[excess[worst] > 0.0]])
 
     def _take(self, rows: Mat) -> None:
         """The optimum over these rows, and its basis."""
@@ -133,14 +145,15 @@ class ConstraintsConsensus(Iteration):
         if status != "infeasible":
             return status
         m, n = len(rows), self.problem.n
-        elastic = np.hstack([rows[:, :-1], -np.eye(m)]), rows[:, -1]
+        size = float(np.abs(rows[:, -1]).max()) or 1.0  # the tolerances of HiGHS are those of numbers near 1
+        elastic = np.hstack([rows[:, :-1], -np.eye(m)]), rows[:, -1] / size
         bounds = np.r_[np.full(n, -np.inf), np.zeros(m)], np.full(n + m, np.inf)
         missed = LinearProgram(np.r_[np.zeros(n), np.ones(m)], elastic, bounds=bounds).solve(np.zeros(n + m))
         if isinstance(missed, str):
             return status
         r = int(np.argmax(missed[n:]))
         row = " ".join(f"{a:+.4g} x[{k}]" for k, a in enumerate(rows[r, :-1]) if a)
-        return f"infeasible: row {row} <= {rows[r, -1]:.4g}: violated by {missed[n + r]:.4g}, at best"
+        return f"infeasible: row {row} <= {rows[r, -1]:.4g}: violated by {size * missed[n + r]:.4g}, at best"
 
 
 def _strictly_convex(problem: CommonCost) -> tuple[Mat, Vec, bool]:

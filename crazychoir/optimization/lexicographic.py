@@ -1,19 +1,21 @@
-"""The lexicographic simplex method: one optimal basis of a linear program, the same whoever computes it."""
+"""The lexicographic simplex method: one optimal basis of a linear program, the same at every agent that computes it."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
 
 from crazychoir.errors import SolverError
+from crazychoir.optimization.equilibration import scaled_inverse, without_rounding
+from crazychoir.optimization.tableau import walk
 from crazychoir.types import Mat, Vec
 
 Ints = npt.NDArray[np.int64]
-ZERO = 1e-9
-"""What is a rounding error, relative to the numbers that were added up."""
 PIVOTS = 100_000
 REFRESH = 50
-"""Pivots after which the inverse is computed anew."""
+"""Pivots after which the tableau is computed anew."""
+EPSILON = float(np.finfo(float).eps)
 ARTIFICIAL = -1
 """The owner of artificial columns."""
 
@@ -22,8 +24,8 @@ ARTIFICIAL = -1
 class Columns:
     """n columns of a standard-form program with m rows.
 
-    ids: (n, 2) owner and number, each once, in increasing order;  cost: (2, n), first 1 for an artificial column and 0
-    for others, then c;  entries: (m, n).
+    ids: (n, 2) owner and number, each once, in increasing order;  cost: (2, n), a, which comes before c and is 1 for an
+    artificial column, then c;  entries: (m, n).
     """
 
     ids: Ints
@@ -33,11 +35,15 @@ class Columns:
     def __len__(self) -> int:
         return len(self.ids)
 
+    def id_pairs(self) -> list[tuple[int, int]]:
+        """Return the ids as tuples."""
+        return [(owner, number) for owner, number in self.ids.tolist()]
+
     @classmethod
-    def own(cls, owner: int, c: Vec, entries: Mat) -> "Columns":
-        """The columns of one agent. c: (n,); entries: (m, n)."""
+    def own(cls, owner: int, c: Vec, entries: Mat, first: Vec | None = None) -> "Columns":
+        """The columns of one agent. c: (n,); entries: (m, n);  first: (n,) the cost before c, zeros if None."""
         ids = np.column_stack([np.full(len(c), owner), np.arange(len(c))]).astype(np.int64)
-        return cls(ids, np.vstack([np.zeros(len(c)), c]), entries)
+        return cls(ids, np.vstack([np.zeros(len(c)) if first is None else first, c]), entries)
 
     @classmethod
     def artificial(cls, m: int) -> "Columns":
@@ -67,116 +73,97 @@ def union(parts: list[Columns]) -> Columns:
 class Basis:
     """An optimal basis of the columns that were given, or the end of a ray.
 
-    columns: (m of them), in increasing order of id;  level: (m,) their values x_B;  prices: (2, m), of the rows, at
-    the two levels of cost;  ray: id of a column that may grow for ever while c'x falls, or None.
+    columns: (m of them), B, in increasing order of id;  b: (m,);  inverse: (m, m), B^-1;  level: (m,) their values
+    x_B;  ray: id of a column that may grow for ever while c'x falls, or None.
+    All depend on B and b alone, bit by bit, so that agents with the same basis have the same numbers.
     """
 
     columns: Columns
+    b: Vec
+    inverse: Mat
     level: Vec
-    prices: Mat
     ray: tuple[int, int] | None = None
 
+    @classmethod
+    def of(cls, columns: Columns, b: Vec) -> "Basis":
+        """Return the basis of m columns in increasing order of id; raises SolverError where they are dependent."""
+        inverse = scaled_inverse(columns.entries)
+        return cls(columns, b, inverse, without_rounding(inverse @ b, np.abs(inverse) @ np.abs(b)))
 
-def optimal_basis(columns: Columns, start: Columns, b: Vec) -> Basis:
-    """The lexicographically optimal basis among `columns`, by pivots from the basis `start`, which is part of them.
+    @cached_property
+    def prices(self) -> Mat:
+        """(2, m) of the rows, at the two levels of cost."""
+        cost = self.columns.cost
+        return without_rounding(cost @ self.inverse, np.abs(cost) @ np.abs(self.inverse))
 
-        min (a'x, c'x, delta'x)   s.t.  A x = b + (e, e^2, ..., e^m),  x >= 0,     delta_j = d^{rank of id j}
+    @cached_property
+    def terms(self) -> Vec:
+        """(m,) the sizes of the terms whose sums are the levels: |B^-1| |b|."""
+        return np.asarray(np.abs(self.inverse) @ np.abs(self.b))
 
-    The three costs come in this order: a, 1 for artificial columns, is a big M without a number, and delta, d -> 0,
-    makes the optimum unique. e -> 0 makes the basis of a vertex unique. Neither d nor e is ever a number:
-    signs are those of the first term that is not zero, in the reduced costs (entering) and in the rows of
-    [B^-1 b, B^-1] (leaving). So the answer depends on the columns alone, not on the way to it.
+    @cached_property
+    def uncertainty(self) -> Vec:
+        """(m,) the rounding error of the levels at most: epsilon |B^-1| (|B| |x_B| + |b|)."""
+        size = np.abs(self.columns.entries) @ np.abs(self.level) + np.abs(self.b)
+        return np.asarray(EPSILON * (np.abs(self.inverse) @ size))
+
+    def price_out(self, columns: Columns) -> Mat:
+        """Return (2, n) the reduced costs of `columns`, at the two levels of cost."""
+        terms = np.abs(columns.cost) + np.abs(self.prices) @ np.abs(columns.entries)
+        return without_rounding(columns.cost - self.prices @ columns.entries, terms)
+
+    def expressed(self, entries: Mat) -> Mat:
+        """Return B^-1 entries (m, n): the columns `entries` (m, n) as sums of the basic ones."""
+        return without_rounding(self.inverse @ entries, np.abs(self.inverse) @ np.abs(entries))
+
+
+def optimal_basis(columns: Columns, start: "Columns | Basis", b: Vec) -> Basis:
+    """Return the lexicographically optimal basis among `columns`, by pivots from `start`, which is part of them.
+
+        min (z_1, ..., z_m, a'x, c'x, delta'x)   s.t.  A x = b + (e, e^2, ..., e^m),  x >= 0,
+        z_i the artificial column of row i,   delta_j = d^{rank of id j}
+
+    The costs come in this order. An artificial column is a big M without a number, in the order of rows, so that rows
+    in different units are never added up. a comes before c, and delta, d -> 0, makes the optimum unique. e -> 0 makes
+    the basis of a vertex unique. Neither d nor e is ever a number: signs are those of the first term that is not zero,
+    in the reduced costs (entering) and in the rows of [B^-1 b, B^-1] (leaving). So the answer depends on the columns
+    alone, not on the way to it.
+    What is zero is judged by the terms that were added up (pivot, without_rounding), never by other rows or columns:
+    with rows and columns in other units the answer is the same basis.
     b: (m,), >= 0; `start` is lexicographically feasible, as the identity is, and as every answer is.
     Raises SolverError beyond PIVOTS pivots, or for a singular basis.
     Source: Dantzig, Orden & Wolfe 1955; Buerger, Notarstefano, Bullo & Allgoewer 2012, Automatica 48, 2298-2304.
     """
-    return _Pivots(columns, start, b).run()
+    basis = start if isinstance(start, Basis) else Basis.of(start, b)
+    artificial = int(np.searchsorted(columns.ids[:, 0], 0))
+    where = {key: p for p, key in enumerate(columns.id_pairs())}
+    basic = np.array([where[key] for key in basis.columns.id_pairs()], dtype=np.int64)
+    for _ in range(PIVOTS // REFRESH):
+        pivots, end = walk(_tableau(columns, basis, basic), basic, artificial, REFRESH)
+        if not pivots:
+            owner, number = columns.ids[end].tolist()
+            ray = (owner, number) if end >= 0 else None
+            return Basis(columns.take(basic), basis.b, basis.inverse, basis.level, ray)
+        basic.sort()
+        basis = Basis.of(columns.take(basic), b)
+    found = f"{PIVOTS} pivots without an end: double precision cannot tell which basis is the best"
+    raise SolverError("lexicographic simplex", found)
 
 
-class _Pivots:
-    """The state of the method: which columns are basic, and the inverse of the basis."""
+def _tableau(columns: Columns, basis: Basis, basic: Ints) -> Mat:
+    """Return (m + 2, n + m + 1): B^-1 [A, I, b], and the reduced costs at two levels.
 
-    def __init__(self, columns: Columns, start: Columns, b: Vec) -> None:
-        self._columns, self._b = columns, b
-        self._small_level = ZERO * (1.0 + float(np.abs(b).max(initial=0.0)))
-        where = {tuple(key): p for p, key in enumerate(columns.ids.tolist())}
-        self._basic = np.array([where[tuple(key)] for key in start.ids.tolist()], dtype=np.int64)
-        self._size = np.abs(columns.entries)
-        self._refresh()
-
-    def run(self) -> Basis:
-        for n in range(1, PIVOTS):
-            entering = self._entering()
-            if entering is None:
-                return self._answer(None)
-            direction = self._inverse @ self._columns.entries[:, entering]
-            row = self._leaving(direction)
-            if row is None:
-                return self._answer(entering)
-            self._pivot(row, entering, direction)
-            if n % REFRESH == 0:
-                self._refresh()
-        raise SolverError("lexicographic simplex", f"{PIVOTS} pivots without an end")
-
-    def _refresh(self) -> None:
-        try:
-            self._inverse = np.asarray(np.linalg.inv(self._columns.entries[:, self._basic]), dtype=np.float64)
-        except np.linalg.LinAlgError as error:
-            raise SolverError("lexicographic simplex", "a singular basis") from error
-
-    def _pivot(self, row: int, entering: int, direction: Vec) -> None:
-        self._inverse[row] /= direction[row]
-        rest = direction.copy()
-        rest[row] = 0.0
-        self._inverse -= np.outer(rest, self._inverse[row])
-        self._basic[row] = entering
-
-    def _entering(self) -> int | None:
-        """A column with a lexicographically negative reduced cost."""
-        columns = self._columns
-        open_ = np.ones(len(columns), dtype=bool)
-        open_[self._basic] = False
-        for cost in columns.cost:
-            prices = cost[self._basic] @ self._inverse
-            reduced = cost - prices @ columns.entries
-            small = ZERO * (1.0 + np.abs(cost) + np.abs(prices) @ self._size)
-            worth = np.where(open_ & (reduced < -small), reduced, 0.0)
-            best = int(np.argmin(worth))
-            if worth[best] < 0.0:
-                return best
-            open_ &= reduced <= small
-        return self._tied(np.flatnonzero(open_))
-
-    def _tied(self, candidates: Ints) -> int | None:
-        """Of columns whose reduced costs are zero, one whose first delta is negative."""
-        order = np.argsort(self._basic)
-        direction = self._inverse[order] @ self._columns.entries[:, candidates]
-        matters = np.abs(direction) > ZERO * (1.0 + np.abs(direction).max(axis=0, initial=0.0))
-        first = np.argmax(matters, axis=0)
-        some = np.arange(len(candidates))
-        found = matters.any(axis=0) & (direction[first, some] > 0.0) & (self._basic[order][first] < candidates)
-        return int(candidates[np.argmax(found)]) if found.any() else None
-
-    def _leaving(self, direction: Vec) -> int | None:
-        """The row with the lexicographically least [B^-1 b, B^-1] / direction, of those with a positive direction."""
-        rows = np.flatnonzero(direction > ZERO * (1.0 + np.abs(direction).max()))
-        if len(rows) == 0:
-            return None
-        level = self._inverse[rows] @ self._b
-        ratio = np.where(np.abs(level) <= self._small_level, 0.0, level) / direction[rows]
-        for k in range(len(self._b) + 1):
-            least = ratio.min()
-            rows = rows[ratio <= least + ZERO * (1.0 + abs(least))]
-            if len(rows) == 1:
-                break
-            ratio = self._inverse[rows, k % len(self._b)] / direction[rows]
-        return int(rows[0])
-
-    def _answer(self, ray: int | None) -> Basis:
-        self._basic.sort()
-        self._refresh()
-        columns = self._columns.take(self._basic)
-        level = self._inverse @ self._b
-        level[np.abs(level) <= self._small_level] = 0.0
-        end = None if ray is None else (int(self._columns.ids[ray, 0]), int(self._columns.ids[ray, 1]))
-        return Basis(columns, level, columns.cost @ self._inverse, end)
+    basic: (m,) the position of the columns of the basis.
+    """
+    m = len(basic)
+    n = len(columns)
+    tableau = np.zeros((m + 2, n + m + 1))
+    tableau[:m, :n] = basis.expressed(columns.entries)
+    tableau[:m, basic] = np.eye(m)
+    tableau[:m, n : n + m] = basis.inverse
+    tableau[:m, -1] = np.maximum(basis.level, 0.0)
+    cost = columns.cost[:, basic]
+    terms = np.abs(columns.cost) + np.abs(cost) @ np.abs(tableau[:m, :n])
+    tableau[m:, :n] = without_rounding(columns.cost - cost @ tableau[:m, :n], terms)
+    tableau[m:, basic] = 0.0
+    return tableau

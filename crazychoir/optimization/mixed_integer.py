@@ -14,6 +14,8 @@ from crazychoir.types import Mat, Vec
 
 SLACK = 1e-6
 """What a row may miss its bound by, relative to 1 + |bound|: a solver's tolerance."""
+SMALLEST_RESOURCE = 1e-5
+"""A resource of which no number is larger is hidden by this tolerance."""
 
 
 class MixedIntegerBlock:
@@ -46,7 +48,8 @@ class MixedIntegerBlock:
         self.A = matrix(A, self.where, "A", (self.S, self.n))
         D, d = (np.zeros((0, self.n)), np.zeros(0)) if rows is None else rows
         d = vector(d, self.where, "d")
-        self.rows = matrix(D, self.where, "D", (len(d), self.n)), d
+        self.rows = _near_one(matrix(D, self.where, "D", (len(d), self.n)), d)
+        self._require_resources_to_be_seen()
         low, high = self._bound(bounds[0], "low"), self._bound(bounds[1], "high")
         self.bounds = low, high
         crossed = np.flatnonzero(low > high)
@@ -54,6 +57,17 @@ class MixedIntegerBlock:
             k = int(crossed[0])
             raise ConfigError(f"{self.where}: low[{k}]", f"{low[k]}", f"at most high[{k}] = {high[k]}")
         self.integer = self._mask(integer)
+
+    def _require_resources_to_be_seen(self) -> None:
+        """Raise ConfigError for a resource whose numbers are all so small that any excess would be accepted."""
+        sizes = np.maximum(np.abs(self.A).max(axis=1, initial=0.0), np.abs(self.share))
+        hidden = np.flatnonzero((sizes > 0.0) & (sizes < SMALLEST_RESOURCE))
+        if len(hidden):
+            s = int(hidden[0])
+            found = f"numbers of {sizes[s]:.3g} at most"
+            allowed = f"{SMALLEST_RESOURCE:g} or more, or zeros: smaller ones are below the tolerance {SLACK:g}"
+            do = "Measure this resource in a smaller unit, at all agents."
+            raise ConfigError(f"{self.where}: A[{s}], share[{s}]", found, allowed, do)
 
     def _bound(self, bound: Any, name: str) -> Vec:
         every = np.full(self.n, float(bound)) if np.ndim(bound) == 0 else bound
@@ -120,6 +134,16 @@ class MixedIntegerBlock:
             free = np.flatnonzero(~np.isfinite(low) | ~np.isfinite(high))
             return f"x[{', '.join(map(str, free[:10]))}] without a bound; give low and high"
         return f"{len(self.rows[1])} rows D x <= d, low <= x <= high, {int(self.integer.sum())} integers"
+
+
+def _near_one(rows: Mat, bounds: Vec) -> tuple[Mat, Vec]:
+    """Return the rows in units in which their largest entry is 1 to 2: the tolerances of HiGHS are absolute.
+
+    The factors are powers of two, so that nothing is rounded.
+    """
+    exponents = 1 - np.frexp(np.abs(rows).max(axis=1, initial=0.0))[1]
+    exponents = np.where(rows.any(axis=1), exponents, 0)
+    return np.ldexp(rows, exponents[:, None]), np.ldexp(bounds, exponents)
 
 
 class _Elastic:

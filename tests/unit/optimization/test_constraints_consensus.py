@@ -1,3 +1,5 @@
+import re
+
 import cvxpy as cp
 import numpy as np
 import pytest
@@ -131,3 +133,50 @@ def test_an_optimum_that_only_the_tie_break_holds_is_refused_by_all_in_one_round
             break
     assert len(said) == 3
     assert all(f"agent {i}: constraints consensus" in text and "tie-break" in text for i, text in enumerate(said))
+
+
+@pytest.mark.parametrize("size", [1e-8, 1e-5, 1.0, 1e3])
+def test_rows_of_any_size_are_met(size):
+    x = cp.Variable(2)
+    rows = [[x[0] <= -size], [x[1] <= 10.0 * size], [x[0] <= 1e6, 1e-6 * x[1] <= 1.0]]
+    objective = cp.sum_squares(x - size)
+    team = {i: ConstraintsConsensus(CommonCost(i, x, objective, own), 1) for i, own in enumerate(rows)}
+    run_in_step(team, complete(3))
+    for agent in team.values():
+        np.testing.assert_allclose(agent.x, [-size, size], rtol=1e-6)
+
+
+@pytest.mark.parametrize("size", [1e-8, 1e-5, 1.0, 1e5])
+def test_rows_of_any_size_that_exclude_each_other_are_infeasible(size):
+    x = cp.Variable(2)
+    rows = [[x[0] <= -size, x[1] <= 1.0], [x[0] >= size]]
+    team = {i: ConstraintsConsensus(CommonCost(i, x, cp.sum_squares(x), own), 1) for i, own in enumerate(rows)}
+    with pytest.raises(SolverError, match=re.escape(f"violated by {2.0 * size:.4g}, at best")):
+        run_in_step(team, complete(2))
+
+
+def test_a_linear_program_whose_rows_have_any_units_is_solved_or_refused():
+    """Rows from 10^-6 to 10^6; columns that the tie-break is too large for are refused."""
+    chance = np.random.default_rng(4)
+    solved = 0
+    for seed in range(12):
+        parts, graph = drawn(4, 3, 4, seed, linear=True), complete(4)
+        c = parts[0].cost.q
+        s = 10.0 ** chance.uniform(-6, 6, 3) if seed % 2 else np.ones(3)
+        x = cp.Variable(3)
+        scaled = []
+        for part in parts:
+            over = part.polyhedron
+            r = 10.0 ** chance.uniform(-6, 6, len(over.b))
+            scaled.append(CommonCost(part.agent, x, (c * s) @ x, [(r[:, None] * over.A * s) @ x <= r * over.b]))
+        team = {i: ConstraintsConsensus(part, 1) for i, part in enumerate(scaled)}
+        try:
+            run_in_step(team, graph)
+        except SolverError as error:
+            assert seed % 2, error  # noqa: PT017
+            assert "tie-break" in str(error) or "cannot tell" in str(error)  # noqa: PT017
+            continue
+        solved += 1
+        for agent in team.values():
+            assert c @ (s * agent.x) == pytest.approx(optimum(parts), rel=1e-6, abs=1e-6)
+    assert solved >= 6

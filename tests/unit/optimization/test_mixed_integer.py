@@ -73,3 +73,21 @@ def test_a_set_without_a_point_or_without_a_bound_is_named():
         small(rows=([[1.0, 1.0]], [-1.0])).corner(np.zeros(2))
     with pytest.raises(SolverError, match=r"unbounded: x\[1\] without a bound; give low and high"):
         small(bounds=(0.0, [3.0, np.inf])).corner(np.array([0.0, -1.0]))
+
+
+@pytest.mark.parametrize("unit", [1e-12, 1e-9, 1e-6, 1.0, 1e6, 1e12])
+def test_rows_in_any_unit_hold(unit):
+    rows = np.array([[2.0, 0.0], [0.0, 1.0]]) * [[unit], [1.0]], np.array([7.0 * unit, 2.5])
+    block = MixedIntegerBlock(0, [-1.0, -1.0], [[1.0, 1.0]], [1.0], rows=rows, bounds=(0, 10), integer=[0])
+    np.testing.assert_allclose(block.corner(block.c), [3.0, 2.5])
+    empty = np.array([[unit, 0.0], [-unit, 0.0]]), np.array([unit, -2.0 * unit])
+    block = MixedIntegerBlock(0, [-1.0, -1.0], [[1.0, 1.0]], [1.0], rows=empty, bounds=(0, 10), integer=[0])
+    with pytest.raises(SolverError, match=r"agent 0: local problem.*infeasible"):
+        block.corner(block.c)
+
+
+def test_a_resource_that_tolerances_hide_is_refused():
+    with pytest.raises(ConfigError, match=r"agent 2: A\[1\], share\[1\]: found numbers of 3e-09 at most"):
+        MixedIntegerBlock(2, [1.0], [[1.0], [1e-9]], [1.0, 3e-9])
+    MixedIntegerBlock(2, [1.0], [[1.0], [0.0]], [1.0, 0.0])
+    MixedIntegerBlock(2, [1.0], [[1.0], [1e-9]], [1.0, 1.0])

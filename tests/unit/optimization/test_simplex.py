@@ -2,6 +2,7 @@ import json
 
 import numpy as np
 import pytest
+from scaled_programs import draw as draw_scaled
 from scipy.optimize import linprog
 from teams import run_team
 
@@ -134,6 +135,8 @@ def test_contradicting_constraints_and_free_variables_are_named():
         ([1.0], [[1.0, 2.0]], [1.0], r"A: found shape \(1, 2\); allowed: \(1, 1\)"),
         ([[1.0]], [[1.0]], [1.0], r"c: found shape \(1, 1\)"),
         (["one"], [[1.0]], [1.0], r"c: found list; allowed: an array of numbers"),
+        ([1.0], [[1e200]], [1e200], r"A\[0, 0\]: found 1e\+200; allowed: 0, or a size from 1e-60 to 1e\+60"),
+        ([1.0], [[1.0]], [1e-320], r"b\[0\]: found 9.99989e-321; allowed: 0, or a size from"),
     ],
 )
 def test_data_that_do_not_fit_are_refused_with_agent_row_and_value(c, A, b, match):
@@ -186,3 +189,121 @@ def test_what_fails_at_one_agent_ends_all_of_them():
     agents = {i: DistributedSimplex(i, [1.0], [[1.0]], [1.0 + (i == 2)], 2) for i in range(4)}
     with pytest.raises(ConfigError, match="b of agent 2: found"):
         simulate(agents, ring(4), record=())
+
+
+def solve(agents):
+    """(status, results) of a team on a ring; all agents end alike, as run_team requires."""
+    graph = ring(len(agents))
+    try:
+        run_team(agents, graph)
+    except SolverError as error:
+        return error.status.partition(":")[0], []
+    return "optimal", [agent.result for agent in agents.values()]
+
+
+def primal_team(c, A, b, parts):
+    diameter = len(parts) // 2
+    return {i: DistributedSimplex(i, c[part], A[:, part], b, diameter) for i, part in enumerate(parts)}
+
+
+def dual_team(c, A, b, parts):
+    """max b'y s.t. A'y <= c, the dual of min c'x s.t. A x = b, x >= 0."""
+    diameter = len(parts) // 2
+    return {i: DualDistributedSimplex(i, b, A[:, part].T, c[part], diameter) for i, part in enumerate(parts)}
+
+
+def require_agreement_with_the_program_in_units_near_1(seed):
+    """Solve a scaled program and its dual; compare with HiGHS on the unscaled one, each row by its own terms."""
+    program = draw_scaled(seed)
+    c, A, b = program.scaled
+    status, results = solve(primal_team(c, A, b, program.parts))
+    assert status == program.status
+    dual_status, duals = solve(dual_team(c, A, b, program.parts))
+    if status == "unbounded":
+        assert dual_status == "infeasible"
+    if status == "infeasible":
+        assert dual_status in ("infeasible", "unbounded")
+    if status != "optimal":
+        return
+    assert dual_status == "optimal"
+    x = np.concatenate([result.x for result in results]) * program.s
+    assert (x >= 0.0).all()
+    terms = np.abs(program.A) @ x + np.abs(program.b)
+    assert (np.abs(program.A @ x - program.b) <= 1e-8 * terms).all()
+    size = np.abs(program.c) @ x + abs(program.value)
+    assert abs(results[0].cost - program.value) <= 1e-7 * size
+    y = duals[0].x * program.r
+    assert (program.A.T @ y - program.c <= 1e-8 * (np.abs(program.c) + np.abs(program.A.T) @ np.abs(y))).all()
+    assert abs(duals[0].cost - program.value) <= 1e-7 * (size + np.abs(y) @ np.abs(program.b))
+    prices = results[0].prices * program.r
+    assert (program.c - prices @ program.A >= -1e-8 * (np.abs(program.c) + np.abs(prices) @ np.abs(program.A))).all()
+    assert all(r.ids == results[0].ids and r.cost == results[0].cost for r in results)
+    assert all(np.array_equal(r.prices, results[0].prices) for r in results)
+    assert all(np.array_equal(r.x, duals[0].x) and r.active == duals[0].active for r in duals)
+
+
+SCALED = [range(k, k + 40) for k in range(0, 2000, 40)]
+
+
+@pytest.mark.parametrize(
+    "seeds", [*SCALED[:3], *(pytest.param(seeds, marks=pytest.mark.slow) for seeds in SCALED[3:])],
+    ids=lambda seeds: f"{seeds[0]}-",
+)  # fmt: skip
+def test_rows_and_columns_in_any_units_change_nothing(seeds):
+    for seed in seeds:
+        require_agreement_with_the_program_in_units_near_1(seed)
+
+
+@pytest.mark.parametrize("seeds", [range(k, k + 24) for k in range(0, 48, 24)], ids=lambda seeds: f"{seeds[0]}-")
+def test_units_that_are_powers_of_two_give_the_same_basis(seeds):
+    for seed in seeds:
+        program = draw_scaled(seed, base=2.0)
+        status, results = solve(primal_team(*program.scaled, program.parts))
+        same_status, plain = solve(primal_team(program.c, program.A, program.b, program.parts))
+        assert status == same_status == program.status
+        for one, other in zip(results, plain, strict=True):
+            assert one.ids == other.ids
+            s = program.s[program.parts[results.index(one)]]
+            assert one.x * s == pytest.approx(other.x, rel=1e-12)
+
+
+TWO_UNITS = np.array([[1e6, 1e6, 0.0, 0.0], [1e-4, 0.0, 1e-4, 0.0]])
+
+
+def one_column_each(c, A, b):
+    return primal_team(np.array(c), A, np.array(b), [np.array([k]) for k in range(len(c))])
+
+
+def test_a_small_right_hand_side_beside_a_large_one_is_met():
+    status, results = solve(one_column_each([1.0, 3.0, 1.0, 2.0], TWO_UNITS, [1e6, 5e-5]))
+    assert status == "optimal"
+    assert [result.cost for result in results] == pytest.approx([2.0] * 4)
+    assert np.concatenate([result.x for result in results]) == pytest.approx([0.5, 0.5, 0.0, 0.0])
+
+
+def test_a_small_row_that_cannot_be_met_is_infeasible():
+    without = np.delete(TWO_UNITS, 2, axis=1)
+    agents = one_column_each([1.0, 3.0, 2.0], without, [1e6, 0.05])
+    fail(agents, ring(3), r"infeasible: row 1 \(0.0499 left\)")
+    agents = one_column_each([1.0, 3.0, 1.0, 2.0], TWO_UNITS, [1e6, -1e-12])
+    fail(agents, ring(4), r"infeasible: row 1 \(1e-12 left\)")
+
+
+def test_the_dual_calls_no_unbounded_program_optimal():
+    A = np.array([[1e6, 0.0], [-1e6, 0.0]])
+    agents = {i: DualDistributedSimplex(i, [1e6, 1e-4], A[i : i + 1], [1e6], 1) for i in range(2)}
+    fail(agents, ring(2), r"unbounded: variable 1 \(0.0001 left\) without a limit")
+
+
+@pytest.mark.parametrize("b", [[2.0, 2.0], [2.0, 2.5]], ids=["feasible", "infeasible, or far away"])
+def test_rows_that_differ_in_their_last_digits_alone_are_refused_by_all_agents(b):
+    A = np.array([[1.0, 1.0], [1.0, 1.0 + 2.0**-36]])
+    agents = {i: DistributedSimplex(i, [1.0 + i], A[:, i : i + 1], b, 1) for i in range(2)}
+    fail(agents, ring(2), r"row [01] differs from a sum of other rows by 7e-12 .*double precision cannot tell")
+
+
+def test_levels_that_are_smaller_than_their_rounding_errors_are_refused_by_all_agents():
+    n = 12
+    hilbert = 1.0 / (np.arange(n)[:, None] + np.arange(n) + 1.0)
+    agents = primal_team(np.ones(n), hilbert, hilbert @ np.ones(n), np.split(np.arange(n), 3))
+    fail(agents, ring(3), "double precision cannot tell")
