@@ -16,7 +16,7 @@ from crazychoir.optimization.arrays import vector
 from crazychoir.optimization.conic import ConicProgram
 from crazychoir.optimization.expressions import Quadratic
 from crazychoir.optimization.mixed_integer import MixedIntegerBlock
-from crazychoir.optimization.programs import Program, compiled, fast
+from crazychoir.optimization.programs import Decided, Program, compiled, fast
 from crazychoir.optimization.quadratic import Polyhedron
 from crazychoir.types import Mat, Vec
 
@@ -282,7 +282,11 @@ class _Priced:
             for g, m in zip(self._forms, mu.tolist(), strict=True):
                 form = form + g.times(m)
             if program := fast(form, self._local.over):
-                return program.solve(self._zero)
+                return Decided(program, lambda: self._at(mu)).solve(self._zero)
+        return self._at(mu).solve(self._zero)
+
+    def _at(self, mu: Vec) -> ConicProgram:
+        """Return the compiled program with the prices mu (S,)."""
         self._mu.value = mu
         self._conic.refresh()
-        return self._conic.solve(self._zero)
+        return self._conic

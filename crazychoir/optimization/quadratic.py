@@ -2,18 +2,29 @@
 
 from dataclasses import dataclass
 from math import isfinite
+from typing import Final
 
 import numpy as np
 
-from crazychoir.optimization.active_set import CAPPED, INFEASIBLE, NOT_FINITE, minimise
+from crazychoir.optimization.active_set import CAPPED, INFEASIBLE, NEGLIGIBLE, NOT_FINITE, ROUNDING, Rows, minimise
 from crazychoir.optimization.linear import Mask
 from crazychoir.types import Mat, Vec
 
 FLAT = 1e-7
 """A Hessian with eigenvalues below this, relative to the largest, has no unique minimum."""
-PARALLEL = 1e-9
-"""Of singular values, relative to the largest: equalities below are dependent."""
+PARALLEL: Final = 1e-10
+"""Of singular values of unit rows, relative to the largest: equalities below are dependent."""
+ROUNDED: Final = 1e-14
+"""Of the same singular values: below, they are zero, rounded."""
+CONSISTENT: Final = 1e-9
+"""What a row that no x changes may be missed by, relative to its own terms: the rounding of the data."""
+MET: Final = 1e-8
+"""What a solution may miss an inequality by, relative to the row's own terms."""
+DOUBTFUL = "rows so nearly dependent that rounding decides"
+INACCURATE = "inaccurate"
 WORDS = {INFEASIBLE: "infeasible", CAPPED: "too many steps", NOT_FINITE: "not finite"}
+UNDECIDED: Final = (DOUBTFUL, INACCURATE, WORDS[CAPPED])
+"""Words that do not say whether there is a solution: another method may find it."""
 
 
 @dataclass(frozen=True)
@@ -31,12 +42,65 @@ class Polyhedron:
     @classmethod
     def of(cls, A: Mat, b: Vec, E: Mat, e: Vec) -> "Polyhedron":
         """From rows of any length; those of zeros that always hold are left out."""
-        return cls(*_scaled(A, b, keep=b < 0.0), *_scaled(E, e, keep=e != 0.0))
+        upper, equal = (np.asarray(bounds, float) for bounds in (b, e))
+        return cls(*scaled(A, upper, upper < -NEGLIGIBLE)[:2], *scaled(E, equal, np.abs(equal) > NEGLIGIBLE)[:2])
 
     @property
     def n(self) -> int:
         """Dimension of x."""
         return int(self.A.shape[1])
+
+
+class AffineHull:
+    """{x in R^n : E x = e} for many e: its directions, and its point that is the closest to 0.
+
+        E = U S V',   x_0 = V_r S_r^-1 U_r'e,   the other columns of V are N
+
+    E: (l, n), rows of length one or zero.
+    null: N (n, n - rank), E N = 0, N'N = I;  lift: E^+ (n, l);  dependent: whether there are more rows than the rank,
+    so that not every e has a point.
+    """
+
+    def __init__(self, E: Mat) -> None:
+        self.E = E
+        self.null, self.lift = np.eye(E.shape[1]), np.zeros(E.T.shape)
+        self._finer: Mat | None = None
+        rank = 0
+        if len(E):
+            left, sizes, right = np.linalg.svd(E)
+            rank, finer = (int(np.sum(sizes > least * sizes[0])) for least in (PARALLEL, ROUNDED))
+            self.null = np.ascontiguousarray(right[rank:].T)
+            self.lift = (right[:rank].T / sizes[:rank]) @ left[:, :rank].T
+            if finer > rank:
+                self._finer = (right[:finer].T / sizes[:finer]) @ left[:, :finer].T
+        self.dependent = rank < len(E)
+
+    def point(self, e: Vec) -> Vec:
+        """Return x_0 (n,), where the rows are missed by the least sum of squares."""
+        return self._refined(self.lift, e)
+
+    def missed(self, x: Vec, e: Vec) -> Mask:
+        """Return which rows x (n,) misses by more than the rounding of their own terms."""
+        allowed = CONSISTENT * (np.abs(self.E) @ np.abs(x) + np.abs(e)) + NEGLIGIBLE
+        # Not `>`: what is not a number is missed.
+        return ~(np.abs(self.E @ x - e) <= allowed)
+
+    def verdict(self, x: Vec, e: Vec) -> str:
+        """Return why there is no point, where x is `point(e)`; "" if there is one.
+
+        "infeasible", or DOUBTFUL where a point very far away meets all rows, as they are not quite dependent.
+        """
+        if not self.dependent or not self.missed(x, e).any():
+            return ""
+        if self._finer is None or self.missed(self._refined(self._finer, e), e).any():
+            return WORDS[INFEASIBLE]
+        return DOUBTFUL
+
+    def _refined(self, lift: Mat, e: Vec) -> Vec:
+        """Return lift e, with one step of refinement: so each row is met to the rounding of its own terms."""
+        x = lift @ e
+        refined: Vec = x + lift @ (e - self.E @ x)
+        return refined
 
 
 @dataclass
@@ -46,8 +110,9 @@ class QuadraticProgram:
         K = -N (N'PN)^-1 N',   k = x_0 + K P x_0,   E x_0 = e,   the columns of N span the null space of E
 
     x = K (q + p) + k solves it without the inequalities, in closed form; with them `active_set.minimise` does, from the
-    multipliers u of the last solution. Raises np.linalg.LinAlgError if N'PN is not positive definite.
-    P: (n, n), symmetric;  q: (n,);  u: (m,) >= 0, the multipliers of A x <= b.
+    multipliers u of the last solution. A row of A in the span of E has the same value for all x: it is judged once, and
+    left to no solver. Raises np.linalg.LinAlgError if N'PN is not positive definite.
+    P: (n, n), symmetric;  q: (n,);  u: (m,) >= 0, the multipliers of A x <= b;  verdict: why no p has a solution, or "".
     """
 
     P: Mat
@@ -55,24 +120,68 @@ class QuadraticProgram:
     over: Polyhedron
 
     def __post_init__(self) -> None:
-        over, (x0, null) = self.over, affine_hull(self.over.E, self.over.e)
+        over, self.hull = self.over, AffineHull(self.over.E)
+        null = self.hull.null
         self.inverse = np.ascontiguousarray(-null @ np.linalg.solve(positive(null.T @ self.P @ null), null.T))
-        self.origin = x0 + self.inverse @ (self.P @ x0)
+        self._free = over.A @ null
+        self._is_fixed = np.linalg.norm(self._free, axis=1) <= PARALLEL
+        self._sizes = np.abs(over.A)
         self.image = np.ascontiguousarray(over.A @ self.inverse)
-        self.slack = over.b - over.A @ self.origin
         self.gram = np.ascontiguousarray(-self.image @ over.A.T)
+        self.image[self._is_fixed] = 0.0
+        self.gram[self._is_fixed] = 0.0
+        self.gram[:, self._is_fixed] = 0.0
         self.u = np.zeros(len(over.b))
         self.name = "active set" if len(over.b) else "closed form"
+        x0 = self.hull.point(over.e)
+        self._place(x0 + self.inverse @ (self.P @ x0), over.b, over.e)
+
+    def _place(self, origin: Vec, b: Vec, e: Vec) -> None:
+        """Take the point `origin` (n,) of the equalities, and judge the rows that no x changes."""
+        self.origin, self._b = origin, b
+        size = self._sizes @ np.abs(origin) + np.abs(b)
+        slack = b - self.over.A @ origin
+        self.verdict = self.hull.verdict(origin, e)
+        if not self.verdict and (slack < -CONSISTENT * size - NEGLIGIBLE)[self._is_fixed].any():
+            self.verdict = WORDS[INFEASIBLE]
+        slack[self._is_fixed | (np.abs(slack) <= ROUNDING * size)] = 0.0
+        self.slack = slack
 
     def solve(self, p: Vec) -> Vec | str:
-        """The solution x (n,), or why there is none: "infeasible", "too many steps", "not finite"."""
+        """The solution x (n,), or why there is none: one of WORDS and UNDECIDED."""
         q = self.q + p
+        if self.verdict:
+            return self.verdict
         if not len(self.slack):
             x = self.inverse @ q + self.origin
             return x if isfinite(x.sum()) else WORDS[NOT_FINITE]
         x = np.empty_like(self.origin)
         steps = minimise(self.inverse, self.origin, self.image, self.slack, self.gram, q, self.u, x)
-        return x if steps >= 0 else WORDS[steps]
+        if steps >= 0:
+            return x if self._is_met(x) else INACCURATE
+        if steps == INFEASIBLE:
+            certain = self._exclude_each_other(np.flatnonzero(self.u))
+            self.u[:] = 0.0
+            return WORDS[INFEASIBLE] if certain else DOUBTFUL
+        return WORDS[steps]
+
+    def _is_met(self, x: Vec) -> bool:
+        """Whether x (n,) meets each inequality, relative to the row's own terms."""
+        excess = self.over.A @ x - self._b
+        if excess.max() <= NEGLIGIBLE:
+            return True
+        away = np.abs(x)
+        allowed = MET * (self._sizes @ away + np.abs(self._b)) + ROUNDING * away.max() + NEGLIGIBLE
+        return bool((excess <= allowed).all())
+
+    def _exclude_each_other(self, rows: Rows) -> bool:
+        """Whether no x meets these rows: the least singular vector is their proof, if it is not just a small one."""
+        lengths = np.linalg.norm(self._free[rows], axis=1)
+        left, sizes, _ = np.linalg.svd(self._free[rows] / lengths[:, None])
+        weights = left[:, -1] if left[:, -1].sum() > 0.0 else -left[:, -1]
+        least = 0.0 if len(rows) > len(sizes) else sizes[-1]
+        gap = -float((self.slack[rows] / lengths) @ weights)
+        return bool(least <= PARALLEL and gap > 0.0 and weights.min() >= -CONSISTENT)
 
 
 @dataclass
@@ -81,27 +190,16 @@ class MovingProgram(QuadraticProgram):
 
         k = (I + K P) E^+ e,   so that the right-hand sides alone move
 
-    The rows of A are of length one, those of E independent.
+    The rows of A are of length one, those of E of length one or zero.
     """
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self.lift = (np.eye(len(self.P)) + self.inverse @ self.P) @ np.linalg.pinv(self.over.E)
+        self.lift = (np.eye(len(self.P)) + self.inverse @ self.P) @ self.hull.lift
 
     def move(self, b: Vec, e: Vec) -> None:
         """Other right-hand sides b (m,) and e (l,); the next solution starts from the last one all the same."""
-        self.origin = self.lift @ e
-        self.slack = b - self.over.A @ self.origin
-
-
-def affine_hull(E: Mat, e: Vec) -> tuple[Vec, Mat]:
-    """A point x_0 (n,) with E x_0 = e, and N (n, n - rank E) with E N = 0, N'N = I."""
-    if not len(e):
-        return np.zeros(E.shape[1]), np.eye(E.shape[1])
-    left, sizes, right = np.linalg.svd(E)
-    rank = int(np.sum(sizes > PARALLEL * sizes[0]))
-    x0 = right[:rank].T @ ((left[:, :rank].T @ e) / sizes[:rank])
-    return x0, np.ascontiguousarray(right[rank:].T)
+        self._place(self.lift @ e, b, e)
 
 
 def positive(H: Mat) -> Mat:
@@ -113,10 +211,14 @@ def positive(H: Mat) -> Mat:
     return H
 
 
-def _scaled(rows: Mat, bounds: Vec, keep: Mask) -> tuple[Mat, Vec]:
-    """Rows of length one; zero rows only where `keep` says so."""
+def scaled(rows: Mat, bounds: Vec, keep: Mask) -> tuple[Mat, Vec, Vec]:
+    """Return rows of length one, their bounds, and the lengths they had; zero rows only where `keep` says so."""
     rows, bounds = np.asarray(rows, float), np.asarray(bounds, float)
+    largest = np.abs(rows).max(axis=1, initial=0.0)
+    kept = (largest > 0.0) | keep
+    largest = np.where(largest > 0.0, largest, 1.0)[kept]
+    # By the largest entry first: the squares of very large and very small ones are not numbers.
+    rows = rows[kept] / largest[:, None]
     length = np.linalg.norm(rows, axis=1)
-    kept = (length > 0.0) | keep
-    length = np.where(length > 0.0, length, 1.0)[kept]
-    return np.ascontiguousarray(rows[kept] / length[:, None]), bounds[kept] / length
+    length = np.where(length > 0.0, length, 1.0)
+    return np.ascontiguousarray(rows / length[:, None]), bounds[kept] / largest / length, largest * length
