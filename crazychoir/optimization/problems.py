@@ -17,7 +17,7 @@ from crazychoir.optimization.conic import ConicProgram
 from crazychoir.optimization.expressions import Quadratic
 from crazychoir.optimization.mixed_integer import MixedIntegerBlock
 from crazychoir.optimization.programs import Decided, Program, compiled, fast
-from crazychoir.optimization.quadratic import Polyhedron
+from crazychoir.optimization.quadratic import DOUBTFUL, Polyhedron
 from crazychoir.types import Mat, Vec
 
 MOST_PENALTIES = 8
@@ -124,7 +124,9 @@ class CostCoupled:
             k = int(np.argmin(np.isfinite(p)))
             return f"not finite: entry {k} of what was heard or asked for is {p[k]}"
         if status == "infeasible":
-            return diagnosis.infeasible(self.constraints)
+            return diagnosis.infeasible(self.constraints, self.x)
+        if status == DOUBTFUL:
+            return f"{diagnosis.infeasible(self.constraints, self.x)}: {DOUBTFUL}"
         if status == "unbounded":
             return diagnosis.unbounded(self.x, self.objective + p.reshape(self.x.shape) @ self.x, self.constraints)
         return status

@@ -10,7 +10,7 @@ import numpy as np
 from crazychoir.optimization.conic import ConicProgram
 from crazychoir.optimization.expressions import Quadratic
 from crazychoir.optimization.linear import LinearProgram
-from crazychoir.optimization.quadratic import UNDECIDED, Polyhedron, QuadraticProgram
+from crazychoir.optimization.quadratic import DOUBTFUL, UNDECIDED, Polyhedron, QuadraticProgram
 from crazychoir.types import Vec
 
 MOST_ENTRIES, MOST_ROWS = 100, 400
@@ -42,9 +42,11 @@ class Decided:
     def solve(self, p: Vec) -> Vec | str:
         """A solution x (n,), or why there is none."""
         found = self._fast.solve(p)
-        if isinstance(found, str) and found in UNDECIDED:
-            return self._thorough.solve(p)
-        return found
+        if not (isinstance(found, str) and found in UNDECIDED):
+            return found
+        thorough = self._thorough.solve(p)
+        # Both fail to find a point: but where rows are nearly dependent, neither has a proof that there is none.
+        return found if found == DOUBTFUL and isinstance(thorough, str) else thorough
 
 
 def fast(form: Quadratic | None, over: Polyhedron | None) -> Program | None:

@@ -127,7 +127,7 @@ class Convex:
         if isinstance(found, str):
             from crazychoir.optimization import diagnosis
 
-            why = diagnosis.infeasible(self._given) if found == "infeasible" else found
+            why = diagnosis.infeasible(self._given, self.x) if found == "infeasible" else found
             raise SolverError(f"{self.where}: projection of {x.tolist()}", why)
         return found
 
