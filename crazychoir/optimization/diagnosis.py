@@ -7,9 +7,10 @@ from dataclasses import dataclass
 import cvxpy as cp
 import numpy as np
 
+from crazychoir.optimization.active_set import INFEASIBLE
 from crazychoir.optimization.expressions import EQUAL, LINEAR, NONNEGATIVE, polyhedral, rows
 from crazychoir.optimization.linear import LinearProgram, Mask
-from crazychoir.optimization.quadratic import AffineHull, scaled
+from crazychoir.optimization.quadratic import DOUBTFUL, WORDS, AffineHull, scaled
 from crazychoir.types import Mat, Vec
 
 FAR = 1e6
@@ -19,6 +20,14 @@ SEEN = 1e-7
 SHOWN = 3
 """Rows that a text names, at most."""
 UNSEEN = "infeasible: by less than the solver sees, at best"
+
+
+def no_point(status: str, constraints: Sequence[cp.Constraint], x: cp.Variable) -> str:
+    """Return what a solver's word means, where it says that no point was found; else the word itself."""
+    if status not in (WORDS[INFEASIBLE], DOUBTFUL):
+        return status
+    why = infeasible(constraints, x)
+    return why if status == WORDS[INFEASIBLE] else f"{why}: {DOUBTFUL}"
 
 
 def infeasible(constraints: Sequence[cp.Constraint], x: cp.Variable) -> str:

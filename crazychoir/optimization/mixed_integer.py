@@ -43,6 +43,9 @@ class MixedIntegerBlock:
         self.n = len(self.c)
         self.share = vector(share, self.where, "share")
         self.S = len(self.share)
+        if not self.S:
+            do = "Without a common resource each agent solves its problem alone."
+            raise ConfigError(f"{self.where}: share", "no rows", "one row or more, the same number at all agents", do)
         self.A = matrix(A, self.where, "A", (self.S, self.n))
         D, d = (np.zeros((0, self.n)), np.zeros(0)) if rows is None else rows
         d = vector(d, self.where, "d")
@@ -120,6 +123,13 @@ class MixedIntegerBlock:
             free = np.flatnonzero(~np.isfinite(low) | ~np.isfinite(high))
             return f"x[{', '.join(map(str, free[:10]))}] without a bound; give low and high"
         return f"{len(self.rows[1])} rows D x <= d, low <= x <= high, {int(self.integer.sum())} integers"
+
+
+def require_block(block: Any, algorithm: str) -> None:
+    """Raise ConfigError unless it is an agent's part of a mixed-integer program."""
+    if not isinstance(block, MixedIntegerBlock):
+        allowed = "a MixedIntegerBlock, such as a MixedIntegerConstraintCoupled"
+        raise ConfigError(f"{algorithm}: block", type(block).__name__, allowed)
 
 
 class _Elastic:

@@ -117,9 +117,10 @@ class QuadraticProgram:
         K = -N (N'PN)^-1 N',   k = x_0 + K P x_0,   E x_0 = e,   the columns of N span the null space of E
 
     x = K (q + p) + k solves it without the inequalities, in closed form; with them `active_set.minimise` does, from the
-    multipliers u of the last solution. A row of A in the span of E has the same value for all x: it is judged once, and
-    left to no solver. Raises np.linalg.LinAlgError if N'PN is not positive definite.
-    P: (n, n), symmetric;  q: (n,);  u: (m,) >= 0, the multipliers of A x <= b;  verdict: why no p has a solution, or "".
+    multipliers u of the last solution. A row of A in the span of E has the same value for all x: it is judged here, and
+    not by the method. Raises np.linalg.LinAlgError if N'PN is not positive definite.
+    P: (n, n), symmetric;  q: (n,);  u: (m,) >= 0, the multipliers of A x <= b;
+    verdict: why there is no solution whatever p is, or "".
     """
 
     P: Mat
