@@ -15,7 +15,7 @@ S = cp.Variable(name="s")
 FIRST, SECOND = "constraints[0]", "constraints[1]"
 CONFLICTS = {
     "two values": ([V[0] == 1, V[0] == 2], [FIRST, SECOND, "violated by 1,"]),
-    "zero is one": ([0 * V == np.array([0.0, 1.0])], [FIRST, "row 1: violated by 1,"]),
+    "zero is one": ([np.array([0.0, 1.0]) == 0 * V], [FIRST, "row 1: violated by 1,"]),
     "zero is below": ([0 * V[0] <= -1], [FIRST, "row 0: violated by 1,"]),
     "one of three": ([V[0] == 1, V[1] == 7, V[0] == 2], [FIRST, "constraints[2]"]),
     "large and small rows": ([1e6 * V[0] == 1e6, 1e-6 * V[0] == 2e-6], [FIRST, SECOND]),
@@ -25,7 +25,10 @@ CONFLICTS = {
     "tiny inequalities": ([V[0] <= 1e-9, V[0] >= 2e-9], [FIRST, SECOND, "violated by 1e-09"]),
     "nearly equal ones": ([V[0] <= 1, V[0] >= 1 + 1e-8], [FIRST, SECOND, "violated by 1e-08"]),
     "small beside large": ([V[0] == 1e9, V[1] == 1e-5, V[1] == -1e-5], [SECOND, "constraints[2]", "by 2e-05"]),
-    "a fixed point": ([V == np.array([1.0, 2.0]), V <= 1.5], [f"{FIRST} (v == [1. 2.]), row 1", "row 1: violated by 0.5"]),
+    "a fixed point": (
+        [np.array([1.0, 2.0]) == V, V <= 1.5],
+        [f"{FIRST} (v == [1. 2.]), row 1", "row 1: violated by 0.5"],
+    ),
 }
 
 
@@ -80,7 +83,7 @@ def test_parameters_that_change_make_and_end_a_conflict():
 def test_a_sparse_parameter_is_read_without_a_warning():
     E = cp.Parameter((2, 2), sparsity=[(0, 1), (0, 0)])
     E.value_sparse = sparse_of([1.0, 2.0])
-    problem = CostCoupled(0, V, cp.sum_squares(V), [E @ V == np.array([1.0, 2.0])])
+    problem = CostCoupled(0, V, cp.sum_squares(V), [np.array([1.0, 2.0]) == E @ V])
     np.testing.assert_allclose(problem.argmin(), [1.0, 0.0], atol=1e-12)
     E.value_sparse = sparse_of([1.0, 3.0])
     problem.refresh()

@@ -102,7 +102,7 @@ def require_same(seed):
     problem = CostCoupled(0, x, model.cost(x), model.constraints(x))
     assert problem.is_fast(), seed
     answers = [problem.argmin]
-    if (model.P == np.eye(len(model.q))).all():
+    if (np.eye(len(model.q)) == model.P).all():
         answers.append(lambda: Convex(x, model.constraints(x)).project(-model.q))
     for answer in answers:
         if isinstance(expected, str):
@@ -110,7 +110,8 @@ def require_same(seed):
             with pytest.raises(SolverError, match=r"(?s)status infeasible: constraints\[\d\] .*, row \d+: violated by"):
                 answer()
         else:
-            np.testing.assert_allclose(answer(), expected, atol=1e-4 * (1.0 + np.abs(expected).max()), err_msg=f"{seed}")
+            allowed = 1e-4 * (1.0 + np.abs(expected).max())
+            np.testing.assert_allclose(answer(), expected, atol=allowed, err_msg=f"{seed}")
     return isinstance(expected, str)
 
 
