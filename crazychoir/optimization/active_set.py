@@ -20,6 +20,8 @@ CANCELLED = 1e-9
 """Of what an active row takes of a row that is dependent on them, relative to both: below, it is zero, rounded."""
 NEGLIGIBLE = 1e-12
 """In the units of x: a row that is missed by less is met, whatever its own terms are."""
+MET: Final = 1e-11
+"""What a solution may miss a row by, relative to the row's own terms."""
 
 
 @kernel()
@@ -203,3 +205,31 @@ def minimise(inverse: Mat, origin: Vec, image: Mat, slack: Vec, gram: Mat, q: Ve
             if u[p] > 0.0:
                 x[i] += image[p, i] * u[p]
     return steps
+
+
+@kernel()
+def _misses(row: Vec, bound: float, x: Vec, largest: float, is_equal: bool) -> bool:
+    """Whether x is beyond row'x <= bound, or beside row'x = bound, by more than the rounding of the terms."""
+    beyond = -bound
+    size = abs(bound)
+    for i in range(len(x)):
+        beyond += row[i] * x[i]
+        size += abs(row[i] * x[i])
+    if is_equal:
+        beyond = abs(beyond)
+    # Not `>`: what is not a number is missed.
+    return not beyond <= MET * size + ROUNDING * largest + NEGLIGIBLE
+
+
+@kernel(matrix, vector, matrix, vector, vector)
+def is_met(A: Mat, b: Vec, E: Mat, e: Vec, x: Vec) -> bool:
+    """Whether A x <= b and E x = e, each row relative to its own terms."""
+    largest = 0.0
+    for i in range(len(x)):
+        largest = max(largest, abs(x[i]))
+    good = True
+    for p in range(len(b)):
+        good = good and not _misses(A[p], b[p], x, largest, False)
+    for p in range(len(e)):
+        good = good and not _misses(E[p], e[p], x, largest, True)
+    return good

@@ -7,7 +7,8 @@ from typing import Final
 import numpy as np
 from scipy.linalg import qr, solve_triangular
 
-from crazychoir.optimization.active_set import CAPPED, INFEASIBLE, NEGLIGIBLE, NOT_FINITE, ROUNDING, Rows, minimise
+from crazychoir.optimization import active_set
+from crazychoir.optimization.active_set import CAPPED, INFEASIBLE, NEGLIGIBLE, NOT_FINITE, ROUNDING, Rows
 from crazychoir.optimization.linear import Mask
 from crazychoir.types import Mat, Vec
 
@@ -19,8 +20,6 @@ ROUNDED: Final = 1e-14
 """Of the same singular values: below, they are zero, rounded."""
 CONSISTENT: Final = 1e-9
 """What a row that no x changes may be missed by, relative to its own terms: the rounding of the data."""
-MET: Final = 1e-11
-"""What a solution may miss an inequality by, relative to the row's own terms."""
 DOUBTFUL = "rows so nearly dependent that rounding decides"
 INACCURATE = "inaccurate"
 WORDS = {INFEASIBLE: "infeasible", CAPPED: "too many steps", NOT_FINITE: "not finite"}
@@ -134,6 +133,8 @@ class QuadraticProgram:
         self._free = over.A @ null
         self._is_fixed = np.linalg.norm(self._free, axis=1) <= PARALLEL
         self._sizes = np.abs(over.A)
+        self._A = np.ascontiguousarray(over.A)
+        self._E = np.ascontiguousarray(over.E[self.hull.basis])
         self._shares = np.abs(over.A @ self.hull.lift)
         self.image = np.ascontiguousarray(over.A @ self.inverse)
         self.gram = np.ascontiguousarray(-self.image @ over.A.T)
@@ -148,8 +149,9 @@ class QuadraticProgram:
     def _place(self, origin: Vec, b: Vec, e: Vec) -> None:
         """Take the point `origin` (n,) of the equalities, and judge the rows that no x changes."""
         self.origin = origin
-        self._b = b
-        self._e = e
+        self._b = np.ascontiguousarray(b, float)
+        self._e = np.asarray(e, float)
+        self._basis_e = self._e[self.hull.basis]
         size = self._sizes @ np.abs(origin) + np.abs(b)
         slack = b - self.over.A @ origin
         self.verdict = self.hull.verdict(origin, e)
@@ -169,7 +171,7 @@ class QuadraticProgram:
             x = self.inverse @ q + self.origin
             return x if isfinite(x.sum()) else WORDS[NOT_FINITE]
         x = np.empty_like(self.origin)
-        steps = minimise(self.inverse, self.origin, self.image, self.slack, self.gram, q, self.u, x)
+        steps = active_set.minimise(self.inverse, self.origin, self.image, self.slack, self.gram, q, self.u, x)
         if steps >= 0:
             return x if self._is_met(x) else self._polished(x)
         if steps == INFEASIBLE:
@@ -191,17 +193,8 @@ class QuadraticProgram:
         return x if self._is_met(x) else INACCURATE
 
     def _is_met(self, x: Vec) -> bool:
-        """Whether x (n,) meets all rows, each relative to its own terms."""
-        excess = self.over.A @ x - self._b
-        beside = np.abs(self.over.E @ x - self._e)
-        if excess.max() <= NEGLIGIBLE and beside.max(initial=0.0) <= NEGLIGIBLE:
-            return True
-        away = np.abs(x)
-        floor = ROUNDING * away.max() + NEGLIGIBLE
-        upper = MET * (self._sizes @ away + np.abs(self._b)) + floor
-        # What dependent rows say may differ from the point of their basis by as much as they may contradict it.
-        equal = MET * self.hull.sizes(x, self._e) + floor
-        return bool((excess <= upper).all() and (beside <= equal)[self.hull.basis].all())
+        """Whether x (n,) meets the inequalities and the basis of the equalities; their other rows follow."""
+        return bool(active_set.is_met(self._A, self._b, self._E, self._basis_e, x))
 
     def _exclude_each_other(self, rows: Rows) -> bool:
         """Whether no x meets these rows: the least singular vector is their proof, if it is not just a small one."""
