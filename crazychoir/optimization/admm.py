@@ -5,9 +5,10 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 
 from crazychoir.errors import ConfigError
+from crazychoir.optimization.arrays import is_number
 from crazychoir.optimization.iteration import Iteration
 from crazychoir.optimization.messages import like, require_heard
-from crazychoir.optimization.problems import CostCoupled
+from crazychoir.optimization.problems import CostCoupled, require_problem
 from crazychoir.types import Vec
 
 
@@ -34,8 +35,9 @@ class ADMM(Iteration):
     def __init__(
         self, problem: CostCoupled, neighbors: Iterable[int], penalty: float, iterations: int | None = None
     ) -> None:
+        require_problem(problem, CostCoupled, "ADMM")
         super().__init__(problem.agent, None if iterations is None else 2 * iterations)
-        if not 0.0 < penalty < np.inf:
+        if not is_number(penalty) or not 0.0 < penalty < np.inf:
             raise ConfigError(f"agent {self.i}: penalty", f"{penalty}", "a finite number above 0")
         self.problem, self.neighbors, self.penalty = problem, tuple(sorted(neighbors)), penalty
         self._members = 1 + len(self.neighbors)

@@ -1,12 +1,14 @@
 """An agent's convex problem for a given share of the resources."""
 
+import warnings
+
 import cvxpy as cp
 import numpy as np
 
 from crazychoir.errors import SolverError
 from crazychoir.optimization.conic import MOST_ITERATIONS
 from crazychoir.optimization.primal_decomposition import Allocated
-from crazychoir.optimization.problems import ConstraintCoupled
+from crazychoir.optimization.problems import ConstraintCoupled, require_problem
 from crazychoir.types import Vec
 
 
@@ -20,6 +22,7 @@ class Allocation:
     """
 
     def __init__(self, problem: ConstraintCoupled, penalty: float) -> None:
+        require_problem(problem, ConstraintCoupled, "Allocation")
         self._problem, rho = problem, cp.Variable(nonneg=True)
         self._y = cp.Parameter(problem.S)
         self._row = cp.vec(problem.coupling, order="F") <= self._y + rho
@@ -31,7 +34,9 @@ class Allocation:
         """p_i(y) and its prices. y: (S,)."""
         problem, self._y.value = self._problem, y
         try:
-            self._program.solve(solver=cp.CLARABEL, max_iter=MOST_ITERATIONS)
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # an inaccurate answer is in the status, which is looked at
+                self._program.solve(solver=cp.CLARABEL, max_iter=MOST_ITERATIONS)
         except cp.SolverError as error:
             raise SolverError(f"{problem.where}: local problem", str(error)) from error
         if self._program.status not in (cp.OPTIMAL, cp.OPTIMAL_INACCURATE):

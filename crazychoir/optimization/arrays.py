@@ -10,7 +10,7 @@ from crazychoir.types import Mat, Vec
 
 def vector(values: Any, where: str, name: str, size: int | None = None, infinite: bool = False) -> Vec:
     """A copy as (size,) floats; ConfigError that names the entry. infinite: whether inf is a number here."""
-    array: Vec = _numbers(values, where, name)
+    array: Vec = numbers(values, where, name)
     if array.ndim != 1 or (size is not None and len(array) != size):
         raise ConfigError(f"{where}: {name}", f"shape {array.shape}", f"({'n' if size is None else size},)")
     _require_finite(array, where, name, infinite)
@@ -19,7 +19,7 @@ def vector(values: Any, where: str, name: str, size: int | None = None, infinite
 
 def matrix(values: Any, where: str, name: str, shape: tuple[int | None, int | None]) -> Mat:
     """A copy as floats of this shape, None: any; ConfigError that names row, column and value."""
-    array: Mat = _numbers(values, where, name)
+    array: Mat = numbers(values, where, name)
     if array.ndim != 2 or any(want not in (None, have) for want, have in zip(shape, array.shape, strict=True)):
         rows, columns = ("n" if size is None else size for size in shape)
         raise ConfigError(f"{where}: {name}", f"shape {array.shape}", f"({rows}, {columns})")
@@ -27,7 +27,13 @@ def matrix(values: Any, where: str, name: str, shape: tuple[int | None, int | No
     return array
 
 
-def _numbers(values: Any, where: str, name: str) -> Any:
+def is_number(value: Any) -> bool:
+    """Whether it is one real number, and no truth value."""
+    return isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)
+
+
+def numbers(values: Any, where: str, name: str) -> Any:
+    """A copy as floats of any shape; ConfigError where they are none."""
     try:
         return np.array(values, dtype=float)
     except (TypeError, ValueError) as error:

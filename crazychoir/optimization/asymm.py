@@ -18,6 +18,8 @@ CALM: Final = 5
 """Times in a row that an agent must find its gradient small: time for the others' last steps to reach it."""
 GROWING: Final = 0.05
 """Of |nu_ij|, relative to 1 + |nu_ij|: if it changes by more in the last epoch, it has not converged."""
+UNMET: Final = 1e-3
+"""Relative to 1 + |x_k|: with the largest penalty, a constraint that is missed by more is not met in the end."""
 MOST_STEPS: Final = 5_000
 """Of an agent, in an epoch."""
 Heard = tuple[int, bytes, Vec, Vec, float]
@@ -45,9 +47,9 @@ class ASYMM:
     A static undirected graph. f_i, h_i, g_i: twice differentiable, not necessarily convex: x is a local minimum.
     neighbors: N_i;  diameter: of the graph;  x: (n,) the start;  epochs: until done;  penalty: the first rho and s;
     tolerance: the first e;  epoch: the present one;  nu, rho: by neighbour;  l, m: multipliers of h_i and g_i.
-    Raises ConfigError, SolverError: a function of a wrong shape, or that is not finite; and SolverError where nu_ij
-    changes by more than GROWING in the last epoch, as where no x meets the constraints of all, and where |grad L_i|
-    is not small after MOST_STEPS steps of an epoch, as where L_i has no minimum.
+    Raises ConfigError, SolverError: a function of a wrong shape, or that is not finite; and SolverError where nu_ij,
+    l_i or m_i changes by more than GROWING in the last epoch, as where no x meets the constraints of all, and where
+    |grad L_i| is not small after MOST_STEPS steps of an epoch, as where L_i has no minimum.
     Source: Farina, Garulli, Giannitrapani & Notarstefano 2019, Automatica 103, 243-253; here with a Newton step.
     """
 
@@ -150,6 +152,8 @@ class ASYMM:
             if gap > self.shrink * self._gap[j] and self.rho[j] * gap > self.tolerance:
                 self.rho[j] = min(self.growth * self.rho[j], MOST_PENALTY)
             self._gap[j] = gap
+        if self.epoch + 1 == self.epochs:
+            self._own.require_met(self.x, self.epochs)
         self._own.ascend(self.x, self.growth, self.shrink, self.tolerance)
         self.epoch += 1
         self.tolerance *= self.sharpen
@@ -182,6 +186,22 @@ class _Own:
         (_, df), (h, dh), (g, dg) = self._parts(x)
         total: Vec = df[0] + dh.T @ (self.l + self.s * h) + dg.T @ np.maximum(0.0, self.m + self.s * g)
         return total
+
+    def require_met(self, x: Vec, epochs: int) -> None:
+        """Raise SolverError where the last epoch changes the multipliers by much, or leaves a constraint unmet."""
+        (_, _), (h, _), (g, _) = self._parts(x)
+        m = np.maximum(0.0, self.m + self.s * g)
+        for name, missed, multipliers in (("equalities", np.abs(h), self.l), ("inequalities", np.maximum(0.0, g), m)):
+            if not len(missed):
+                continue
+            row = int(np.argmax(missed))
+            size = float(np.linalg.norm(multipliers))
+            is_growing = self.s * missed[row] > GROWING * (1.0 + size)
+            is_stuck = self.s >= MOST_PENALTY and missed[row] > UNMET * (1.0 + float(np.abs(x).max()))
+            if is_growing or is_stuck:
+                found = f"{name}, row {row}: violated by {missed[row]:.3g} after {epochs} epochs"
+                why = "constraints that exclude each other, or too few epochs"
+                raise SolverError(f"{self._where}: {found}, at x = {x.tolist()}", why)
 
     def ascend(self, x: Vec, growth: float, shrink: float, tolerance: float) -> None:
         """l, m, and s if the constraints are missed by as much as before."""

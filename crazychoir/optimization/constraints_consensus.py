@@ -10,7 +10,7 @@ from crazychoir.errors import ConfigError, SolverError
 from crazychoir.optimization.iteration import Iteration
 from crazychoir.optimization.linear import LinearProgram
 from crazychoir.optimization.messages import INTEGER, parts
-from crazychoir.optimization.problems import CommonCost
+from crazychoir.optimization.problems import CommonCost, require_problem
 from crazychoir.optimization.quadratic import Polyhedron, QuadraticProgram, positive
 from crazychoir.types import Mat, Vec
 
@@ -48,6 +48,7 @@ class ConstraintsConsensus(Iteration):
     connected = True
 
     def __init__(self, problem: CommonCost, diameter: int | None = None, rounds: int | None = None) -> None:
+        require_problem(problem, CommonCost, "ConstraintsConsensus")
         super().__init__(problem.agent, rounds)
         if diameter is None and rounds is None:
             raise ConfigError(f"agent {self.i}: diameter, rounds", "None, None", "one of them, the same at all agents")

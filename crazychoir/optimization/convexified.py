@@ -5,7 +5,7 @@ import numpy as np
 
 from crazychoir.errors import SolverError
 from crazychoir.optimization.linear import quiet_highs
-from crazychoir.optimization.mixed_integer import MixedIntegerBlock
+from crazychoir.optimization.mixed_integer import MixedIntegerBlock, require_block
 from crazychoir.optimization.primal_decomposition import Allocated
 from crazychoir.types import Vec
 
@@ -31,6 +31,7 @@ class Convexified:
     """
 
     def __init__(self, block: MixedIntegerBlock, penalty: float) -> None:
+        require_block(block, "Convexified")
         self._block, self._corners, self.active = block, np.zeros((0, block.n)), np.zeros((0, block.n))
         S, none = block.S, np.array([], np.int32)
         self._highs = quiet_highs()

@@ -6,7 +6,7 @@ import numpy as np
 
 from crazychoir.optimization.iteration import Iteration
 from crazychoir.optimization.messages import like
-from crazychoir.optimization.problems import CostCoupled
+from crazychoir.optimization.problems import CostCoupled, require_problem
 from crazychoir.optimization.step_size import StepSize, step_size
 from crazychoir.types import Vec
 
@@ -33,6 +33,7 @@ class DualDecomposition(Iteration):
     same = ("step_size",)
 
     def __init__(self, problem: CostCoupled, step: float | StepSize, rounds: int | None = None) -> None:
+        require_problem(problem, CostCoupled, "DualDecomposition")
         super().__init__(problem.agent, rounds)
         self.problem, self.step_size = problem, step_size(step)
         self.heavy = not problem.is_fast()

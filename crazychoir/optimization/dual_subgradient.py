@@ -6,7 +6,7 @@ import numpy as np
 
 from crazychoir.optimization.average import RunningAverage
 from crazychoir.optimization.mixing import Mixing, Row, Rows, mix
-from crazychoir.optimization.problems import ConstraintCoupled
+from crazychoir.optimization.problems import ConstraintCoupled, require_problem
 from crazychoir.optimization.step_size import StepSize, step_size
 from crazychoir.types import Vec
 
@@ -32,6 +32,7 @@ class DualSubgradient(Mixing):
     def __init__(
         self, problem: ConstraintCoupled, weights: Rows, step: float | StepSize, rounds: int | None = None
     ) -> None:
+        require_problem(problem, ConstraintCoupled, "DualSubgradient")
         super().__init__(problem.agent, weights, rounds)
         self.problem, self.step_size = problem, step_size(step)
         self.heavy = not problem.is_fast()

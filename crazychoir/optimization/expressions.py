@@ -1,6 +1,7 @@
 """What a cvxpy expression says: checked, and read into matrices where it is affine or quadratic."""
 
-from collections.abc import Iterator, Sequence
+import warnings
+from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
@@ -12,6 +13,8 @@ from crazychoir.errors import ConfigError
 from crazychoir.optimization.quadratic import Polyhedron
 from crazychoir.types import Mat, Vec
 
+EXPRESSION = "a cvxpy expression, or numbers"
+
 
 def decision(x: Any, where: str) -> int:
     """The dimension n of the decision variable x: a cvxpy variable, a scalar or a vector."""
@@ -20,6 +23,8 @@ def decision(x: Any, where: str) -> int:
     if x.ndim > 1:
         do = "Use a vector, and cvxpy.reshape."
         raise ConfigError(f"{where}: {x.name()}", f"shape {x.shape}", "a scalar or a vector", do)
+    if x.size == 0:
+        raise ConfigError(f"{where}: {x.name()}", f"shape {x.shape}", "one entry or more")
     return int(x.size)
 
 
@@ -59,8 +64,15 @@ def whole(x: cp.Variable) -> tuple[list[int], list[int]]:
 
 
 def convex(expression: Any, where: str) -> cp.Expression:
-    """A scalar objective that is convex by the rules of DCP and DPP, with finite data."""
-    found = cp.Expression.cast_to_const(expression)
+    """A scalar objective that is convex by the rules of DCP and DPP, with finite data; of cp.Minimize(f) it is f."""
+    if isinstance(expression, cp.Minimize):
+        expression = expression.args[0]
+    if isinstance(expression, cp.Maximize):
+        do = "Give the cost -f instead of the gain f."
+        raise ConfigError(where, str(expression), "a cost, which is minimised", do)
+    if isinstance(expression, (list, tuple)):
+        raise ConfigError(where, f"a {type(expression).__name__}", "one cvxpy expression", "Sum it up.")
+    found = _expression(expression, where)
     if found.size != 1:
         raise ConfigError(where, f"shape {found.shape}", "one number", "Sum it up.")
     return _ruled(found, where)
@@ -69,9 +81,35 @@ def convex(expression: Any, where: str) -> cp.Expression:
 def coupling(expression: Any, where: str) -> cp.Expression:
     """A vector g of expressions, each convex; from a list of expressions, or from one."""
     listed = isinstance(expression, (list, tuple))
-    parts = [cp.Expression.cast_to_const(part) for part in (expression if listed else [expression])]
+    given = list(expression) if isinstance(expression, (list, tuple)) else [expression]
+    parts = [_expression(part, f"{where}[{s}]" if listed else where) for s, part in enumerate(given)]
+    if not sum(part.size for part in parts):
+        do = "Without a common resource each agent solves its problem alone."
+        raise ConfigError(where, "no rows", "one row or more, the same number at all agents", do)
     ruled = [_ruled(part, f"{where}[{s}]" if listed else where) for s, part in enumerate(parts)]
     return cp.hstack([cp.vec(part, order="F") for part in ruled])
+
+
+def _expression(given: Any, where: str) -> cp.Expression:
+    """Return the expression that was given, or a constant of the numbers that were."""
+    if isinstance(given, cp.Expression):
+        found = given
+    elif isinstance(given, cp.constraints.constraint.Constraint):
+        do = "A comparison belongs to the constraints; of g <= b, give g here and b as the share."
+        raise ConfigError(where, str(given), EXPRESSION, do)
+    elif isinstance(given, cp.Problem):
+        do = "Give its objective and its constraints apart."
+        raise ConfigError(where, "a cvxpy problem", EXPRESSION, do)
+    elif given is None or isinstance(given, (bool, np.bool_, str, bytes)):
+        raise ConfigError(where, repr(given), EXPRESSION)
+    else:
+        try:
+            found = cp.Expression.cast_to_const(given)
+        except (TypeError, ValueError) as error:
+            raise ConfigError(where, type(given).__name__, EXPRESSION) from error
+    if found.is_complex():
+        raise ConfigError(where, str(found), "real numbers", "Take real and imaginary parts apart.")
+    return found
 
 
 def _ruled(expression: cp.Expression, where: str) -> cp.Expression:
@@ -83,27 +121,49 @@ def _ruled(expression: cp.Expression, where: str) -> cp.Expression:
     return expression
 
 
-def constraint_list(constraints: Sequence[Any], where: str) -> list[cp.Constraint]:
-    """The constraints, each convex, with finite data."""
-    for r, constraint in enumerate(constraints):
+def constraint_list(constraints: Any, where: str) -> list[cp.Constraint]:
+    """The constraints, each convex, with finite data. One that is not in a list counts as a list of one."""
+    if isinstance(constraints, cp.constraints.constraint.Constraint):
+        constraints = [constraints]
+    elif constraints is None:
+        constraints = []
+    elif isinstance(constraints, (str, bytes, Mapping, Set)) or not isinstance(constraints, Iterable):
+        do = _advice(constraints)
+        raise ConfigError(f"{where}: constraints", repr(constraints), "a list of cvxpy constraints", do)
+    listed = list(constraints)
+    for r, constraint in enumerate(listed):
         at = f"{where}: constraints[{r}]"
         if not isinstance(constraint, cp.constraints.constraint.Constraint):
-            do = "Compare expressions of cvxpy variables." if isinstance(constraint, (bool, np.bool_)) else ""
-            raise ConfigError(at, repr(constraint), "a cvxpy constraint", do)
+            raise ConfigError(at, repr(constraint), "a cvxpy constraint", _advice(constraint))
+        if any(part.is_complex() for part in constraint.args):
+            raise ConfigError(at, str(constraint), "real numbers", "Take real and imaginary parts apart.")
         finite(constraint, at)
         if not constraint.is_dcp():
             raise ConfigError(at, str(constraint), "a convex set, by the rules of cvxpy (dcp.stanford.edu)")
         if not constraint.is_dcp(dpp=True):
             raise ConfigError(at, str(constraint), "parameters by the rules of DPP", "Multiply no two parameters.")
-    return list(constraints)
+    return listed
+
+
+def _advice(found: Any) -> str:
+    """What to do about an entry of a list of constraints that is none."""
+    if isinstance(found, (bool, np.bool_)):
+        return "Compare expressions of cvxpy variables."
+    if isinstance(found, (list, tuple)):
+        return "Give one list, without lists in it."
+    if callable(getattr(found, "constraints", None)):
+        return f"A {type(found).__name__} has them: constraints(x), a list."
+    return ""
 
 
 def finite(expression: Any, where: str) -> None:
     """Raises ConfigError that names the first number which is not finite, and a parameter without a value."""
     for data in [*expression.constants(), *expression.parameters()]:
-        if data.value is None:
+        with _sparse_read():
+            given = data.value
+        if given is None:
             raise ConfigError(f"{where}: parameter {data.name()}", "no value", "a value", "Set its `value`.")
-        value = _dense(data.value)
+        value = _dense(given)
         bad = np.argwhere(~np.isfinite(value))
         if len(bad):
             at = tuple(int(k) for k in bad[0])
@@ -117,12 +177,21 @@ def only(expression: Any, x: cp.Variable) -> bool:
 
 
 @contextmanager
+def _sparse_read() -> Iterator[None]:
+    """Without cvxpy's warning that a sparse parameter is read as a whole: here it becomes a matrix in any case."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="Reading from a sparse CVXPY expression")
+        yield
+
+
+@contextmanager
 def _placed(x: cp.Variable, point: Vec) -> Iterator[None]:
     """With the variable's value at a point, and then where the user had it."""
     before = x.value
     x.save_value(point.reshape(x.shape))
     try:
-        yield
+        with _sparse_read():
+            yield
     finally:
         x.save_value(before)
 

@@ -23,7 +23,8 @@ class Checked:
 
     def __init__(self, i: int, name: str, function: Callable[..., ArrayLike]) -> None:
         if not callable(function):
-            raise ConfigError(f"agent {i}: {name}", type(function).__name__, "a function of numpy arrays")
+            do = "Give its method `project`." if hasattr(function, "project") else ""
+            raise ConfigError(f"agent {i}: {name}", type(function).__name__, "a function of numpy arrays", do)
         self.i, self.name, self.function = i, name, function
 
     def __call__(self, k: int, *x: Vec, shape: tuple[int, ...] | None = None) -> Vec:

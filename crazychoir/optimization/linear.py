@@ -85,6 +85,11 @@ class LinearProgram:
         info = self._highs.getInfo()
         return float(info.mip_dual_bound if self._mixed else info.objective_function_value)
 
+    @property
+    def multipliers(self) -> Vec:
+        """(m + l,) of the rows and of the equalities, in the last `solve` that found a solution."""
+        return np.array(self._highs.getSolution().row_dual)
+
     def _minimise(self, c: Vec) -> Vec | str:
         if not np.isfinite(c).all():
             return "not finite"

@@ -45,6 +45,9 @@ class MixedIntegerBlock:
         self.n = len(self.c)
         self.share = vector(share, self.where, "share")
         self.S = len(self.share)
+        if not self.S:
+            do = "Without a common resource each agent solves its problem alone."
+            raise ConfigError(f"{self.where}: share", "no rows", "one row or more, the same number at all agents", do)
         self.A = matrix(A, self.where, "A", (self.S, self.n))
         D, d = (np.zeros((0, self.n)), np.zeros(0)) if rows is None else rows
         d = vector(d, self.where, "d")
@@ -144,6 +147,13 @@ def _near_one(rows: Mat, bounds: Vec) -> tuple[Mat, Vec]:
     exponents = 1 - np.frexp(np.abs(rows).max(axis=1, initial=0.0))[1]
     exponents = np.where(rows.any(axis=1), exponents, 0)
     return np.ldexp(rows, exponents[:, None]), np.ldexp(bounds, exponents)
+
+
+def require_block(block: Any, algorithm: str) -> None:
+    """Raise ConfigError unless it is an agent's part of a mixed-integer program."""
+    if not isinstance(block, MixedIntegerBlock):
+        allowed = "a MixedIntegerBlock, such as a MixedIntegerConstraintCoupled"
+        raise ConfigError(f"{algorithm}: block", type(block).__name__, allowed)
 
 
 class _Elastic:

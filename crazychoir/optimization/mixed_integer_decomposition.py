@@ -9,7 +9,7 @@ import numpy as np
 from crazychoir.errors import ConfigError, SolverError
 from crazychoir.optimization.agreement import best_offer, flood, greatest
 from crazychoir.optimization.convexified import Convexified
-from crazychoir.optimization.mixed_integer import SLACK, MixedIntegerBlock
+from crazychoir.optimization.mixed_integer import SLACK, MixedIntegerBlock, require_block
 from crazychoir.optimization.mixing import Rows, checked_rows
 from crazychoir.optimization.options import Options, Pool, column_sums, exceeded
 from crazychoir.optimization.primal_decomposition import PrimalDecomposition
@@ -83,6 +83,7 @@ class PrimalDecompositionMILP(Program[MixedIntegerSolution]):
         penalty: float = 1000.0,
         options: int = 10,
     ) -> None:
+        require_block(block, "PrimalDecompositionMILP")
         self._where = f"agent {block.agent}: primal decomposition"
         for name, value, least in (("agents", agents, 1), ("rounds", rounds, 1), ("options", options, 1)):
             if value < least:

@@ -15,7 +15,7 @@ from crazychoir.optimization.quadratic import MovingProgram, Polyhedron
 DEAR = 1e4
 """Price of being out of reach by 1: beyond what it is worth to anybody."""
 LEAST = 1e-12
-"""A row of constraints whose length is below this is not in the hands of the inputs."""
+"""A row of constraints whose length is below this is not in the hands of the inputs: it holds or does not."""
 
 
 @dataclass(frozen=True)
@@ -64,16 +64,14 @@ class _Program:
     """
 
     def __init__(self, P: Mat, rows: Mat, ends: Mat) -> None:
-        lengths = np.linalg.norm(rows, axis=1)
-        self._kept = lengths > LEAST
-        self._lengths = lengths[self._kept]
-        scaled = np.ascontiguousarray(rows[self._kept] / self._lengths[:, None])
-        over = Polyhedron(scaled, np.zeros(len(scaled)), ends, np.zeros(len(ends)))
+        self._lengths, scaled = _unit_rows(rows)
+        self._end_lengths, scaled_ends = _unit_rows(ends)
+        over = Polyhedron(scaled, np.zeros(len(scaled)), scaled_ends, np.zeros(len(ends)))
         self.program = MovingProgram(0.5 * (P + P.T), np.zeros(len(P)), over)
 
     def solve(self, slope: Vec, bounds: Vec, e: Vec) -> Vec | str:
         """z (n,), or why there is none."""
-        self.program.move(bounds[self._kept] / self._lengths, e)
+        self.program.move(bounds / self._lengths, e / self._end_lengths)
         return self.program.solve(slope)
 
 
@@ -147,6 +145,16 @@ class PredictiveControl:
             bounds += [self.reach + others.min(axis=0).reshape(-1), self.reach - others.max(axis=0).reshape(-1)]
         left: Vec = np.concatenate(bounds) - self._moved @ x
         return left
+
+
+def _unit_rows(rows: Mat) -> tuple[Vec, Mat]:
+    """Return the lengths (m,) of rows, 1 for those of zeros, and the rows (m, n) divided by them."""
+    lengths = np.linalg.norm(rows, axis=1)
+    is_zero = lengths <= LEAST
+    lengths[is_zero] = 1.0
+    scaled = np.ascontiguousarray(rows / lengths[:, None])
+    scaled[is_zero] = 0.0
+    return lengths, scaled
 
 
 def _condensed(A: Mat, B: Mat, T: int) -> tuple[Mat, Mat]:

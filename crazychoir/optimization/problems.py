@@ -12,11 +12,11 @@ from numpy.typing import ArrayLike
 from crazychoir.errors import ConfigError, SolverError
 from crazychoir.optimization import diagnosis
 from crazychoir.optimization import expressions as ex
-from crazychoir.optimization.arrays import vector
+from crazychoir.optimization.arrays import is_number, numbers, vector
 from crazychoir.optimization.conic import ConicProgram
 from crazychoir.optimization.expressions import Quadratic
 from crazychoir.optimization.mixed_integer import MixedIntegerBlock
-from crazychoir.optimization.programs import Program, compiled, fast
+from crazychoir.optimization.programs import Decided, Program, compiled, fast
 from crazychoir.optimization.quadratic import Polyhedron
 from crazychoir.types import Mat, Vec
 
@@ -123,19 +123,17 @@ class CostCoupled:
         if status == "not finite":
             k = int(np.argmin(np.isfinite(p)))
             return f"not finite: entry {k} of what was heard or asked for is {p[k]}"
-        if status == "infeasible":
-            return diagnosis.infeasible(self.constraints)
         if status == "unbounded":
             return diagnosis.unbounded(self.x, self.objective + p.reshape(self.x.shape) @ self.x, self.constraints)
-        return status
+        return diagnosis.no_point(status, self.constraints, self.x)
 
     def _program(self, penalty: float, cost: bool = True) -> Program:
         """The compiled problem for a rho, with f or without."""
+        if not is_number(penalty) or not 0.0 <= penalty < inf:
+            raise ConfigError(f"{self.where}: penalty", f"{penalty}", "a finite number >= 0")
         found = self._programs.get((penalty, cost))
         if found is not None:
             return found
-        if not 0.0 <= penalty < inf:
-            raise ConfigError(f"{self.where}: penalty", f"{penalty}", "a finite number >= 0")
         if len(self._programs) >= MOST_PENALTIES:
             self._programs.clear()
         objective, form = (self.objective, self.form) if cost else (cp.Constant(0.0), Quadratic.zero(self.n))
@@ -143,10 +141,17 @@ class CostCoupled:
         return made
 
     def _vector(self, value: Vec, name: str) -> Vec:
-        found = np.asarray(value, float)
+        found: Vec = numbers(value, self.where, name)
         if found.shape != (self.n,):
             raise ConfigError(f"{self.where}: {name}", f"shape {found.shape}", f"shape ({self.n},), as {self.x.name()}")
         return found
+
+
+def require_problem(problem: Any, kind: type, algorithm: str) -> None:
+    """Raise ConfigError unless the problem is of the kind that the algorithm solves."""
+    if not isinstance(problem, kind):
+        do = "Model the agent's part with it: crazychoir.optimization.problems."
+        raise ConfigError(f"{algorithm}: problem", type(problem).__name__, f"a {kind.__name__}", do)
 
 
 class CommonCost(CostCoupled):
@@ -219,7 +224,7 @@ class ConstraintCoupled:
         return found
 
     def _prices(self, value: Vec) -> Vec:
-        found = np.asarray(value, float)
+        found: Vec = numbers(value, self.where, "prices")
         if found.shape != (self.S,):
             raise ConfigError(f"{self.where}: prices", f"shape {found.shape}", f"shape ({self.S},), as the coupling")
         if not np.isfinite(found).all():
@@ -282,7 +287,11 @@ class _Priced:
             for g, m in zip(self._forms, mu.tolist(), strict=True):
                 form = form + g.times(m)
             if program := fast(form, self._local.over):
-                return program.solve(self._zero)
+                return Decided(program, lambda: self._at(mu)).solve(self._zero)
+        return self._at(mu).solve(self._zero)
+
+    def _at(self, mu: Vec) -> ConicProgram:
+        """Return the compiled program with the prices mu (S,)."""
         self._mu.value = mu
         self._conic.refresh()
-        return self._conic.solve(self._zero)
+        return self._conic

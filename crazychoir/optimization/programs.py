@@ -1,6 +1,7 @@
 """Which solver fits an agent's problem: chosen by its structure, once."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import cached_property
 from typing import Protocol
 
 import cvxpy as cp
@@ -9,7 +10,7 @@ import numpy as np
 from crazychoir.optimization.conic import ConicProgram
 from crazychoir.optimization.expressions import Quadratic
 from crazychoir.optimization.linear import LinearProgram
-from crazychoir.optimization.quadratic import Polyhedron, QuadraticProgram
+from crazychoir.optimization.quadratic import DOUBTFUL, UNDECIDED, Polyhedron, QuadraticProgram
 from crazychoir.types import Vec
 
 MOST_ENTRIES, MOST_ROWS = 100, 400
@@ -24,6 +25,28 @@ class Program(Protocol):
     def solve(self, p: Vec) -> Vec | str:
         """A solution x (n,), or why there is none."""
         ...
+
+
+class Decided:
+    """A fast program, and a thorough one, made when it is first needed, for what rounding hides from the fast one."""
+
+    def __init__(self, fast: Program, make: Callable[[], Program]) -> None:
+        self.name = fast.name
+        self._fast = fast
+        self._make = make
+
+    @cached_property
+    def _thorough(self) -> Program:
+        return self._make()
+
+    def solve(self, p: Vec) -> Vec | str:
+        """A solution x (n,), or why there is none."""
+        found = self._fast.solve(p)
+        if not (isinstance(found, str) and found in UNDECIDED):
+            return found
+        thorough = self._thorough.solve(p)
+        # Both fail to find a point: but where rows are nearly dependent, neither has a proof that there is none.
+        return found if found == DOUBTFUL and isinstance(thorough, str) else thorough
 
 
 def fast(form: Quadratic | None, over: Polyhedron | None) -> Program | None:
@@ -51,4 +74,9 @@ def compiled(
     """f(x) + rho/2 |x|^2 over X; f as `objective`, and as `form` if it is quadratic, X as `constraints` and `over`."""
     if form is not None and penalty:
         form = form + Quadratic(penalty * np.eye(len(form.q)), np.zeros_like(form.q), 0.0)
-    return fast(form, over) or ConicProgram(x, objective, list(constraints), penalty)
+
+    def conic() -> ConicProgram:
+        return ConicProgram(x, objective, list(constraints), penalty)
+
+    found = fast(form, over)
+    return conic() if found is None else Decided(found, conic)

@@ -286,6 +286,9 @@ class DistributedSimplex(Program[LinearSolution]):
     def __init__(self, agent: int, c: Vec, A: Mat, b: Vec, diameter: int) -> None:
         where = f"agent {agent}: distributed simplex"
         b = vector(b, where, "b")
+        if not len(b):
+            do = "Without rows each column is 0, or grows for ever, whatever the others do."
+            raise ConfigError(f"{where}: b", "no rows", "one row or more, the same at all agents", do)
         self._where, self._b, self._agent, self.diameter = where, b, agent, diameter
         c = vector(c, where, "c")
         A = matrix(A, where, "A", (len(b), len(c)))
@@ -348,6 +351,8 @@ class DualDistributedSimplex(Program[CommonSolution]):
     def __init__(self, agent: int, c: Vec, A: Mat, b: Vec, diameter: int) -> None:
         where = f"agent {agent}: dual distributed simplex"
         self._c, b = vector(c, where, "c"), vector(b, where, "b")
+        if not len(self._c):
+            raise ConfigError(f"{where}: c", "no variables", "one variable or more, the same at all agents")
         rows = matrix(A, where, "A", (len(b), len(self._c)))
         _require_range(where, c=self._c, A=rows, b=b)
         self._where, self.diameter = where, diameter

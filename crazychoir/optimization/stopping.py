@@ -2,6 +2,7 @@
 
 from abc import abstractmethod
 from collections.abc import Callable, Mapping
+from numbers import Integral
 from typing import Any, Final, Generic, TypeVar
 
 import numpy as np
@@ -27,7 +28,8 @@ class Flags:
     """
 
     def __init__(self, diameter: int, flag: bool, latched: bool = False) -> None:
-        if diameter < 0:
+        given: Any = diameter
+        if not isinstance(given, Integral) or diameter < 0:
             raise ConfigError("logic-and: diameter", diameter, "0 or more: Graph.diameter()")
         self._size, self._latched = diameter // 8 + 1, latched
         self._mask, self._top = (2 << diameter) - 1, 1 << diameter

@@ -1,3 +1,6 @@
+import subprocess
+import sys
+
 import cvxpy as cp
 import numpy as np
 import pytest
@@ -60,3 +63,35 @@ def test_what_is_wrong_is_named():
     x = cp.Variable(2)
     with pytest.raises(SolverError, match=r"agent 0: local problem: .*infeasible"):
         ADMM(CostCoupled(0, x, x[0], [x >= 1, x <= 0]), (1,), 1.0).message()
+
+
+@pytest.mark.parametrize("own", ["equalities", "both", "zero"])
+def test_a_team_with_an_infeasible_agent_fails_and_names_it(own):
+    x = cp.Variable(2, name="x")
+    rows = {"equalities": [x[0] == 1, x[0] == 2], "both": [x[0] == 1, x[0] <= 0], "zero": [0 * x == 1]}[own]
+    parts = [CostCoupled(i, x, cp.sum_squares(x - i), rows if i == 2 else []) for i in range(4)]
+    with pytest.raises(SolverError, match=r"agent 2: local problem: .* infeasible: constraints\[\d\]"):
+        simulate(agents(parts, ring(4)), ring(4))
+
+
+INFEASIBLE = """
+import cvxpy as cp
+from crazychoir.optimization.admm import ADMM
+from crazychoir.optimization.problems import CostCoupled
+
+def agent(i, graph):
+    x = cp.Variable(2)
+    own = [x[0] == 1, x[0] == 2] if i == 1 else []
+    return ADMM(CostCoupled(i, x, cp.sum_squares(x - i), own), graph.neighbors(i), penalty=1.0, iterations=5)
+"""
+
+
+def test_the_command_line_ends_with_the_conflict_and_an_exit_code(tmp_path):
+    file = tmp_path / "conflict.py"
+    file.write_text(INFEASIBLE)
+    command = [sys.executable, "-m", "crazychoir.cli.crazychoir", "simulate", str(file), "--agents", "3"]
+    ended = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    assert ended.returncode != 0
+    assert "agent 1: local problem" in ended.stderr
+    assert "exclude" in ended.stderr or "infeasible" in ended.stderr
+    assert "Traceback" not in ended.stderr

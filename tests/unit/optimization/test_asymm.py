@@ -8,7 +8,7 @@ from crazychoir.errors import ConfigError, SolverError
 from crazychoir.optimization.asymm import ASYMM
 from crazychoir.optimization.smooth import Smooth
 from crazychoir.simulate import simulate
-from crazychoir.swarm.graph import erdos_renyi_connected, ring
+from crazychoir.swarm.graph import erdos_renyi_connected, path, ring
 
 
 def agents(graph, functions, start, equalities=None, inequalities=None, **options):
@@ -163,3 +163,17 @@ def test_constraints_that_exclude_each_other_are_no_answer():
     }
     with pytest.raises(SolverError, match=r"agent \d: x is 0.\d+ from that of agent \d after 25 epochs"):
         simulate(team, graph, loss=0.4, seed=3, rounds=20_000)
+
+
+ROWS = Smooth(lambda x: np.array([x[0] - 1.0, x[0] - 2.0]), lambda x: np.array([[1.0, 0.0], [1.0, 0.0]]))
+SIDES = Smooth(lambda x: np.array([x[0] - 1.0, 2.0 - x[0]]), lambda x: np.array([[1.0, 0.0], [-1.0, 0.0]]))
+
+
+@pytest.mark.parametrize("epochs", [10, 25])
+@pytest.mark.parametrize("kind", ["equalities", "inequalities"])
+def test_constraints_of_one_agent_that_exclude_each_other_are_not_averaged(kind, epochs):
+    functions = [Smooth(lambda x: float(x @ x), lambda x: 2.0 * x)] * 2
+    rows = ROWS if kind == "equalities" else SIDES
+    team = agents(path(2), functions, np.zeros((2, 2)), **{kind: {0: rows}}, epochs=epochs)
+    with pytest.raises(SolverError, match=f"agent 0: {kind}, row [01]: violated by 0.5 .*exclude each other"):
+        simulate(team, path(2), rounds=20000)

@@ -159,3 +159,27 @@ def test_the_program_of_a_drone_is_solved_as_by_cvxpy():
         high.value, low.value = others.min(axis=0) + 0.3, others.max(axis=0) - 0.3
         problem.solve(solver=cp.CLARABEL)
         np.testing.assert_allclose(control.solve(now.value, others), u.value, atol=2e-3)
+
+
+def test_constraints_that_no_input_changes_hold_or_are_infeasible():
+    """The place after one step is that of the speed before: no input reaches it."""
+    A, B = np.array([[1.0, 1.0], [0.0, 1.0]]), np.array([[0.0], [1.0]])
+    limits = {"E": np.array([[1.0, 0.0]]), "f": np.ones(1), "G": np.array([[1.0], [-1.0]]), "h": np.full(2, 9.0)}
+    of = Prediction(A, B, np.eye(1, 2), np.eye(2), np.eye(1), **limits, T=2)
+    control, nothing = PredictiveControl(of), np.zeros((0, 2, 1))
+    inside = control.solve(np.array([0.0, 0.5]), nothing)
+    assert (of.states(np.array([0.0, 0.5]), inside)[1:3, 0] <= 1.0 + 1e-9).all()
+    assert control.solve(np.array([0.0, 1.5]), nothing) == "infeasible"
+
+
+def test_an_end_that_no_input_reaches_is_met_or_infeasible():
+    """The second state goes its own way; an end that names the first one twice is no conflict."""
+    A, B, Z = np.diag([1.0, 0.5]), np.array([[1.0], [0.0]]), np.array([[1.0, 0.0], [3.0, 0.0], [0.0, 1.0]])
+    free = {"E": np.zeros((0, 2)), "f": np.zeros(0), "G": np.zeros((0, 1)), "h": np.zeros(0)}
+    of = Prediction(A, B, np.eye(2), np.eye(2), np.eye(1), **free, T=3, Z=Z)
+    control, nothing = PredictiveControl(of), np.zeros((0, 3, 2))
+    for start, is_met in (([2.0, 0.0], True), ([2.0, 1.0], False), ([-1.0, 0.0], True)):
+        found = control.solve(np.array(start), nothing)
+        assert isinstance(found, str) != is_met
+        if is_met:
+            np.testing.assert_allclose(of.states(np.array(start), found)[3], 0.0, atol=1e-9)

@@ -3,7 +3,16 @@ import numpy as np
 import pytest
 
 from crazychoir.errors import ConfigError, SolverError
+from crazychoir.optimization.admm import ADMM
+from crazychoir.optimization.allocation import Allocation
+from crazychoir.optimization.constraints_consensus import ConstraintsConsensus
+from crazychoir.optimization.convexified import Convexified
+from crazychoir.optimization.dual_decomposition import DualDecomposition
+from crazychoir.optimization.dual_subgradient import DualSubgradient
+from crazychoir.optimization.mixed_integer import MixedIntegerBlock
+from crazychoir.optimization.mixed_integer_decomposition import PrimalDecompositionMILP
 from crazychoir.optimization.problems import CommonCost, ConstraintCoupled, CostCoupled, MixedIntegerConstraintCoupled
+from crazychoir.optimization.projection import Box, Convex
 
 X = cp.Variable(2, name="x")
 T = cp.Variable(name="t")
@@ -254,3 +263,139 @@ def test_a_mixed_integer_model_is_linear(name):
     make, text = INTEGERS[name]
     with pytest.raises(ConfigError, match=text):
         MixedIntegerConstraintCoupled(3, x, *make(x))
+
+
+def coupled(objective, constraints=()):
+    return ConstraintCoupled(3, X, objective, X[0], constraints)
+
+
+def mixed(objective, constraints=()):
+    return MixedIntegerConstraintCoupled(3, X, objective, X[0], constraints)
+
+
+KINDS = {
+    "cost": lambda *given: CostCoupled(3, X, *given),
+    "common": lambda *given: CommonCost(3, X, *given),
+    "coupled": coupled,
+    "mixed": mixed,
+}
+NO_OBJECTIVE = {
+    "a maximisation": (cp.Maximize(X[0]), "objective: found maximize .*; allowed: a cost.* Give the cost -f"),
+    "a problem": (cp.Problem(cp.Minimize(X[0])), "objective: found a cvxpy problem; .* Give its objective and"),
+    "a comparison": (X >= 0, "objective: found .*; allowed: a cvxpy expression.* belongs to the constraints"),
+    "a list": ([X[0], X[1]], "objective: found a list; allowed: one cvxpy expression. Sum it up"),
+    "nothing": (None, "objective: found None; allowed: a cvxpy expression"),
+    "a word": ("abc", "objective: found 'abc'; allowed: a cvxpy expression"),
+    "a truth value": (True, "objective: found True; allowed: a cvxpy expression"),
+    "a function": (lambda x: x, "objective: found function; allowed: a cvxpy expression"),
+    "an array of words": (np.array(["a"]), "objective: found ndarray; allowed: a cvxpy expression"),
+    "complex numbers": (1j * X[0], "objective: found .*; allowed: real numbers"),
+}
+NO_CONSTRAINTS = {
+    "a number": (3, "constraints: found 3; allowed: a list of cvxpy constraints"),
+    "a word": ("x >= 0", "constraints: found 'x >= 0'; allowed: a list of cvxpy constraints"),
+    "a dictionary": ({"a": X >= 0}, "constraints: found .*; allowed: a list of cvxpy constraints"),
+    "a set": ({X >= 0}, "constraints: found .*; allowed: a list of cvxpy constraints"),
+    "a box": (Box(0, 1), "constraints: found Box.*; allowed: a list of cvxpy constraints. A Box has them"),
+    "a box in a list": ([Box(0, 1)], r"constraints\[0\]: found Box.*; allowed: a cvxpy constraint. A Box has them"),
+    "a list in a list": ([[X >= 0]], r"constraints\[0\]: found .*; allowed: a cvxpy constraint. Give one list"),
+    "nothing in a list": ([None], r"constraints\[0\]: found None; allowed: a cvxpy constraint"),
+    "an expression": (X, "constraints: found .*; allowed: a list of cvxpy constraints|constraints.0.: found"),
+    "complex numbers": ([1j * X == 0], r"constraints\[0\]: found .*; allowed: real numbers"),
+}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("name", NO_OBJECTIVE)
+def test_what_is_no_objective_is_refused(kind, name):
+    objective, text = NO_OBJECTIVE[name]
+    with pytest.raises(ConfigError, match=rf"agent 3: {text}"):
+        KINDS[kind](objective)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("name", NO_CONSTRAINTS)
+def test_what_is_no_list_of_constraints_is_refused(kind, name):
+    constraints, text = NO_CONSTRAINTS[name]
+    with pytest.raises(ConfigError, match=rf"agent 3: ({text})"):
+        KINDS[kind](X[0], constraints)
+
+
+def test_a_minimisation_is_its_cost_and_a_bare_constraint_a_list_of_one():
+    given = cp.Minimize(cp.sum_squares(X - 2))
+    for constraints in (X <= 1, [X <= 1], (X <= 1,), (c for c in [X <= 1])):
+        np.testing.assert_allclose(CostCoupled(3, X, given, constraints).argmin(), [1.0, 1.0], atol=1e-12)
+    np.testing.assert_allclose(CommonCost(3, X, given, X == 1).argmin(), [1.0, 1.0], atol=1e-12)
+    np.testing.assert_allclose(coupled(given, X == 1).argmin(np.zeros(1)), [1.0, 1.0], atol=1e-12)
+    np.testing.assert_allclose(mixed(cp.Minimize(X[0]), X == 1).corner(np.ones(2)), [1.0, 1.0], atol=1e-12)
+    np.testing.assert_allclose(CostCoupled(3, X, given, None).argmin(), [2.0, 2.0], atol=1e-12)
+    np.testing.assert_allclose(Convex(X, X <= 1).project(np.full(2, 3.0)), [1.0, 1.0], atol=1e-12)
+
+
+NO_COUPLING = {
+    "an empty list": ([], "coupling: found no rows; allowed: one row or more"),
+    "an empty tuple": ((), "coupling: found no rows; allowed: one row or more"),
+    "an empty array": (np.zeros((0, 2)), "coupling: found no rows; allowed: one row or more"),
+    "nothing": (None, "coupling: found None; allowed: a cvxpy expression"),
+    "nothing in a list": ([X[0], None], r"coupling\[1\]: found None; allowed: a cvxpy expression"),
+    "a comparison": (X <= 1, "coupling: found .* give g here and b as the share"),
+    "a comparison in a list": ([X <= 1], r"coupling\[0\]: found .* give g here and b as the share"),
+    "a minimisation": (cp.Minimize(X[0]), "coupling: found Minimize; allowed: a cvxpy expression"),
+    "a word": ("a", "coupling: found 'a'; allowed: a cvxpy expression"),
+    "a dictionary": ({"a": X[0]}, "coupling: found dict; allowed: a cvxpy expression"),
+    "a list in a list": ([[X[0]]], r"coupling\[0\]: found list; allowed: a cvxpy expression"),
+    "a truth value": (True, "coupling: found True; allowed: a cvxpy expression"),
+}
+
+
+@pytest.mark.parametrize("kind", [ConstraintCoupled, MixedIntegerConstraintCoupled])
+@pytest.mark.parametrize("name", NO_COUPLING)
+def test_what_is_no_coupling_is_refused(kind, name):
+    coupling, text = NO_COUPLING[name]
+    with pytest.raises(ConfigError, match=f"agent 3: {text}"):
+        kind(3, X, X[0], coupling, BOX)
+
+
+def test_a_variable_without_entries_is_refused():
+    for make in (lambda x: CostCoupled(3, x, 0), lambda x: CommonCost(3, x, 0), lambda x: Convex(x, [])):
+        with pytest.raises(ConfigError, match=r"found shape \(0,\); allowed: one entry or more"):
+            make(cp.Variable(0))
+
+
+@pytest.mark.parametrize("bad", ["a", [1, "a"], {}])
+def test_a_point_that_is_no_numbers_is_refused(bad):
+    problem = CostCoupled(3, X, cp.sum_squares(X))
+    for ask in (problem.argmin, problem.project, problem.value, problem.gradient):
+        with pytest.raises(ConfigError, match=r"agent 3: .*: found (str|list|dict); allowed: an array of numbers"):
+            ask(bad)
+    with pytest.raises(ConfigError, match="agent 3: prices: found"):
+        ConstraintCoupled(3, X, cp.sum_squares(X), X).argmin(bad)
+
+
+@pytest.mark.parametrize("bad", ["a", None, [1], True])
+def test_a_penalty_that_is_no_number_is_refused(bad):
+    with pytest.raises(ConfigError, match=r"agent 3: penalty: found .*; allowed: a finite number >= 0"):
+        CostCoupled(3, X, cp.sum_squares(X)).argmin(penalty=bad)
+
+
+ALGORITHMS = {
+    "ADMM": lambda problem: ADMM(problem, [1], 1.0),
+    "DualDecomposition": lambda problem: DualDecomposition(problem, 0.1),
+    "DualSubgradient": lambda problem: DualSubgradient(problem, {3: 1.0}, 0.1),
+    "ConstraintsConsensus": lambda problem: ConstraintsConsensus(problem, 1),
+    "Allocation": lambda problem: Allocation(problem, 10.0),
+    "Convexified": lambda problem: Convexified(problem, 10.0),
+    "PrimalDecompositionMILP": lambda problem: PrimalDecompositionMILP(problem, {3: 1.0}, 1, 1, 0.1),
+}
+
+
+@pytest.mark.parametrize("name", ALGORITHMS)
+def test_an_algorithm_says_which_problem_it_solves(name):
+    for other in (cp.Problem(cp.Minimize(X[0])), cp.Minimize(X[0]), None):
+        with pytest.raises(ConfigError, match=rf"{name}: (problem|block): found {type(other).__name__}; allowed: a "):
+            ALGORITHMS[name](other)
+
+
+def test_resources_of_a_mixed_integer_block_are_one_or_more():
+    with pytest.raises(ConfigError, match="agent 3: share: found no rows; allowed: one row or more"):
+        MixedIntegerBlock(3, np.ones(2), np.zeros((0, 2)), np.zeros(0))

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog
 
-from crazychoir.optimization.quadratic import MovingProgram, Polyhedron, QuadraticProgram
+from crazychoir.optimization.quadratic import AffineHull, MovingProgram, Polyhedron, QuadraticProgram
 
 NONE = np.zeros((0, 2)), np.zeros(0)
 
@@ -134,3 +134,114 @@ def test_a_program_whose_bounds_move_is_the_one_with_those_bounds():
         found = moving.solve(p)
         np.testing.assert_allclose(found, QuadraticProgram(P, q, Polyhedron(A, b, E, e)).solve(p), atol=1e-10)
         np.testing.assert_allclose(E @ found, e, atol=1e-10)
+
+
+CONFLICTS = {
+    "two values": ([[1.0, 0.0], [1.0, 0.0]], [1.0, 2.0]),
+    "zero is one": ([[0.0, 0.0]], [1.0]),
+    "rows of other lengths": ([[1e6, 0.0], [1e-6, 0.0]], [1e6, 2e-6]),
+    "small ones beside large ones": ([[1.0, 0.0], [0.0, 1.0], [0.0, 1.0]], [1e9, 1e-5, -1e-5]),
+    "tiny ones": ([[1.0, 0.0], [1.0, 0.0]], [1e-9, 2e-9]),
+    "a sum": ([[1.0, 1.0], [1.0, -1.0], [1.0, 0.0]], [2.0, 0.0, 1.5]),
+    "more than entries": ([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]], [1.0, 1.0, 2.1]),
+}
+
+
+@pytest.mark.parametrize("name", CONFLICTS)
+@pytest.mark.parametrize("beside", [False, True])
+def test_equalities_that_exclude_each_other_are_infeasible(name, beside):
+    E, e = (np.array(part) for part in CONFLICTS[name])
+    upper = (np.eye(2), np.full(2, 1e10)) if beside else NONE
+    program = QuadraticProgram(np.eye(2), np.zeros(2), Polyhedron.of(*upper, E, e))
+    assert program.name == ("active set" if beside else "closed form")
+    assert program.solve(np.zeros(2)) == "infeasible"
+    assert program.solve(np.ones(2)) == "infeasible"
+
+
+AGREEING = {
+    "the rounding of their terms": ([[1.0, 1.0], [3.0, 3.0]], [1.0, 3.0 * (1.0 + 1e-12)]),
+    "the rounding of their entries": ([[1.0, 1.0], [1.0, 1.0 + 1e-12]], [1.0, 1.0 + 1e-12]),
+    "the rounding of a sum": ([[1.0, 0.0], [1.0, 0.0]], [0.0, 0.1 + 0.2 - 0.3]),
+    "a zero row": ([[1.0, 0.0], [0.0, 0.0]], [1.0, 0.0]),
+    "a rounded zero row": ([[1.0, 0.0], [0.0, 0.0]], [1.0, 5e-17]),
+    "other lengths": ([[1e6, 2e6], [1e-6, 2e-6]], [1e6, 1e-6]),
+}
+
+
+@pytest.mark.parametrize("name", AGREEING)
+def test_equalities_that_differ_by_rounding_have_a_solution(name):
+    E, e = (np.array(part) for part in AGREEING[name])
+    x = QuadraticProgram(np.eye(2), np.zeros(2), Polyhedron.of(*NONE, E, e)).solve(np.zeros(2))
+    np.testing.assert_allclose(E @ x, e, rtol=1e-10, atol=1e-12)
+
+
+@pytest.mark.parametrize("row", [[1.0, np.pi], [1e-6, np.pi * 1e-6], [-3.0, -3.0 * np.pi]])
+def test_an_inequality_that_the_equalities_decide_is_met_or_not(row):
+    """Its multiplier is of no use: what is left of it where x may go is zero, but for rounding."""
+    E, e, row = np.array([[1.0, np.pi]]), np.array([1.0]), np.array([row])
+    value = row @ np.linalg.lstsq(E, e)[0]
+    for more, is_met in ((1.0, True), (0.0, True), (-1e-6, False), (-1.0, False)):
+        over = Polyhedron.of(row, value + more * np.abs(row[:, 0]), E, e)
+        x = QuadraticProgram(np.eye(2), np.zeros(2), over).solve(np.array([0.3, -5.0]))
+        assert isinstance(x, str) != is_met
+        if is_met:
+            np.testing.assert_allclose(x, QuadraticProgram(np.eye(2), np.zeros(2), Polyhedron.of(*NONE, E, e)).solve(
+                np.array([0.3, -5.0])), atol=1e-12)  # fmt: skip
+
+
+def test_a_point_that_the_equalities_fix_meets_the_inequalities_or_not():
+    E, e = np.array([[1.0, 2.0], [3.0, 4.1]]), np.array([1.0, 2.0])
+    point = np.linalg.solve(E, e)
+    for more, is_met in ((1e-3, True), (0.0, True), (-1e-3, False)):
+        over = Polyhedron.of(np.eye(2), point + more, E, e)
+        x = QuadraticProgram(np.eye(2), np.zeros(2), over).solve(np.ones(2))
+        assert isinstance(x, str) != is_met
+        if is_met:
+            np.testing.assert_allclose(x, point, atol=1e-12)
+
+
+@pytest.mark.parametrize("large", [1.0, 1e6, 1e9])
+@pytest.mark.parametrize("gap", [1e-2, 1e-5])
+def test_inequalities_are_judged_by_their_own_size(large, gap):
+    A = np.array([[1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
+    apart = Polyhedron.of(A, np.array([large, -gap, -gap]), *NONE)
+    assert QuadraticProgram(np.eye(2), np.zeros(2), apart).solve(np.zeros(2)) == "infeasible"
+    together = Polyhedron.of(A, np.array([large, -gap, 2.0 * gap]), *NONE)
+    x = QuadraticProgram(np.eye(2), np.zeros(2), together).solve(np.zeros(2))
+    np.testing.assert_allclose(x, [0.0, -gap], atol=1e-12)
+
+
+@pytest.mark.parametrize("size", [1e-300, 1e-200, 1e200, 1e300])
+def test_rows_of_any_length_count(size):
+    over = Polyhedron.of(np.array([[0.0, size]]), np.array([-size]), np.array([[size, 0.0]]), np.array([size]))
+    np.testing.assert_allclose(QuadraticProgram(np.eye(2), np.zeros(2), over).solve(np.zeros(2)), [1.0, -1.0])
+
+
+def test_right_hand_sides_that_move_may_exclude_each_other_and_agree_again():
+    E = np.array([[1.0, 0.0], [1.0, 0.0], [0.0, 0.0]])
+    A = np.array([[0.0, 1.0], [1.0, 0.0]])
+    moving = MovingProgram(np.eye(2), np.zeros(2), Polyhedron(A, np.full(2, 9.0), E, np.zeros(3)))
+    agree, differ, never = np.array([1.0, 1.0, 0.0]), np.array([1.0, 2.0, 0.0]), np.array([1.0, 1.0, 1.0])
+    for _ in range(2):
+        moving.move(np.array([-3.0, 9.0]), agree)
+        np.testing.assert_allclose(moving.solve(np.zeros(2)), [1.0, -3.0], atol=1e-12)
+        for b, e in (([-3.0, 9.0], differ), ([-3.0, 9.0], never), ([-3.0, 0.5], agree)):
+            moving.move(np.array(b), e)
+            assert moving.solve(np.zeros(2)) == "infeasible"
+
+
+def test_the_affine_hull_gives_a_point_all_directions_and_the_shares_of_dependent_rows():
+    draw = np.random.default_rng(2)
+    for _ in range(50):
+        n = int(draw.integers(1, 6))
+        E = draw.integers(-2, 3, (int(draw.integers(0, 7)), n)).astype(float)
+        E /= np.maximum(np.linalg.norm(E, axis=1), 1.0)[:, None]
+        e = E @ draw.normal(size=n)
+        hull = AffineHull(E)
+        assert hull.null.shape[1] == n - np.linalg.matrix_rank(E)
+        np.testing.assert_allclose(hull.null.T @ hull.null, np.eye(hull.null.shape[1]), atol=1e-12)
+        np.testing.assert_allclose(E @ hull.null, 0.0, atol=1e-12)
+        np.testing.assert_allclose(E @ hull.point(e), e, atol=1e-12)
+        np.testing.assert_allclose(hull.shares @ E[hull.basis], E[hull.others], atol=1e-12)
+        assert not hull.gaps(hull.point(e), e).any()
+        assert hull.verdict(hull.point(e), e) == ""

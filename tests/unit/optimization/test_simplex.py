@@ -144,6 +144,33 @@ def test_data_that_do_not_fit_are_refused_with_agent_row_and_value(c, A, b, matc
         DistributedSimplex(4, c, A, b, 1)
 
 
+@pytest.mark.parametrize("c", [[], [1.0, 2.0], [-1.0, 2.0], [0.0, 0.0]])
+def test_a_linear_program_without_rows_is_refused(c):
+    with pytest.raises(ConfigError, match="agent 4: distributed simplex: b: found no rows; allowed: one row or more"):
+        DistributedSimplex(4, c, np.zeros((0, len(c))), [], 1)
+
+
+@pytest.mark.parametrize("rows", [0, 1, 2])
+def test_a_linear_program_without_variables_is_refused(rows):
+    with pytest.raises(ConfigError, match="agent 4: dual distributed simplex: c: found no variables; allowed: one"):
+        DualDistributedSimplex(4, [], np.zeros((rows, 0)), np.ones(rows), 1)
+
+
+def test_an_agent_without_constraints_or_columns_takes_part():
+    own = {0: ([[1.0]], [2.0]), 1: (np.zeros((0, 1)), [])}
+    run_team(team := {i: DualDistributedSimplex(i, [1.0], *own[i], 1) for i in own}, complete(2))
+    assert [agent.result.x.tolist() for agent in team.values()] == [[2.0], [2.0]]
+    run_team(team := {i: DistributedSimplex(i, [1.0] * (1 - i), [[1.0] * (1 - i)], [2.0], 1) for i in own}, complete(2))
+    assert [agent.result.cost for agent in team.values()] == [2.0, 2.0]
+
+
+@pytest.mark.parametrize("kind", [DistributedSimplex, DualDistributedSimplex])
+@pytest.mark.parametrize("diameter", [None, "a", 1.5, -1])
+def test_a_diameter_that_is_no_count_is_refused(kind, diameter):
+    with pytest.raises(ConfigError, match=r"diameter: found .*; allowed: 0 or more"):
+        kind(4, [1.0], [[1.0]], [1.0], diameter)
+
+
 @pytest.mark.parametrize(
     "change",
     [lambda m: "x", lambda m: m[:3], lambda m: [1, *m[1:]], lambda m: [*m[:3], np.array([np.nan]), *m[4:]],
