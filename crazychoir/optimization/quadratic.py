@@ -21,7 +21,7 @@ ROUNDED: Final = 1e-14
 CONSISTENT: Final = 1e-9
 """What a row that no x changes may be missed by, relative to its own terms: the rounding of the data."""
 DOUBTFUL = "rows so nearly dependent that rounding decides"
-INACCURATE = "inaccurate"
+INACCURATE = "inaccurate: double precision cannot tell whether all rows hold; scale the rows and variables alike"
 WORDS = {INFEASIBLE: "infeasible", CAPPED: "too many steps", NOT_FINITE: "not finite"}
 UNDECIDED: Final = (DOUBTFUL, INACCURATE, WORDS[CAPPED])
 """Words that do not say whether there is a solution: another method may find it."""
