@@ -118,11 +118,11 @@ def register(cls: type[W]) -> type[W]:
 
 def _encode_readable(value: Any) -> bytes:
     """Bytes of the value with texts that can travel."""
-    texts = readable_texts(value)
     try:
+        texts = readable_texts(value, "strict")
         return _ENCODERS.get(type(texts), _encode_generic)(texts)
-    except Exception as other:
-        raise _refusal(texts, other) from other
+    except Exception as error:
+        raise _refusal(value, error) from error
 
 
 def _encode_float(value: float) -> bytes:

@@ -6,7 +6,7 @@ import signal
 import sys
 from collections.abc import Callable
 
-from crazychoir.runtime.texts import let_outputs_take_any_text
+from crazychoir.runtime.outputs import let_outputs_take_any_text
 
 _PR_SET_PDEATHSIG = 1
 

@@ -58,6 +58,14 @@ def plan():
     return solve_here(random_instance(2, 3, seed=1))["plan_digest"]
 
 
+@pytest.fixture(autouse=True)
+def handler_of_ctrl_c():
+    """The handler that Python begins with, whatever other tests have left."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before if before is not None else signal.default_int_handler)
+
+
 def inside(loop_factory, function):
     """The function's value inside a coroutine, twice in a row."""
 
