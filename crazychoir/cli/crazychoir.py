@@ -36,6 +36,7 @@ from crazychoir.cli import (
 )
 from crazychoir.cli.show import (
     STDOUT,
+    Outputs,
     Progress,
     fail,
     interrupted,
@@ -142,6 +143,7 @@ def run(
         from crazychoir.launch.running import Run, recorded
         from crazychoir.radio.ownership import require_free
 
+    outputs = Outputs()
     given = {"--fast": fast, "--processes": processes, "--picture": picture, "--drones": drones}
     try:
         check_options(what, swarm, only, given)
@@ -170,15 +172,18 @@ def run(
                             progress.say(f"Look into it (or echo, hz, land, stop): crazychoir status --swarm {path}")
                             flags = ["--force"] if force else []
                             result = fly_real(path, config, mission, flags, progress, progress.say, started, file)
-            result["picture"] = _drawn(mission, config, result, picture)
+            result["picture"] = None
+            with outputs.writing("--picture"):
+                result["picture"] = _drawn(mission, config, result, picture)
             del result["tracks"]
-            result = named | result
+            result = named | result | outputs.told
     except CrazyChoirError as error:
         fail(error, as_json)
     except KeyboardInterrupt:
         interrupted(as_json)
     _show(result, as_json)
-    raise typer.Exit(0 if result["success"] else 1)
+    outputs.say()
+    raise typer.Exit(0 if result["success"] and not outputs.failed else 1)
 
 
 def _drawn(mission: "Mission", config: "SwarmConfig", result: dict[str, Any], path: Path | None) -> str | None:
@@ -188,7 +193,6 @@ def _drawn(mission: "Mission", config: "SwarmConfig", result: dict[str, Any], pa
     from crazychoir.guidance.mission import has
     from crazychoir.recording.tracks import draw_tracks
 
-    path.parent.mkdir(parents=True, exist_ok=True)
     tracks = result["tracks"]
     flown = {i: {**r, "track": tracks[i]} for i, r in result["results"].items()}
     if has(mission, "picture"):

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from crazychoir.errors import ConfigError
+from crazychoir.output_files import written_file
 
 Image = npt.NDArray[np.uint8]
 ENDINGS = (".mp4", ".gif", ".webp")
@@ -27,10 +28,11 @@ def check_video(path: Path, width: int, height: int) -> None:
 
 def write_video(path: Path, images: Iterable[Image], fps: int) -> None:
     """Write the images (height, width, 3), of one size, at so many a second."""
-    if path.suffix.lower() == ".mp4":
-        _write_mp4(path, images, fps)
-    else:
-        _write_animation(path, images, fps)
+    with written_file(path, "video") as place:
+        if path.suffix.lower() == ".mp4":
+            _write_mp4(place, images, fps)
+        else:
+            _write_animation(place, images, fps)
 
 
 def _av() -> Any:
