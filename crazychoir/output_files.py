@@ -24,14 +24,15 @@ def require_writable_file(path: str | Path, option: str, endings: Sequence[str] 
     path = Path(path)
     if endings and path.suffix.lower() not in endings:
         raise ConfigError(option, str(path), f"a name that ends in {', '.join(endings)}")
+    if os.path.isdir(path):
+        raise ConfigError(option, f"{path}, a folder", "the name of a file", f"Add a name to it: {path / 'NAME'}.")
     try:
-        if path.is_dir():
-            raise ConfigError(option, str(path), "the name of a file", "Add a name to it.", "it is a folder")
         _make_folder(path.parent, parents)
-        if path.exists():
-            _open_to_write(path)
+        place = Path(os.path.realpath(path))
+        if place.exists():
+            _open_to_write(place)
         else:
-            path.lstat() if path.is_symlink() else _probe(path)
+            _probe(place)
     except (OSError, ValueError) as error:
         raise _cannot(option, path, error, "a file in a folder that is there or can be made in one") from error
 
@@ -64,11 +65,11 @@ def written_file(path: str | Path, what: str) -> Iterator[Path]:
 
     So a disk that fills spoils nothing that was there, and leaves no half of a file. A link is followed; a device, and
     a file in a folder that takes no new one, are written as they are.
-    what: what errors call it. Raises ConfigError for an OSError.
+    what: what errors call it. The place has the suffix of `path`, but for a device. Raises ConfigError for an OSError.
     """
     path = Path(path)
     place = Path(os.path.realpath(path))
-    beside = place.with_name(f".{os.getpid()}.{place.stem[:64]}.new{place.suffix}")
+    beside = place.with_name(f".{os.getpid()}.{path.stem[:64]}.new{path.suffix}")
     direct = place.exists() and (not place.is_file() or not os.access(place.parent, os.W_OK))
     try:
         if place.is_dir():
@@ -91,8 +92,9 @@ def written_file(path: str | Path, what: str) -> Iterator[Path]:
 
 def save_figure(figure: Any, path: str | Path, **options: Any) -> None:
     """Write a figure of matplotlib, of the kind that the suffix says; raises ConfigError where it cannot be."""
+    kind = Path(path).suffix.removeprefix(".").lower() or None
     with written_file(path, "picture") as place:
-        figure.savefig(place, **options)
+        figure.savefig(place, format=kind, **options)
 
 
 def _make_folder(folder: Path, parents: bool) -> None:

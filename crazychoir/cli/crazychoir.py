@@ -48,7 +48,7 @@ from crazychoir.cli.show import (
     write_json,
 )
 from crazychoir.compiling import LATER
-from crazychoir.errors import CrazyChoirError, without_exit
+from crazychoir.errors import ConfigError, CrazyChoirError, without_exit
 
 if TYPE_CHECKING:
     from crazychoir.guidance.mission import Mission
@@ -187,7 +187,10 @@ def run(
 
 
 def _drawn(mission: "Mission", config: "SwarmConfig", result: dict[str, Any], path: Path | None) -> str | None:
-    """The picture of the mission; of one that draws none, what was flown. Returns its path, None without a picture."""
+    """Draw the picture of the mission; of one that draws none, what was flown. Returns its path, None if none is asked.
+
+    Raises ConfigError where the mission's own picture is not there afterwards.
+    """
     if path is None:
         return None
     from crazychoir.guidance.mission import has
@@ -196,10 +199,22 @@ def _drawn(mission: "Mission", config: "SwarmConfig", result: dict[str, Any], pa
     tracks = result["tracks"]
     flown = {i: {**r, "track": tracks[i]} for i, r in result["results"].items()}
     if has(mission, "picture"):
+        before = _version(path)
         mission.picture(config, flown, str(path))
+        if _version(path) in (None, before):
+            do = "The mission's own picture() draws it: see what it said above."
+            raise ConfigError("--picture", f"{path}, which was not drawn", "a picture by the mission", do)
     else:
         draw_tracks(flown, path, leaders=[drone.id for drone in config.drones if drone.leader])
-    return str(path) if path.exists() else None
+    return str(path)
+
+
+def _version(path: Path) -> tuple[int, ...] | None:
+    """What changes when a file is written; None without one."""
+    if not path.exists():
+        return None
+    about = path.stat()
+    return about.st_ino, about.st_size, about.st_mtime_ns
 
 
 def _show(result: dict[str, Any], as_json: bool) -> None:

@@ -114,4 +114,4 @@ def _save(path: Path, image: "Image") -> None:
     from PIL import Image as Pillow
 
     with written_file(path, "--picture") as place:
-        Pillow.fromarray(np.ascontiguousarray(image)).save(place, optimize=True)
+        Pillow.fromarray(np.ascontiguousarray(image)).save(place, "PNG", optimize=True)

@@ -32,7 +32,24 @@ log = logging.getLogger(__name__)
 T = TypeVar("T")
 STDERR = Console(stderr=True, markup=False, emoji=False)
 """For what goes on, and what goes wrong. A text is printed as it is: names may look like the markup of rich."""
-STDOUT = Console(markup=False, emoji=False)
+
+
+class Answers(Console):
+    """Standard output, for what a command answers. Where that cannot be written, it goes to standard error."""
+
+    def print(self, *objects: Any, **options: Any) -> None:
+        """As rich prints."""
+        try:
+            super().print(*objects, **options)
+        except BrokenPipeError:
+            raise
+        except OSError as error:
+            _give_up_on_output(error)
+            STDERR.print(*objects, **options)
+            raise typer.Exit(1) from error
+
+
+STDOUT = Answers(markup=False, emoji=False)
 """For what a command answers."""
 REFRESH = 4
 """Tables a second."""
@@ -95,8 +112,26 @@ def _aside() -> Iterator[None]:
 
 def write_json(value: Any) -> None:
     """One line of JSON on standard output, at once."""
-    sys.stdout.write(json.dumps(plain(value), default=str) + "\n")
-    sys.stdout.flush()
+    line = json.dumps(plain(value), default=str) + "\n"
+    try:
+        sys.stdout.write(line)
+        sys.stdout.flush()
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        _give_up_on_output(error)
+        sys.stderr.write(line)
+        raise typer.Exit(1) from error
+
+
+def _give_up_on_output(error: OSError) -> None:
+    """Say that standard output takes nothing, as on a full disk, and forget what it still holds."""
+    text = f"standard output: {error.strerror}: the answer is printed here. Name another file, or make room."
+    STDERR.print(text, style="red", markup=False, highlight=False, soft_wrap=True)
+    with contextlib.suppress(OSError, ValueError):
+        nothing = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nothing, sys.stdout.fileno())
+        os.close(nothing)
 
 
 def require_drawable(path: Path | None) -> None:

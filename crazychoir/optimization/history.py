@@ -109,13 +109,13 @@ class History:
         require_suffix(path)
         require_writable_file(path, "history")
         with written_file(path, "history") as place:
-            self._write(place)
+            self._write(place, path.suffix.lower())
 
-    def _write(self, path: Path) -> None:
-        if path.suffix.lower() == ".csv":
+    def _write(self, path: Path, kind: str) -> None:
+        if kind == ".csv":
             with path.open("w", encoding="utf-8", newline="") as file:
                 csv.writer(file, lineterminator="\n").writerows(self._rows())
-        elif path.suffix.lower() == ".json":
+        elif kind == ".json":
             told = plain(self.to_json() | {"values": self.values, "times": self.times})
             path.write_text(json.dumps(told), encoding="utf-8")
         else:

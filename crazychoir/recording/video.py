@@ -32,7 +32,7 @@ def write_video(path: Path, images: Iterable[Image], fps: int) -> None:
         if path.suffix.lower() == ".mp4":
             _write_mp4(place, images, fps)
         else:
-            _write_animation(place, images, fps)
+            _write_animation(place, images, fps, path.suffix.lower())
 
 
 def _av() -> Any:
@@ -46,7 +46,7 @@ def _av() -> Any:
 
 def _write_mp4(path: Path, images: Iterable[Image], fps: int) -> None:
     av = _av()
-    with av.open(str(path), "w") as container:
+    with av.open(str(path), "w", format="mp4") as container:
         stream: Any = None
         for image in images:
             if stream is None:
@@ -58,13 +58,13 @@ def _write_mp4(path: Path, images: Iterable[Image], fps: int) -> None:
             container.mux(stream.encode())
 
 
-def _write_animation(path: Path, images: Iterable[Image], fps: int) -> None:
+def _write_animation(path: Path, images: Iterable[Image], fps: int, ending: str) -> None:
     from PIL import Image as Pillow
 
     def shown() -> Iterator[Any]:
         for image in images:
             one = Pillow.fromarray(np.ascontiguousarray(image))
-            yield one.quantize(128) if path.suffix.lower() == ".gif" else one
+            yield one.quantize(128) if ending == ".gif" else one
 
     frames = shown()
-    next(frames).save(path, save_all=True, append_images=frames, duration=round(1000 / fps), loop=0)
+    next(frames).save(path, ending[1:].upper(), save_all=True, append_images=frames, duration=round(1000 / fps), loop=0)
