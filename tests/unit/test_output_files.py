@@ -78,8 +78,12 @@ def test_a_protected_file_is_refused(tmp_path, monkeypatch):
     assert path.read_text() == "mine"
 
 
+@needs_full
 def test_a_disk_without_room_is_noticed_before_anything(tmp_path, monkeypatch):
-    monkeypatch.setattr("crazychoir.output_files.tempfile.TemporaryFile", lambda **options: FULL.open("wb", buffering=0))
+    def full(**options):
+        return FULL.open("wb", buffering=0)
+
+    monkeypatch.setattr("crazychoir.output_files.tempfile.TemporaryFile", full)
     with pytest.raises(ConfigError, match="No space left"):
         require_writable_file(tmp_path / "x.png", "--picture")
     with pytest.raises(ConfigError, match="No space left"):
@@ -100,16 +104,19 @@ def test_two_options_cannot_name_one_file(tmp_path):
         require_different({"--picture": tmp_path / "x.png", "--video": tmp_path / "link.png"})
 
 
+def write_half(path, error):
+    with written_file(path, "history") as place:
+        place.write_text("half")
+        raise error
+
+
 def test_what_fails_in_between_leaves_the_old_file_and_no_other(tmp_path):
     path = tmp_path / "x.csv"
     path.write_text("old")
-    with pytest.raises(ConfigError, match="x.csv; allowed: a file that can be written. Disk quota"):
-        with written_file(path, "history") as place:
-            place.write_text("half")
-            raise OSError(122, "Disk quota exceeded")
-    with pytest.raises(ValueError, match="mine"), written_file(path, "history") as place:
-        place.write_text("half")
-        raise ValueError("mine")
+    with pytest.raises(ConfigError, match=r"x\.csv; allowed: a file that can be written\. Disk quota"):
+        write_half(path, OSError(122, "Disk quota exceeded"))
+    with pytest.raises(ValueError, match="mine"):
+        write_half(path, ValueError("mine"))
     assert path.read_text() == "old"
     assert os.listdir(tmp_path) == ["x.csv"]
 
