@@ -34,7 +34,7 @@ def require_writable_file(path: str | Path, option: str, endings: Sequence[str] 
         else:
             _probe(place)
     except (OSError, ValueError) as error:
-        raise _cannot(option, path, error, "a file in a folder that is there or can be made in one") from error
+        raise _cannot(option, path, error, "a name in a folder that is there or can be made in one") from error
 
 
 def require_writable_folder(path: str | Path, option: str) -> None:

@@ -175,6 +175,9 @@ def run(
             result["picture"] = None
             with outputs.writing("--picture"):
                 result["picture"] = _drawn(mission, config, result, picture)
+                if picture is not None and result["picture"] is None:
+                    do = "The mission's own picture() draws it: see what it said above."
+                    raise ConfigError("--picture", f"{picture}, which was not drawn", "a picture by the mission", do)
             del result["tracks"]
             result = named | result | outputs.told
     except CrazyChoirError as error:
@@ -187,23 +190,22 @@ def run(
 
 
 def _drawn(mission: "Mission", config: "SwarmConfig", result: dict[str, Any], path: Path | None) -> str | None:
-    """Draw the picture of the mission; of one that draws none, what was flown. Returns its path, None if none is asked.
-
-    Raises ConfigError where the mission's own picture is not there afterwards.
+    """Draw the picture of the mission; of one that draws none, what was flown. Returns its path, None if none is asked,
+    and where the mission's own picture has not been drawn.
     """
     if path is None:
         return None
     from crazychoir.guidance.mission import has
     from crazychoir.recording.tracks import draw_tracks
 
+    path.parent.mkdir(parents=True, exist_ok=True)
     tracks = result["tracks"]
     flown = {i: {**r, "track": tracks[i]} for i, r in result["results"].items()}
     if has(mission, "picture"):
         before = _version(path)
         mission.picture(config, flown, str(path))
-        if _version(path) in (None, before):
-            do = "The mission's own picture() draws it: see what it said above."
-            raise ConfigError("--picture", f"{path}, which was not drawn", "a picture by the mission", do)
+        if _version(path) == before:
+            return None
     else:
         draw_tracks(flown, path, leaders=[drone.id for drone in config.drones if drone.leader])
     return str(path)
