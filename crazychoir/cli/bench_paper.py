@@ -9,6 +9,7 @@ from typing import Any
 from rich.text import Text
 
 from crazychoir.cli import bench_ablation, bench_pictures, bench_routing
+from crazychoir.output_files import require_writable_folder, written_file
 
 Rows = list[dict[str, Any]]
 
@@ -17,7 +18,7 @@ def run(
     folder: Path, quick: bool = False, peers: bool = True, say: Callable[[str], None] = lambda text: None
 ) -> dict[str, Any]:
     """Measure and write all; peers: the other solvers too, in real time, which takes most of the time."""
-    folder.mkdir(parents=True, exist_ok=True)
+    require_writable_folder(folder, "--out")
     rows = bench_ablation.run(bench_ablation.cases(quick), say)
     cells = bench_ablation.summary(rows)
     files = [write_csv(folder / "ablation_runs.csv", rows), write_csv(folder / "ablation.csv", cells)]
@@ -30,7 +31,8 @@ def run(
 
 def _solvers(folder: Path, quick: bool, say: Callable[[str], None]) -> list[Path]:
     found = bench_routing.run(prove=True, quick=quick, say=say)
-    (folder / "routing.json").write_text(json.dumps(found), encoding="utf-8")
+    with written_file(folder / "routing.json", "--out") as place:
+        place.write_text(json.dumps(found), encoding="utf-8")
     runs = [{key: value for key, value in row.items() if key != "curve"} for row in found["rows"]]
     files = [folder / "routing.json", write_csv(folder / "routing_runs.csv", runs)]
     files.append(write_csv(folder / "routing.csv", [flat(row) for row in found["summary"]]))
@@ -40,7 +42,7 @@ def _solvers(folder: Path, quick: bool, say: Callable[[str], None]) -> list[Path
 def write_csv(path: Path, rows: Rows) -> Path:
     """A table with a head; all rows have the keys of any."""
     names = list(dict.fromkeys(name for row in rows for name in row))
-    with path.open("w", newline="", encoding="utf-8") as file:
+    with written_file(path, "--out") as place, place.open("w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, names)
         writer.writeheader()
         writer.writerows(rows)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from crazychoir.cli.bench_ablation import GRAPHS
 from crazychoir.cli.bench_statistics import relative
 from crazychoir.optimization.picture import COLOURS, DASHES
+from crazychoir.output_files import save_figure
 from crazychoir.recording.plots import STYLE, WIDTH
 from crazychoir.routing.pickup_delivery import METHODS
 
@@ -33,7 +34,7 @@ def draw(name: str, height: float, folder: Path, picture: Callable[["Figure"], N
         FigureCanvasAgg(figure)
         picture(figure)
         file = folder / f"{name}.png"
-        figure.savefig(file)
+        save_figure(figure, file)
     return file
 
 

@@ -36,6 +36,7 @@ from crazychoir.cli import (
 )
 from crazychoir.cli.show import (
     STDOUT,
+    Outputs,
     Progress,
     fail,
     interrupted,
@@ -47,7 +48,7 @@ from crazychoir.cli.show import (
     write_json,
 )
 from crazychoir.compiling import LATER
-from crazychoir.errors import CrazyChoirError, without_exit
+from crazychoir.errors import ConfigError, CrazyChoirError, without_exit
 
 if TYPE_CHECKING:
     from crazychoir.guidance.mission import Mission
@@ -142,6 +143,7 @@ def run(
         from crazychoir.launch.running import Run, recorded
         from crazychoir.radio.ownership import require_free
 
+    outputs = Outputs()
     given = {"--fast": fast, "--processes": processes, "--picture": picture, "--drones": drones}
     try:
         check_options(what, swarm, only, given)
@@ -170,19 +172,27 @@ def run(
                             progress.say(f"Look into it (or echo, hz, land, stop): crazychoir status --swarm {path}")
                             flags = ["--force"] if force else []
                             result = fly_real(path, config, mission, flags, progress, progress.say, started, file)
-            result["picture"] = _drawn(mission, config, result, picture)
+            result["picture"] = None
+            with outputs.writing("--picture"):
+                result["picture"] = _drawn(mission, config, result, picture)
+                if picture is not None and result["picture"] is None:
+                    do = "The mission's own picture() draws it: see what it said above."
+                    raise ConfigError("--picture", f"{picture}, which was not drawn", "a picture by the mission", do)
             del result["tracks"]
-            result = named | result
+            result = named | result | outputs.told
     except CrazyChoirError as error:
         fail(error, as_json)
     except KeyboardInterrupt:
         interrupted(as_json)
     _show(result, as_json)
-    raise typer.Exit(0 if result["success"] else 1)
+    outputs.say()
+    raise typer.Exit(0 if result["success"] and not outputs.failed else 1)
 
 
 def _drawn(mission: "Mission", config: "SwarmConfig", result: dict[str, Any], path: Path | None) -> str | None:
-    """The picture of the mission; of one that draws none, what was flown. Returns its path, None without a picture."""
+    """Draw the picture of the mission; of one that draws none, what was flown. Returns its path, None if none is asked,
+    and where the mission's own picture has not been drawn.
+    """
     if path is None:
         return None
     from crazychoir.guidance.mission import has
@@ -192,10 +202,21 @@ def _drawn(mission: "Mission", config: "SwarmConfig", result: dict[str, Any], pa
     tracks = result["tracks"]
     flown = {i: {**r, "track": tracks[i]} for i, r in result["results"].items()}
     if has(mission, "picture"):
+        before = _version(path)
         mission.picture(config, flown, str(path))
+        if _version(path) == before:
+            return None
     else:
         draw_tracks(flown, path, leaders=[drone.id for drone in config.drones if drone.leader])
-    return str(path) if path.exists() else None
+    return str(path)
+
+
+def _version(path: Path) -> tuple[int, ...] | None:
+    """What changes when a file is written; None without one."""
+    if not path.exists():
+        return None
+    about = path.stat()
+    return about.st_ino, about.st_size, about.st_mtime_ns
 
 
 def _show(result: dict[str, Any], as_json: bool) -> None:

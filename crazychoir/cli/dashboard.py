@@ -10,6 +10,7 @@ from crazychoir.cli import options
 from crazychoir.cli.look import SwarmOption, looking
 from crazychoir.cli.show import STDERR, fail
 from crazychoir.errors import ConfigError
+from crazychoir.text_files import read_text
 
 if TYPE_CHECKING:
     from crazychoir.cli.window import Window
@@ -57,7 +58,4 @@ def _password(file: Path | None) -> str | None:
     """From the file, else from the environment; None without."""
     if file is None:
         return os.environ.get(PASSWORD)
-    try:
-        return file.read_text(encoding="utf-8").strip()
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError("--password-file", str(file), "a text file that can be read", problem=str(error)) from error
+    return read_text(file, "for --password-file, a text file that can be read").strip()

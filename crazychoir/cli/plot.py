@@ -7,11 +7,13 @@ import typer
 from rich import box
 from rich.table import Table
 
-from crazychoir.cli.show import STDOUT, fail, set_up_logging, warn_of, write_json
+from crazychoir.cli.show import STDOUT, Outputs, fail, set_up_logging, warn_of, write_json
 from crazychoir.errors import ConfigError, CrazyChoirError
+from crazychoir.output_files import require_writable_folder, written_file
 
 if TYPE_CHECKING:
     from crazychoir.recording.figures import Flight
+    from crazychoir.recording.plots import Pictures, Reasons
     from crazychoir.recording.reading import Recording
     from crazychoir.recording.talk import Talk
     from crazychoir.recording.work import Work
@@ -41,18 +43,27 @@ def plot(
     from crazychoir.recording.talk import talk_of
     from crazychoir.recording.work import work_of
 
+    outputs = Outputs()
+    folder = out or file.with_suffix("")
+    files: list[Path] = []
     try:
         recording = read(file, (*TOPICS, STATUS.name, RESULT.name))
-        flight, (began, ended) = flight_of(recording), recording.seconds
-        folder = out or file.with_suffix("")
-        files, missing = _write(file, flight, work_of(file, began), talk_of(file, began), folder)
+        flight = flight_of(recording)
+        began, ended = recording.seconds
+        work = work_of(file, began)
+        talk = talk_of(file, began)
+        pictures, missing = _pictures(file, flight, work, talk)
+        require_writable_folder(folder, "--out")
+        with outputs.writing("--out"):
+            _write(flight, work, talk, pictures, folder, files)
     except CrazyChoirError as error:
         fail(error, as_json)
     figures = {"seconds": ended - began, **flight.figures()}
     warn_of(recording, f"only its first {figures['seconds']:.1f} s are there")
     if as_json:
         told = {"file": file, **recording.lacks, "about": recording.about}
-        write_json({"success": True, **told, "files": files, "not_drawn": missing, **figures})
+        success = not outputs.failed
+        write_json({"success": success, **told, "files": files, "not_drawn": missing, **outputs.told, **figures})
     else:
         _show(recording, figures)
         if missing:
@@ -61,13 +72,14 @@ def plot(
         names = ", ".join(path.stem for path in files if path.suffix == ".png")
         text = f"In {folder}/: {names} (.png and .pdf), and what they show as tables (.csv)"
         STDOUT.print(text, markup=False, highlight=False, soft_wrap=True)
+    outputs.say()
+    if outputs.failed:
+        raise typer.Exit(1)
 
 
-def _write(
-    file: Path, flight: "Flight", work: "Work", talk: "Talk", folder: Path
-) -> tuple[list[Path], dict[str, str]]:
-    """Pictures and tables, and why others are not there; raises ConfigError where none can be, or be written."""
-    from crazychoir.recording.plots import draw, of_flight
+def _pictures(file: Path, flight: "Flight", work: "Work", talk: "Talk") -> "tuple[Pictures, Reasons]":
+    """What can be drawn, and why the rest cannot; raises ConfigError where nothing can."""
+    from crazychoir.recording.plots import of_flight
     from crazychoir.recording.reading import FLIGHT
     from crazychoir.recording.records import DO
     from crazychoir.recording.team_plots import of_team
@@ -76,20 +88,25 @@ def _write(
     pictures, missing = pictures | more, missing | without
     if not pictures:
         raise ConfigError(str(file), "; ".join(dict.fromkeys(missing.values())), FLIGHT, DO)
-    tables = [folder / f"drone{track.drone}.csv" for track in flight.tracks]
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        for table, track in zip(tables, flight.tracks, strict=True):
-            track.write(table)
-        for name, write in (
-            ("tasks", work.write), ("messages", talk.write), ("rounds", talk.write_rounds),
-            ("convergence", talk.write_history),
-        ):  # fmt: skip
-            tables.append(folder / f"{name}.csv")
-            write(tables[-1])
-        return [*draw(pictures, folder), *tables], missing
-    except OSError as error:
-        raise ConfigError("--out", str(folder), "a folder that can be written", problem=str(error.strerror)) from error
+    return pictures, missing
+
+
+def _write(
+    flight: "Flight", work: "Work", talk: "Talk", pictures: "Pictures", folder: Path, files: list[Path]
+) -> None:  # fmt: skip
+    """Draw and write into the folder; `files` grows with each that is there."""
+    from crazychoir.recording.plots import draw
+
+    tables = {f"drone{track.drone}": track.write for track in flight.tracks}
+    tables |= {"tasks": work.write, "messages": talk.write, "rounds": talk.write_rounds,
+               "convergence": talk.write_history}  # fmt: skip
+    for name, picture in pictures.items():
+        files += draw({name: picture}, folder)
+    for name, write in tables.items():
+        path = folder / f"{name}.csv"
+        with written_file(path, "--out") as place:
+            write(place)
+        files.append(path)
 
 
 def _show(recording: "Recording", figures: dict[str, Any]) -> None:

@@ -19,6 +19,7 @@ from crazychoir.cli.radio_tables import progress_table, row_of, survey_table
 from crazychoir.cli.show import (
     STDERR,
     STDOUT,
+    Outputs,
     Progress,
     fail,
     interrupted,
@@ -82,6 +83,7 @@ def survey(
     theirs until you change it there too, as with Bitcraze's client.
     """
     set_up_logging()
+    outputs = Outputs()
     try:
         require_drawable(picture)
         if write and swarm is None:
@@ -96,22 +98,25 @@ def survey(
             if picture is not None:
                 from crazychoir.radio.survey_picture import draw_survey
 
-                draw_survey(found.measured(), result["chosen"], picture, expected)
-                result["picture"] = picture
+                with outputs.writing("--picture"):
+                    draw_survey(found.measured(), result["chosen"], picture, expected)
+                    result["picture"] = picture
             if write and swarm is not None and result["success"]:
                 from crazychoir.radio.addresses import write_channels
 
-                write_channels(swarm, result["dongles"])
-                result["written"] = swarm
+                with outputs.writing("--write"):
+                    write_channels(swarm, result["dongles"])
+                    result["written"] = swarm
     except CrazyChoirError as error:
         fail(error, as_json)
     except KeyboardInterrupt:
         interrupted(as_json)
     if as_json:
-        write_json(result)
+        write_json(result | outputs.told)
     else:
         STDOUT.print(survey_table(found.measured(), result))
-    raise typer.Exit(0 if result["success"] else 1)
+    outputs.say()
+    raise typer.Exit(0 if result["success"] and not outputs.failed else 1)
 
 
 def _wanted(

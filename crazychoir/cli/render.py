@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from crazychoir.cli import options
-from crazychoir.cli.show import STDERR, STDOUT, fail, set_up_logging, warn_of, write_json
+from crazychoir.cli.show import STDERR, STDOUT, Outputs, fail, set_up_logging, warn_of, write_json
 from crazychoir.errors import ConfigError, CrazyChoirError
+from crazychoir.output_files import require_writable_file, written_file
 
 if TYPE_CHECKING:
     from crazychoir.recording.video import Image
@@ -42,11 +43,14 @@ def render(
     from crazychoir.recording.video import check_video, write_video
     from crazychoir.swarm.config import SwarmConfig
 
+    outputs = Outputs()
+    files: list[Path] = []
     try:
         width, height = _size(size)
         _check(picture, video)
         if video is not None:
             check_video(video, width, height)
+            require_writable_file(video, "--video", parents=True)
         recording = read(file, (TRUTH.name, STATE.name))
         warn_of(recording, "what lies before is drawn")
         flight, config = flight_of(recording), SwarmConfig.loads(recording.swarm, str(file))
@@ -58,22 +62,26 @@ def render(
         times = np.arange(flight.times[0], flight.times[-1], speed / fps)
         with shown.film(width, height, camera) as film:
             if picture is not None:
-                _save(picture, shown.picture(film, _moment(at, times)))
+                moment = _moment(at, times)
+                with outputs.writing("--picture"):
+                    _save(picture, shown.picture(film, moment))
+                    files.append(picture)
             if video is not None:
                 STDERR.print(f"{len(times)} pictures", highlight=False)
-                video.parent.mkdir(parents=True, exist_ok=True)
-                write_video(video, shown.pictures(film, times), fps)
+                with outputs.writing("--video"):
+                    write_video(video, shown.pictures(film, times), fps)
+                    files.append(video)
     except CrazyChoirError as error:
         fail(error, as_json)
-    except OSError as error:
-        written = ConfigError("crazychoir render", f"{error.filename}: {error.strerror}", "files that can be written")
-        fail(written, as_json)
-    files = [path for path in (picture, video) if path is not None]
+    success = not outputs.failed
     if as_json:
-        told = {"file": file, **recording.lacks, "files": files}
-        write_json({"success": True, **told, "seconds": float(times[-1] - times[0])})
-    else:
+        told = {"file": file, **recording.lacks, "files": files, **outputs.told}
+        write_json({"success": success, **told, "seconds": float(times[-1] - times[0])})
+    elif files:
         STDOUT.print(f"In {', '.join(map(str, files))}", markup=False, highlight=False, soft_wrap=True)
+    outputs.say()
+    if not success:
+        raise typer.Exit(1)
 
 
 def _size(text: str) -> tuple[int, int]:
@@ -87,8 +95,8 @@ def _size(text: str) -> tuple[int, int]:
 def _check(picture: Path | None, video: Path | None) -> None:
     if picture is None and video is None:
         raise ConfigError("crazychoir render", "nothing to draw", "--picture FILE.png, --video FILE.mp4, or both")
-    if picture is not None and picture.suffix.lower() != ".png":
-        raise ConfigError("--picture", picture.name, "a file that ends in .png")
+    if picture is not None:
+        require_writable_file(picture, "--picture", (".png",), parents=True)
 
 
 def _moment(at: float | None, times: Any) -> float:
@@ -105,5 +113,5 @@ def _save(path: Path, image: "Image") -> None:
     import numpy as np
     from PIL import Image as Pillow
 
-    path.parent.mkdir(parents=True, exist_ok=True)
-    Pillow.fromarray(np.ascontiguousarray(image)).save(path, optimize=True)
+    with written_file(path, "--picture") as place:
+        Pillow.fromarray(np.ascontiguousarray(image)).save(place, "PNG", optimize=True)

@@ -10,7 +10,17 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
-from crazychoir.cli.show import STDOUT, Progress, fail, prints_aside, set_up_logging, status_table, warn_of, write_json
+from crazychoir.cli.show import (
+    STDERR,
+    STDOUT,
+    Progress,
+    fail,
+    prints_aside,
+    set_up_logging,
+    status_table,
+    warn_of,
+    write_json,
+)
 from crazychoir.errors import ConfigError, CrazyChoirError
 
 if TYPE_CHECKING:
@@ -48,7 +58,8 @@ def rerun(
                     progress.say(f"{what}: {text}")
                 with recording_file(path, config, mission, virtual=True) as repeated:
                     result = fly_fast(config, mission, progress, repeated)
-            difference = first_difference(file, path)
+            broken = "" if repeated is None else repeated.error
+            difference = None if broken else first_difference(file, path)
     except CrazyChoirError as error:
         fail(error, as_json)
     digest = recording.outcome.get("digest")
@@ -56,16 +67,19 @@ def rerun(
     where = UNSEEN if difference is None else str(difference)
     whole = recording.lacks["complete"]
     told = {
-        "success": same and whole, "same": same, "mission": config.mission, "seed": config.seed,
+        "success": same and whole and not broken, "same": same, "mission": config.mission, "seed": config.seed,
         **recording.lacks,
         "recorded_digest": digest, "digest": result["digest"], "first_difference": None if same else where,
         "others": others, "simulated_s": result["simulated_s"], "wall_s": result["wall_s"],
         "recording": record,
-    }  # fmt: skip
+    } | ({"not_written": {"--record": broken}} if broken else {})  # fmt: skip
     if as_json:
         write_json(told)
     else:
         _show(told)
+    if broken:
+        text = f"Not written as a whole: --record: {broken}; only the digests are compared"
+        STDERR.print(text, style="red", markup=False, highlight=False, soft_wrap=True)
     raise typer.Exit(0 if told["success"] else 1)
 
 

@@ -10,8 +10,9 @@ from rich.table import Table
 from crazychoir.cli import options
 from crazychoir.cli.look import JsonOption
 from crazychoir.cli.mocap import SourceOption, with_source
-from crazychoir.cli.show import STDERR, STDOUT, fail, require_reached, set_up_logging, write_json
+from crazychoir.cli.show import STDERR, STDOUT, Outputs, fail, require_reached, set_up_logging, write_json
 from crazychoir.errors import ConfigError, CrazyChoirError, Refused
+from crazychoir.output_files import require_writable_file
 
 if TYPE_CHECKING:
     from crazychoir.mocap.calibration import Rest, Turn
@@ -39,24 +40,28 @@ def names(
     set_up_logging()
     from crazychoir.mocap.naming import bodies, matched  # numerics: --help does not need them
 
+    outputs = Outputs()
     try:
-        config, path, frames = _gathered(swarm, source, seconds)
+        file = _file(swarm, write)
+        config, frames = _gathered(swarm, source, seconds)
         seen = bodies(frames, seconds)
         matches = matched(seen, {i: config.drone(i).home for i in config.seen})
         sure = [match for match in matches if match.sure]
         changes: Changes = {m.drone: {"body": m.name} for m in sure if m.name != config.body_name(m.drone)}
-        _write(path, changes if write else {})
+        _write(file, changes if write else {}, outputs)
     except CrazyChoirError as error:
         fail(error, as_json)
+    written = write and not outputs.failed
     if as_json:
         rows = [{"name": s.name, "p": s.p, "spread_m": s.spread, "rate_hz": s.rate} for s in seen]
         proposed = {m.drone: {"body": m.name, "distance_m": m.distance, "sure": m.sure} for m in matches}
-        write_json({"bodies": rows, "proposed": proposed, "written": write})
+        write_json({"bodies": rows, "proposed": proposed, "written": written, **outputs.told})
     else:
         STDOUT.print(_table(seen, matches))
-        _print_lines(changes, write)
+        _print_lines(changes, written)
         _say_left(config, matches)
-    raise typer.Exit(0 if len(sure) == len(config.seen) else 1)
+    outputs.say()
+    raise typer.Exit(0 if len(sure) == len(config.seen) and not outputs.failed else 1)
 
 
 @app.command()
@@ -80,24 +85,30 @@ def calibrate(
 ) -> None:
     """Find how a body sits on its drone: at rest at home, level, its rotation and height; by a --turn, its offset."""
     set_up_logging()
+    outputs = Outputs()
     try:
-        config, path, frames = _gathered(swarm, source, seconds or (20.0 if turn else 3.0), drone)
+        file = _file(swarm, write)
+        config, frames = _gathered(swarm, source, seconds or (20.0 if turn else 3.0), drone)
         found = _from_turn(config, drone, frames) if turn else _from_rest(config, drone, frames, heading)
         keys = _keys(config, drone, found)
-        _write(path, {drone: keys} if write else {})
+        _write(file, {drone: keys} if write else {}, outputs)
     except CrazyChoirError as error:
         fail(error, as_json)
+    written = write and not outputs.failed
     if as_json:
-        write_json({"drone": drone, **keys, "found": found, "written": write})
+        write_json({"drone": drone, **keys, "found": found, "written": written, **outputs.told})
     else:
         STDERR.print(f"drone {drone}: {_in_words(found)}", highlight=False, soft_wrap=True)
-        _print_lines({drone: keys}, write)
+        _print_lines({drone: keys}, written)
+    outputs.say()
+    if outputs.failed:
+        raise typer.Exit(1)
 
 
 def _gathered(
     swarm: str | None, source: str | None, seconds: float, drone: int | None = None
-) -> "tuple[SwarmConfig, Path | None, list[Frame]]":
-    """The swarm, its file, and what its cameras see for so long."""
+) -> "tuple[SwarmConfig, list[Frame]]":
+    """The swarm, and what its cameras see for so long."""
     from crazychoir.mocap.gathering import gather
     from crazychoir.mocap.process import source_of, view_of
     from crazychoir.runtime.clock import Clock, run_wall
@@ -115,8 +126,17 @@ def _gathered(
     async def main(clock: Clock) -> "list[Frame]":
         return await gather(clock, source_of(clock, config), view_of(config), seconds)
 
+    return config, run_wall(main)
+
+
+def _file(swarm: str | None, write: bool) -> Path:
+    """The swarm file; ConfigError, before anything is measured, if it is to be written and cannot be."""
     file = Path(swarm or "swarm.toml")
-    return config, file if file.is_file() else None, run_wall(main)
+    if write:
+        if not file.is_file():
+            raise ConfigError("--write", "no swarm file", "a swarm file in TOML", "Name it with --swarm.")
+        require_writable_file(file, "--write")
+    return file
 
 
 def _poses(config: "SwarmConfig", drone: int, frames: "list[Frame]") -> tuple[Any, Any]:
@@ -174,14 +194,12 @@ def _rounded(values: tuple[float, float, float]) -> list[float]:
     return [round(value, DIGITS) + 0.0 for value in values]
 
 
-def _write(path: Path | None, changes: Mapping[int, Mapping[str, object]]) -> None:
+def _write(file: Path, changes: Mapping[int, Mapping[str, object]], outputs: Outputs) -> None:
     from crazychoir.swarm.editing import write_keys
 
-    if not changes:
-        return
-    if path is None:
-        raise ConfigError("--write", "no swarm file", "a swarm file in TOML", "Name it with --swarm.")
-    write_keys(path, changes)
+    if changes:
+        with outputs.writing("--write"):
+            write_keys(file, changes)
 
 
 def _print_lines(changes: Changes, written: bool) -> None:

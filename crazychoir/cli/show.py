@@ -20,6 +20,7 @@ from rich.text import Text
 from crazychoir.bus import handshakes
 from crazychoir.bus.plain import plain
 from crazychoir.errors import ConfigError, CrazyChoirError, Refused
+from crazychoir.output_files import require_writable_file
 
 if TYPE_CHECKING:
     from crazychoir.launch.score import Score
@@ -27,10 +28,28 @@ if TYPE_CHECKING:
     from crazychoir.swarm.config import SwarmConfig
     from crazychoir.types import Status
 
+log = logging.getLogger(__name__)
 T = TypeVar("T")
 STDERR = Console(stderr=True, markup=False, emoji=False)
 """For what goes on, and what goes wrong. A text is printed as it is: names may look like the markup of rich."""
-STDOUT = Console(markup=False, emoji=False)
+
+
+class Answers(Console):
+    """Standard output, for what a command answers. Where that cannot be written, it goes to standard error."""
+
+    def print(self, *objects: Any, **options: Any) -> None:
+        """As rich prints."""
+        try:
+            super().print(*objects, **options)
+        except BrokenPipeError:
+            raise
+        except OSError as error:
+            _give_up_on_output(error)
+            STDERR.print(*objects, **options)
+            raise typer.Exit(1) from error
+
+
+STDOUT = Answers(markup=False, emoji=False)
 """For what a command answers."""
 REFRESH = 4
 """Tables a second."""
@@ -93,17 +112,32 @@ def _aside() -> Iterator[None]:
 
 def write_json(value: Any) -> None:
     """One line of JSON on standard output, at once."""
-    sys.stdout.write(json.dumps(plain(value), default=str) + "\n")
-    sys.stdout.flush()
+    line = json.dumps(plain(value), default=str) + "\n"
+    try:
+        sys.stdout.write(line)
+        sys.stdout.flush()
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        _give_up_on_output(error)
+        sys.stderr.write(line)
+        raise typer.Exit(1) from error
+
+
+def _give_up_on_output(error: OSError) -> None:
+    """Say that standard output takes nothing, as on a full disk, and forget what it still holds."""
+    text = f"standard output: {error.strerror}: the answer is printed here. Name another file, or make room."
+    STDERR.print(text, style="red", markup=False, highlight=False, soft_wrap=True)
+    with contextlib.suppress(OSError, ValueError):
+        nothing = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nothing, sys.stdout.fileno())
+        os.close(nothing)
 
 
 def require_drawable(path: Path | None) -> None:
     """Raise ConfigError, before anything is computed, for a picture of a kind that there is not, or in no folder."""
-    if path is None:
-        return
-    if path.suffix not in PICTURES:
-        raise ConfigError("--picture", str(path), f"a name that ends in {', '.join(PICTURES)}")
-    require_folder(path, "--picture")
+    if path is not None:
+        require_writable_file(path, "--picture", PICTURES)
 
 
 def require_reached(config: "SwarmConfig", which: str, drone: int) -> None:
@@ -113,15 +147,35 @@ def require_reached(config: "SwarmConfig", which: str, drone: int) -> None:
         raise ConfigError("DRONE", drone, f"drones that a radio reaches: {list(config.reached)}", do)
 
 
-def require_folder(path: Path | None, option: str) -> None:
-    """Make the folder of what is to be written, in one that is there: a mistyped path raises ConfigError."""
-    if path is None:
-        return
-    try:
-        path.parent.mkdir(exist_ok=True)
-    except OSError as error:
-        do = f"{path.parent.absolute()}: {error.strerror}."
-        raise ConfigError(option, str(path), "a name in a folder that is there or can be made in one", do) from None
+class Outputs:
+    """Writes what a command was asked to write beside its answer: what fails is said, and the answer is printed still.
+
+    failed: by option, why it is not there.
+    """
+
+    def __init__(self) -> None:
+        self.failed: dict[str, str] = {}
+
+    @contextlib.contextmanager
+    def writing(self, option: str) -> Iterator[None]:
+        """Note whatever is raised in the block: a full disk, values that cannot be drawn, a mission's own code."""
+        try:
+            yield
+        except Exception as error:
+            text = str(error) if isinstance(error, CrazyChoirError) else f"{type(error).__name__}: {error}"
+            self.failed[option] = text
+            log.debug("%s", option, exc_info=error)
+
+    def say(self) -> None:
+        """One line on standard error for each that is not there."""
+        for option, why in self.failed.items():
+            text = why if why.startswith(option) else f"{option}: {why}"
+            STDERR.print(f"Not written: {text}", style="red", markup=False, highlight=False, soft_wrap=True)
+
+    @property
+    def told(self) -> dict[str, Any]:
+        """What a JSON answer says of it: `not_written`, if something is not."""
+        return {"not_written": self.failed} if self.failed else {}
 
 
 def fail(error: CrazyChoirError, as_json: bool) -> NoReturn:

@@ -14,16 +14,17 @@ from crazychoir.cli import options
 from crazychoir.cli.show import (
     STDERR,
     STDOUT,
+    Outputs,
     Progress,
     fail,
     prints_aside,
     require_drawable,
-    require_folder,
     set_up_logging,
     write_json,
 )
 from crazychoir.compiling import LATER
 from crazychoir.errors import ConfigError, CrazyChoirError, without_exit
+from crazychoir.output_files import require_writable_file
 
 if TYPE_CHECKING:
     from crazychoir.optimization.history import History
@@ -74,12 +75,13 @@ def simulate(
         from crazychoir import simulate as simulation  # numerics: 1 s that --help does not need
         from crazychoir.optimization.history import require_suffix
 
+    outputs = Outputs()
     asked = None if record is None else [name.strip() for name in record.split(",") if name.strip()]
     try:
         require_drawable(picture)
         if save is not None:
             require_suffix(save, "--save")
-        require_folder(save, "--save")
+            require_writable_file(save, "--save")
         with prints_aside(), without_exit("the algorithm"):
             with LATER.checks_first():
                 links, team = _team(file, agents, graph, seed, directed)
@@ -97,20 +99,25 @@ def simulate(
             except simulation.Interrupted as end:
                 history, ended = end.history, True
             if save is not None:
-                history.save(save)
+                with outputs.writing("--save"):
+                    history.save(save)
             if picture is not None:
-                awake = any(getattr(agent, "asynchronous", False) for agent in team.values())
-                _draw(history, names, awake, picture, f"{file.stem}: {agents} agents, {graph}, {loss:.0%} lost")
+                with outputs.writing("--picture"):
+                    awake = any(getattr(agent, "asynchronous", False) for agent in team.values())
+                    _draw(history, names, awake, picture, f"{file.stem}: {agents} agents, {graph}, {loss:.0%} lost")
     except CrazyChoirError as error:
         fail(error, as_json)
     said = {"success": False, "error": INTERRUPTED, "kind": "KeyboardInterrupt"} if ended else {}
     if as_json:
-        write_json(history.to_json() | said)
+        write_json(history.to_json() | outputs.told | said)
     else:
         STDOUT.print(_tables(history, file.stem))
+    outputs.say()
     if ended:
         STDERR.print(INTERRUPTED)
         raise typer.Exit(130)
+    if outputs.failed:
+        raise typer.Exit(1)
 
 
 class _Watch:
@@ -160,7 +167,6 @@ def _team(file: Path, agents: int, graph: str, seed: int, directed: bool) -> "tu
 def _draw(history: "History", names: tuple[str, ...], awake: bool, path: Path, title: str) -> None:
     from crazychoir.optimization.picture import draw_convergence
 
-    path.parent.mkdir(parents=True, exist_ok=True)
     series = {i: values[names[0]] for i, values in history.values.items()}
     common = history.common or names[0] != "x"
     draw_convergence(series, path, names[0], title, history.times if awake else None, common)

@@ -11,6 +11,7 @@ from rich.text import Text
 from crazychoir.cli import options
 from crazychoir.cli.show import (
     STDOUT,
+    Outputs,
     Progress,
     fail,
     interrupted,
@@ -56,9 +57,11 @@ def solve(
     If you like: route_length_limit (m), capability (N rows of M booleans), initial_load (N numbers), end (N points),
     open_tours (boolean), distance (N + 2M rows of m: homes, pickups, deliveries), recharge (trips), speed (m/s),
     service_time (s), time_windows and release (s), penalty (of refusing a task), priority, fixed_cost, objective
-    (total, makespan, or both in order); the README says how each is written. Files of Li and Lim are read too.
+    (total, makespan, or both in order, or vehicles and total); the README says how each is written. Files of Li and
+    Lim are read too: vehicles first, then the total.
 
-    lower_bound: m; no plan costs less. bound_exact: that is proven. A plan that costs its lower_bound is optimal.
+    lower_bound: m; no plan costs less, of plans with as few vehicles where these come first. bound_exact: that is
+    proven. A plan that costs its lower_bound is optimal.
     bound_relaxation: the kind of routes that a bound which is not exact was priced by.
     """
     set_up_logging()
@@ -67,6 +70,7 @@ def solve(
     from crazychoir.routing.member import Settings
     from crazychoir.solving import solve_here
 
+    outputs = Outputs()
     try:
         require_drawable(picture)
         if loss >= 1.0:
@@ -82,23 +86,24 @@ def solve(
             with Progress(_progress_table, enabled=not as_json) as progress:
                 result = solve_in_processes(problem, processes, watch=None if as_json else progress, **how)
         if picture is not None:
-            _draw(problem, result, picture)
+            with outputs.writing("--picture"):
+                _draw(problem, result, picture)
     except CrazyChoirError as error:
         fail(error, as_json)
     except KeyboardInterrupt:
         interrupted(as_json)
     if as_json:
-        write_json(result)
+        write_json(result | outputs.told)
     else:
         STDOUT.print(_tables(result))
-    raise typer.Exit(0 if result["feasible"] else 1)
+    outputs.say()
+    raise typer.Exit(0 if result["feasible"] and not outputs.failed else 1)
 
 
 def _draw(problem: "Instance", result: dict[str, Any], path: Path) -> None:
     from crazychoir.routing.picture import draw_routes
     from crazychoir.routing.plan import Plan, Route
 
-    path.parent.mkdir(parents=True, exist_ok=True)
     draw_routes(problem, Plan(tuple(Route.from_json(route) for route in result["routes"])), path)
 
 
@@ -133,7 +138,10 @@ def _tables(result: dict[str, Any]) -> Group:
 def _figures(result: dict[str, Any]) -> dict[str, str]:
     """The rows of the first table; what says nothing of this instance is left out."""
     rows = {"cost": f"{result['cost']:.6g}{_unit(result)}"}
-    if result["penalties"] or result["objective"] != ["total"]:
+    if result["objective"][0] == "vehicles":
+        bound = result["vehicles_bound"]
+        rows = {"vehicles": str(result["vehicles"]), "vehicles_bound": "none" if bound is None else str(bound)} | rows
+    if result["penalties"] or result["objective"] not in (["total"], ["vehicles", "total"]):
         rows["total_m"] = f"{result['total_m']:.6g} m"
     if result["timed"]:
         rows["makespan_s"] = f"{result['makespan_s']:.6g} s"
@@ -155,7 +163,7 @@ def _unit(result: dict[str, Any]) -> str:
     """Of the cost, where it has one: penalties are of none."""
     if result["penalties"]:
         return ""
-    return " m" if result["objective"][0] == "total" else " s"
+    return " s" if result["objective"][0] == "makespan" else " m"
 
 
 def _trip_table(result: dict[str, Any]) -> Table:

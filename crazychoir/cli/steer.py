@@ -10,6 +10,7 @@ from crazychoir.cli.look import JsonOption, SwarmOption, looking
 from crazychoir.cli.orders import conclude, numbers
 from crazychoir.cli.show import STDERR, fail
 from crazychoir.errors import ConfigError
+from crazychoir.text_files import read_text
 
 if TYPE_CHECKING:
     from crazychoir.cli.window import Answers, Window
@@ -80,10 +81,7 @@ def fly(
 
 
 def _text(file: Path) -> str:
-    try:
-        return file.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError("FILE", str(file), "a CSV or SVG file that can be read", problem=str(error)) from error
+    return read_text(file, "a CSV or SVG file that can be read")
 
 
 def _metres(option: str, text: str) -> tuple[float, float, float]:

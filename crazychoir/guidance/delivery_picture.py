@@ -9,6 +9,7 @@ import numpy as np
 
 from crazychoir.guidance.task_book import Place
 from crazychoir.optimization.picture import COLOURS, DASHES, INK
+from crazychoir.output_files import save_figure
 from crazychoir.types import Mat
 
 if TYPE_CHECKING:
@@ -44,7 +45,7 @@ def draw_flown(
     axes.spines[["top", "right"]].set_visible(False)
     axes.set_title(title, color=INK, fontsize=10)
     figure.legend(loc="outside right upper", frameon=False, fontsize=8, handlelength=3.2)
-    figure.savefig(path, bbox_inches="tight")
+    save_figure(figure, path, bbox_inches="tight")
 
 
 def _draw_way(axes: "Axes", i: int, way: Mat) -> None:

@@ -1,6 +1,7 @@
 """Frames in a CSV file, `t,name,x,y,z,qx,qy,qz,qw`: written while they are published, and handed out again."""
 
 import csv
+import io
 import itertools
 import logging
 import math
@@ -15,6 +16,7 @@ from crazychoir.mocap.frames import Frame, frame_of
 from crazychoir.mocap.source import Complaints, Say, Take
 from crazychoir.mocap.view import LARGEST_TIME
 from crazychoir.runtime.clock import SECOND, Clock
+from crazychoir.text_files import read_text
 
 log = logging.getLogger(__name__)
 HEAD = ("t", "name", "x", "y", "z", "qx", "qy", "qz", "qw")
@@ -74,11 +76,12 @@ class Recorder:
 
 def read_recording(path: str | Path) -> list[Frame]:
     """The frames of a file, by increasing time; ConfigError names file, line and what was found."""
+    allowed = f"a CSV file with the columns {','.join(HEAD)}"
+    text = read_text(path, allowed)
     try:
-        with open(path, encoding="utf-8-sig", newline="") as file:
-            rows = list(csv.reader(file))
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise ConfigError(str(path), str(error), f"a CSV file with the columns {','.join(HEAD)}") from error
+        rows = list(csv.reader(io.StringIO(text)))
+    except csv.Error as error:
+        raise ConfigError(str(path), str(error), allowed) from error
     if not rows or tuple(cell.strip() for cell in rows[0]) != HEAD:
         found = ",".join(rows[0]) if rows else "an empty file"
         raise ConfigError(f"{path}, line 1", found, ",".join(HEAD))

@@ -11,6 +11,7 @@ import numpy as np
 
 from crazychoir.bus.plain import plain
 from crazychoir.errors import ConfigError
+from crazychoir.output_files import require_writable_file, written_file
 
 SUFFIXES = (".csv", ".json", ".npz")
 
@@ -106,13 +107,17 @@ class History:
         """
         path = Path(path)
         require_suffix(path)
-        path.parent.mkdir(exist_ok=True)
-        if path.suffix == ".csv":
-            with path.open("w", newline="", encoding="utf-8") as file:
+        require_writable_file(path, "history")
+        with written_file(path, "history") as place:
+            self._write(place, path.suffix.lower())
+
+    def _write(self, path: Path, kind: str) -> None:
+        if kind == ".csv":
+            with path.open("w", encoding="utf-8", newline="") as file:
                 csv.writer(file, lineterminator="\n").writerows(self._rows())
-        elif path.suffix == ".json":
-            told = self.to_json() | {"values": self.values, "times": self.times}
-            path.write_text(json.dumps(plain(told)), encoding="utf-8")
+        elif kind == ".json":
+            told = plain(self.to_json() | {"values": self.values, "times": self.times})
+            path.write_text(json.dumps(told), encoding="utf-8")
         else:
             series = {f"{name}_{i}": x for i, values in self.values.items() for name, x in values.items()}
             changing = next((name for name, x in series.items() if isinstance(x, list)), None)
@@ -120,7 +125,8 @@ class History:
                 raise ConfigError(f"history: {changing}", "a shape that changes", "one shape in .npz", "Save as .json.")
             times = {f"time_{i}": time for i, time in self.times.items()}
             results = {f"{name}_{i}": x for i in self.results for name, x in self._result(i).items()}
-            np.savez(path, allow_pickle=False, **{**series, **times, **results})
+            with path.open("wb") as file:  # np.savez would add .npz to a name that ends in .NPZ
+                np.savez(file, allow_pickle=False, **{**series, **times, **results})
 
     def _rows(self) -> list[list[Any]]:
         """Head and rows; an array has a column an entry."""
@@ -148,7 +154,7 @@ class History:
 
 def require_suffix(path: Path, where: str = "history") -> None:
     """Raise ConfigError for the name of a file that is no history's."""
-    if path.suffix not in SUFFIXES:
+    if path.suffix.lower() not in SUFFIXES:
         raise ConfigError(where, path.name, f"a file that ends in {', '.join(SUFFIXES)}")
 
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from crazychoir.errors import ConfigError
+from crazychoir.output_files import save_figure
 from crazychoir.runtime.texts import readable
 from crazychoir.types import Vec
 
@@ -47,7 +48,7 @@ def draw_convergence(
         axes.set_axisbelow(True)
         axes.spines[["top", "right"]].set_visible(False)
     figure.suptitle(readable(title), color=INK, fontsize=10, parse_math=False)
-    figure.savefig(path, bbox_inches="tight")
+    save_figure(figure, path, bbox_inches="tight")
 
 
 def _entries(i: int, name: str, values: Any) -> Vec:

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from crazychoir import text_files
 from crazychoir.errors import ConfigError
 from crazychoir.radio.channels import LAST
 from crazychoir.swarm.reading import parse
@@ -81,11 +82,7 @@ def write_channels(path: Path, channels: Mapping[str, int]) -> None:
 
 def read_text(path: Path) -> str:
     """A swarm file as it is, to the byte; ConfigError for one that cannot be read."""
-    try:
-        return path.read_bytes().decode()
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "bytes that are not UTF-8"
-        raise ConfigError(str(path), str(reason), "a swarm file, TOML or JSON") from error
+    return text_files.read_text(path, "a swarm file, TOML or JSON", exact=True)
 
 
 def _values(text: str, where: str) -> dict[str, Any]:

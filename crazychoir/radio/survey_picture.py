@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from crazychoir.optimization.picture import COLOURS, INK
+from crazychoir.output_files import save_figure
 from crazychoir.radio.channels import WIFI, WIFI_HALF, frequency
 from crazychoir.radio.survey import Measured
 
@@ -42,7 +43,7 @@ def draw_survey(
     below.set_xlim(low, high)
     _name_bands(above, low, high)
     figure.legend(loc="outside upper center", ncols=4, frameon=False, fontsize=8)
-    figure.savefig(path, bbox_inches="tight")
+    save_figure(figure, path, bbox_inches="tight")
 
 
 def _draw_rates(axes: "Axes", rows: Sequence[Measured], chosen: Sequence[int], expected: Mapping[int, float]) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 
 from crazychoir.bus.topics import STATE
 from crazychoir.optimization.picture import COLOURS, DASHES, INK
+from crazychoir.output_files import save_figure
 from crazychoir.recording.figures import Flight, Track
 from crazychoir.swarm.checks import TOUCHING
 from crazychoir.types import Mat
@@ -50,7 +51,7 @@ def draw(pictures: Pictures, folder: Path) -> list[Path]:
             picture(figure)
             for suffix in FORMATS:
                 files.append(folder / f"{name}.{suffix}")
-                figure.savefig(files[-1])
+                save_figure(figure, files[-1])
     return files
 
 

@@ -44,10 +44,14 @@ class Bag:
     whole: bool = False
 
     def __post_init__(self) -> None:
+        made = False
         try:
             self.folder.mkdir(parents=True)
+            made = True
             self._file = self.path.open("xb")
         except OSError as error:
+            if made:
+                self.folder.rmdir()
             do = "A bag is never written over: name another folder, or remove that one."
             raise ConfigError("--rosbag2", str(self.folder), "a new folder", do, str(error.strerror)) from error
         self._writer, self._schemas = Writer(), dict[str, int]()

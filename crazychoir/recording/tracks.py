@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from crazychoir.optimization.picture import COLOURS, DASHES, INK
+from crazychoir.output_files import save_figure
 from crazychoir.types import Mat, Point, Vec
 
 if TYPE_CHECKING:
@@ -50,7 +51,7 @@ def draw_tracks(
     axes.margins(0.08)
     axes.set(xlabel="x [m]", ylabel="y [m]", title=title)
     _tidy(axes)
-    figure.savefig(path)
+    save_figure(figure, path)
 
 
 def _name(axes: "Axes", leaders: Collection[int], tracks: Collection[int], marked: bool) -> None:
@@ -101,7 +102,7 @@ def draw_ways(
     for axes in (above, right):
         _tidy(axes)
     figure.legend(loc="outside upper center", ncols=6, frameon=False, fontsize=8)
-    figure.savefig(path)
+    save_figure(figure, path)
 
 
 def _look(i: int) -> dict[str, Any]:

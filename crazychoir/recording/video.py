@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from crazychoir.errors import ConfigError
+from crazychoir.output_files import written_file
 
 Image = npt.NDArray[np.uint8]
 ENDINGS = (".mp4", ".gif", ".webp")
@@ -27,10 +28,11 @@ def check_video(path: Path, width: int, height: int) -> None:
 
 def write_video(path: Path, images: Iterable[Image], fps: int) -> None:
     """Write the images (height, width, 3), of one size, at so many a second."""
-    if path.suffix.lower() == ".mp4":
-        _write_mp4(path, images, fps)
-    else:
-        _write_animation(path, images, fps)
+    with written_file(path, "video") as place:
+        if path.suffix.lower() == ".mp4":
+            _write_mp4(place, images, fps)
+        else:
+            _write_animation(place, images, fps, path.suffix.lower())
 
 
 def _av() -> Any:
@@ -44,7 +46,7 @@ def _av() -> Any:
 
 def _write_mp4(path: Path, images: Iterable[Image], fps: int) -> None:
     av = _av()
-    with av.open(str(path), "w") as container:
+    with av.open(str(path), "w", format="mp4") as container:
         stream: Any = None
         for image in images:
             if stream is None:
@@ -56,13 +58,13 @@ def _write_mp4(path: Path, images: Iterable[Image], fps: int) -> None:
             container.mux(stream.encode())
 
 
-def _write_animation(path: Path, images: Iterable[Image], fps: int) -> None:
+def _write_animation(path: Path, images: Iterable[Image], fps: int, ending: str) -> None:
     from PIL import Image as Pillow
 
     def shown() -> Iterator[Any]:
         for image in images:
             one = Pillow.fromarray(np.ascontiguousarray(image))
-            yield one.quantize(128) if path.suffix.lower() == ".gif" else one
+            yield one.quantize(128) if ending == ".gif" else one
 
     frames = shown()
-    next(frames).save(path, save_all=True, append_images=frames, duration=round(1000 / fps), loop=0)
+    next(frames).save(path, ending[1:].upper(), save_all=True, append_images=frames, duration=round(1000 / fps), loop=0)

@@ -19,7 +19,9 @@ LN2 = 0.6931471805599453
 
 
 class Best(NamedTuple):
-    """The best plan so far: stop (K, L), stops (K,), score (3,): tasks missing, and the two values of `judge`."""
+    """The best plan so far: stop (K, L), stops (K,), score (4,): tasks missing, and the
+    three values of `judge` by which plans are compared.
+    """
 
     stop: Ints
     stops: Ints
@@ -28,7 +30,7 @@ class Best(NamedTuple):
     @classmethod
     def of(cls, tours: Tours) -> "Best":
         """None yet."""
-        return cls(np.zeros_like(tours.stop), np.zeros_like(tours.stops), np.zeros(3))
+        return cls(np.zeros_like(tours.stop), np.zeros_like(tours.stops), np.zeros(4))
 
     def tours(self, fleet: Fleet) -> Tours:
         """Its routes, judged."""
@@ -52,8 +54,8 @@ def anneal(
     Source: Christiaens & Vanden Berghe 2020, Transportation Science 54(2).
     """
     _start(fleet, tours, step, memory, random)
-    missing, _, cost, first, second = judge(fleet, tours, absence)
-    _keep(tours, best, missing, first, second)
+    missing, _, heavy, cost, first, second = judge(fleet, tours, absence)
+    _keep(tours, best, missing, heavy, first, second)
     for k in range(len(fleet.start)):
         remember(fleet, tours, pool, k, 0)
     temperature, level = hot, 0
@@ -61,7 +63,7 @@ def anneal(
         if fewer and missing == 0:
             if not _close_one(fleet, tours, step, memory, absence):
                 return now
-            missing, _, cost, _, _ = judge(fleet, tours, absence)
+            missing, _, heavy, cost, _, _ = judge(fleet, tours, absence)
         while level * steps < now * LEVELS:
             temperature *= COOLER
             level += 1
@@ -69,11 +71,13 @@ def anneal(
         begin_step(step)
         ruin(fleet, tours, step, random, average)
         recreate(fleet, tours, step, memory, random)
-        new_missing, new_absent, new_cost, first, second = judge(fleet, tours, absence)
+        new_missing, new_absent, new_heavy, new_cost, first, second = judge(fleet, tours, absence)
         if new_missing < missing or new_absent < absent:
             accepted = True
         elif new_missing > missing or new_absent > absent:
             accepted = False
+        elif new_heavy != heavy:
+            accepted = new_heavy < heavy
         else:
             accepted = new_cost < cost + temperature * exponential(random)
         if new_missing > 0:
@@ -81,11 +85,13 @@ def anneal(
         if not accepted:
             take_back(fleet, tours, step)
             continue
-        missing, cost = new_missing, new_cost
+        missing = new_missing
+        heavy = new_heavy
+        cost = new_cost
         for t in range(step.counts[0]):
             remember(fleet, tours, pool, step.touched[t], now)
-        if missing < best.score[0] or (missing == best.score[0] and (fewer or _better(best, first, second))):
-            _keep(tours, best, missing, first, second)
+        if missing < best.score[0] or (missing == best.score[0] and (fewer or _better(best, heavy, first, second))):
+            _keep(tours, best, missing, heavy, first, second)
     return steps
 
 
@@ -120,13 +126,20 @@ def exponential(random: Words) -> float:
 
 @kernel(_nrt=False)
 def judge(fleet: Any, tours: Any, absence: Vec) -> Any:
-    """Tasks missing that must be served, how often these were missing till now, what is annealed, and two values by
-    which plans are compared, the second where the first are equal.
+    """Tasks missing that must be served, how often these were missing till now, what comes before all lengths, what is
+    annealed, and two values by which plans are compared after these, the second where the first are equal.
+
+    What comes before lengths, where vehicles are counted: their fixed costs, which are all alike, and the penalties,
+    so that the same number of vehicles and of tasks left out is the same value, to the last bit. Else it is 0.
     """
-    missing, absent, total, penalty, finish = 0, 0.0, 0.0, 0.0, 0.0
+    missing, absent, heavy, total, penalty, finish = 0, 0.0, 0.0, 0.0, 0.0, 0.0
     for k in range(len(fleet.start)):
         if tours.stops[k] > 0:
-            total += tours.length[k] + fleet.fixed[k]
+            if fleet.counted:
+                heavy += fleet.fixed[k]
+                total += tours.length[k]
+            else:
+                total += tours.length[k] + fleet.fixed[k]
             finish = max(finish, tours.finish[k])
     for j in range(len(fleet.load)):
         if tours.at[j] < 0:
@@ -135,10 +148,12 @@ def judge(fleet: Any, tours: Any, absence: Vec) -> Any:
                 absent += absence[j]
             else:
                 penalty += fleet.penalty[j]
+    if fleet.counted:
+        return missing, absent, heavy + penalty, total, total, finish
     cost = fleet.on_total * total + fleet.on_finish * finish + penalty
     if fleet.on_finish > 0.0:
-        return missing, absent, cost, finish + penalty, total
-    return missing, absent, cost, cost, finish
+        return missing, absent, heavy, cost, finish + penalty, total
+    return missing, absent, heavy, cost, cost, finish
 
 
 @kernel(**OPTIONS)
@@ -159,17 +174,22 @@ def _count_absence(fleet: Any, tours: Any, absence: Vec) -> None:
 
 
 @kernel(**OPTIONS)
-def _better(best: Any, first: float, second: float) -> Any:
+def _better(best: Any, heavy: float, first: float, second: float) -> Any:
     """Whether the values of a plan are less than those of the best one, in order."""
-    if first < best.score[1] - TIE:
+    if heavy != best.score[1]:
+        return heavy < best.score[1]
+    if first < best.score[2] - TIE:
         return True
-    return first <= best.score[1] and second < best.score[2] - TIE
+    return first <= best.score[2] and second < best.score[3] - TIE
 
 
 @kernel(_nrt=False)
-def _keep(tours: Any, best: Any, missing: int, first: float, second: float) -> None:
+def _keep(tours: Any, best: Any, missing: int, heavy: float, first: float, second: float) -> None:
     """The plan of now is the best one."""
-    best.score[0], best.score[1], best.score[2] = missing, first, second
+    best.score[0] = missing
+    best.score[1] = heavy
+    best.score[2] = first
+    best.score[3] = second
     for k in range(len(tours.stops)):
         best.stops[k] = tours.stops[k]
         for pos in range(tours.stops[k] + 2):

@@ -38,10 +38,13 @@ def assemble(fleet: Fleet, pool: Pool, tours: Tours, closed: Bools) -> Tours:
     closed: (K,) vehicles that may not leave.  A task that must be served has no v. Of the columns only those are looked
     at whose reduced cost, at the prices of the linear relaxation, is at most the gap between `tours` and that
     relaxation: no other can be part of a better plan. Beyond MOST of them, or NODES nodes, the best may be missed.
+    Where vehicles are counted, each of them costs more than all routes of a plan with no more vehicles than `tours`,
+    and the plan that is found is compared by its vehicles first, so that no rounding of the program decides.
     """
     chosen = np.flatnonzero(pool.vehicle >= 0)
-    columns = _columns(fleet, pool, chosen)
-    cost = _cost(fleet, tours)
+    vehicle = _vehicle_cost(fleet, pool, tours, chosen)
+    columns = _columns(fleet, pool, chosen, vehicle)
+    cost = _cost(fleet, tours, vehicle)
     relaxation = _model(fleet, columns, closed)
     relaxation.run()
     if relaxation.getModelStatus() != highspy.HighsModelStatus.kOptimal:
@@ -53,22 +56,44 @@ def assemble(fleet: Fleet, pool: Pool, tours: Tours, closed: Bools) -> Tours:
     if gap <= 0.0 or not len(near):
         return tours
     taken = _integer(fleet, columns.only(near), cost, closed)
-    return tours if taken is None else _plan(fleet, pool, chosen[near[taken]], closed)
+    if taken is None:
+        return tours
+    found = _plan(fleet, pool, chosen[near[taken]], closed)
+    return tours if fleet.counted and _worth(fleet, found) >= _worth(fleet, tours) else found
 
 
-def _columns(fleet: Fleet, pool: Pool, chosen: Ints) -> _Columns:
+def _vehicle_cost(fleet: Fleet, pool: Pool, tours: Tours, chosen: Ints) -> Vec:
+    """(K,) m, of each vehicle that leaves."""
+    if not fleet.counted:
+        return fleet.fixed
+    left = tours.stops > 0
+    longest = max([*tours.length[left], *(pool.cost[chosen] - fleet.fixed[pool.vehicle[chosen]])], default=0.0)
+    return np.minimum(fleet.fixed, 1.0 + np.count_nonzero(left) * longest)
+
+
+def _worth(fleet: Fleet, tours: Tours) -> tuple[float, int, float]:
+    """Penalties, vehicles and length, by which plans are compared in this order where vehicles are counted."""
+    left = tours.stops > 0
+    penalties = sum(fleet.penalty[tours.at < 0].tolist(), 0.0)
+    return penalties, int(np.count_nonzero(left)), sum(tours.length[left].tolist(), 0.0)
+
+
+def _columns(fleet: Fleet, pool: Pool, chosen: Ints, vehicle: Vec) -> _Columns:
     m = len(fleet.load)
     rows = []
     for p in chosen:
         stops = pool.stop[p, : pool.stops[p]]
         rows.append([*(stops[(m <= stops) & (stops < 2 * m)] - m), m + fleet.twin[pool.vehicle[p]]])
-    return _Columns(pool.cost[chosen], np.cumsum([0, *map(len, rows)]), np.array([r for row in rows for r in row]))
+    cost = pool.cost[chosen]
+    if fleet.counted:
+        cost = cost - fleet.fixed[pool.vehicle[chosen]] + vehicle[pool.vehicle[chosen]]
+    return _Columns(cost, np.cumsum([0, *map(len, rows)]), np.array([r for row in rows for r in row]))
 
 
-def _cost(fleet: Fleet, tours: Tours) -> float:
+def _cost(fleet: Fleet, tours: Tours, vehicle: Vec) -> float:
     """m, of distances, vehicles that leave and penalties, added in this order; inf if a task is missing."""
     left = tours.stops > 0
-    return sum([*tours.length[left].tolist(), *fleet.fixed[left].tolist(), *fleet.penalty[tours.at < 0].tolist()], 0.0)
+    return sum([*tours.length[left].tolist(), *vehicle[left].tolist(), *fleet.penalty[tours.at < 0].tolist()], 0.0)
 
 
 def _model(fleet: Fleet, columns: _Columns, closed: Bools) -> highspy.Highs:

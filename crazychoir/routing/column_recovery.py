@@ -62,7 +62,7 @@ class ColumnRecovery:
             relaxed = self._pool.relax(member.unserved)
             known = yield from flood(self._i, [relaxed.value, relaxed.prices.tolist()], self._diameter)
             value = min(v for v, _ in known.values())
-            if not new or value - bound.value <= member.settings.tolerance * max(1.0, value):
+            if not new or value - bound.value <= member.tolerance(value):
                 return
             pi = _mean([prices for _, prices in known.values()])
 

@@ -12,7 +12,7 @@ from crazychoir.errors import SolverError
 from crazychoir.optimization.linear import quiet_highs
 from crazychoir.routing.instance import Instance
 from crazychoir.routing.plan import Plan, Route
-from crazychoir.routing.vehicle import MAKESPAN, SLACK, TOTAL, Vehicle
+from crazychoir.routing.vehicle import MAKESPAN, SLACK, TOTAL, VEHICLES, Vehicle
 
 Terms = dict[int, float]
 Sense = Literal["<=", "==", ">="]
@@ -102,7 +102,8 @@ def solve_compact(instance: Instance, nodes: int = 1_000_000) -> Plan:
     model.highs.setOptionValue("mip_rel_gap", 0.0)
     model.highs.setOptionValue("mip_abs_gap", 0.0)
     model.highs.setOptionValue("mip_max_nodes", nodes)
-    costs = {TOTAL: _total(teams, instance.fixed_cost), MAKESPAN: {last: 1.0}}
+    counted = {trips[0].stay: -1.0 for trips in teams}
+    costs = {TOTAL: _total(teams, instance.fixed_cost), MAKESPAN: {last: 1.0}, VEHICLES: counted}
     values: list[float] = []
     terms: Terms = refused
     for name in instance.objective:

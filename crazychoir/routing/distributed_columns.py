@@ -18,7 +18,7 @@ from crazychoir.routing.member import Member
 from crazychoir.routing.neighborhood import flown, most_saved, renamed, reoptimize
 from crazychoir.routing.pricing import Column, shortest_route
 from crazychoir.routing.proof import Assignment, Offer, Proof
-from crazychoir.routing.vehicle import MAKESPAN, TOTAL
+from crazychoir.routing.vehicle import MAKESPAN, TOTAL, VEHICLES
 from crazychoir.types import Vec
 
 DISCLOSED: tuple[str, ...] = (
@@ -73,11 +73,14 @@ class DistributedColumns:
         return self._assignment(proof.proven)
 
     def _bounded(self) -> Exchange[Assignment]:
-        """The plan in force; with a bound if `prove`, where the total is what is minimised, and no priority."""
+        """The plan in force; with a bound if `prove`, where lengths are what is minimised, and no priority."""
         member = self._member
-        if not member.settings.prove or member.local.objective != (TOTAL,) or (member.local.tasks.priority > 0).any():
+        if not member.settings.prove or MAKESPAN in member.local.objective or (member.local.tasks.priority > 0).any():
             return self._assignment(None)
-        plan = [(i, Column(self._flown(i, tuple(self.routes[i]))[0], tasks)) for i, tasks in self._sets().items()]
+        weight = member.vehicle_weight
+        plan = [
+            (i, Column(weight + self._flown(i, tuple(self.routes[i]))[0], tasks)) for i, tasks in self._sets().items()
+        ]
         large = LargeBound(member, plan)
         yield from large.run()
         return self._assignment(large.value, large.relaxation)
@@ -90,7 +93,7 @@ class DistributedColumns:
     def _relax(self) -> Exchange[Gossip | None]:
         """Column generation, if lengths are what is minimised, and every robot can list its routes."""
         member = self._member
-        if member.local.objective != (TOTAL,):
+        if MAKESPAN in member.local.objective:
             return None
         servable = yield from flood(self._i, len(member.local.servable), self._diameter)
         if max(servable.values()) > member.settings.most_listed:
@@ -117,7 +120,7 @@ class DistributedColumns:
         if best is None:
             raise SolverError(f"robot {self._i}: first plan", "nobody offered one")
         self.routes = _unflat(best[2])
-        self._member.report(cost=self._worth(self.routes)[1])
+        self._member.report(cost=self._shown_cost())
 
     def _improve(self, bound: float) -> Exchange[None]:
         """Passes of clusters, until the bound is met, or nothing got better for `still_passes`."""
@@ -128,14 +131,15 @@ class DistributedColumns:
         passes = max(settings.least_passes, min(settings.most_passes, fitting))
         near, still = Neighbors(self._robots), 0
         for k in range(passes):
-            missing, cost, *_ = self._worth(self.routes)
-            met = not missing and cost - bound <= settings.tolerance * max(1.0, cost)
+            missing = self._worth(self.routes)[0]
+            cost = self._weighed()
+            met = not missing and cost - bound <= self._member.tolerance(cost)
             if met or still == settings.still_passes:
                 return
             clusters = near.draw(self.routes, settings.cluster, settings.leaders, [k])
             offers = yield from flood(self._i, self._lead(clusters, settings.steps // passes, k), self._diameter)
             still = 0 if self._accept(clusters, offers) else still + 1
-            self._member.report(cost=self._worth(self.routes)[1])
+            self._member.report(cost=self._shown_cost())
 
     def _lead(self, clusters: Sequence[Cluster], steps: int, k: int) -> list[Any] | None:
         """The worth of the better routes that this robot found for the cluster that it leads, and these routes."""
@@ -162,14 +166,31 @@ class DistributedColumns:
 
     def _offer(self) -> Offer | None:
         """The plan in force, if it serves all that must be served."""
-        return None if self._missing() else Offer(self._worth(self.routes)[1], self._sets())
+        return None if self._missing() else Offer(self._weighed(), self._sets())
+
+    def _weighed(self) -> float:
+        """m, the cost of the plan in force as the relaxations have it: of its vehicles, where they are counted first,
+        and of what is minimised.
+        """
+        worth = self._worth(self.routes)
+        weight = self._member.vehicle_weight
+        return weight * worth[1] + worth[2] if weight else worth[1]
+
+    def _shown_cost(self) -> float:
+        """What is minimised, without the number of vehicles."""
+        worth = self._worth(self.routes)
+        return worth[2] if self._member.vehicle_weight else worth[1]
 
     def _take_over(self, proof: Proof) -> None:
         """The routes of the proof's plan, where it is better than the one in force."""
         if proof.infeasible:
             why = "each can be served alone, but not all together within capability, capacity and route_length_limit"
             raise SolverError(f"infeasible: no plan serves every task; {why} (robot {self._i})", "infeasible")
-        if proof.best is None or not _better([0, proof.best.cost], self._worth(self.routes)):
+        if proof.best is None:
+            return
+        weight, vehicles = self._member.vehicle_weight, len(proof.best.routes)
+        worth = [vehicles, proof.best.cost - weight * vehicles] if weight else [proof.best.cost]
+        if not _better([0, *worth], self._worth(self.routes)):
             return
         for i in self._robots:
             self.routes[i] = self._shortest(i, proof.best.routes.get(i, ()))
@@ -206,6 +227,7 @@ class DistributedColumns:
         value = {
             TOTAL: math.fsum(length for length, _ in flights),
             MAKESPAN: max((finish for _, finish in flights), default=0.0),
+            VEHICLES: float(len(flights)),
         }
         first, *rest = (value[name] for name in self._member.local.objective)
         refusals = self._refusal[left]

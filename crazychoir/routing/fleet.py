@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from crazychoir.routing.tours import Fleet, Ints
-from crazychoir.routing.vehicle import MAKESPAN, SLACK, TOTAL, Vehicle
+from crazychoir.routing.vehicle import MAKESPAN, SLACK, TOTAL, VEHICLES, Vehicle
 from crazychoir.types import Mat, Vec
 
 TIE_BREAK = 1e-3
@@ -29,7 +29,7 @@ def fleet_of(vehicles: Sequence[Vehicle], penalty: Vec, objective: Sequence[str]
     carrier = np.full(m, -1, np.int64)
     for i, v in enumerate(vehicles):
         carrier[v.aboard] = i
-    on_total, on_finish = (1.0, 0.0) if objective[0] == TOTAL else (TIE_BREAK, 1.0)
+    on_total, on_finish = (TIE_BREAK, 1.0) if objective[0] == MAKESPAN else (1.0, 0.0)
     return Fleet(
         distance=distance,
         duration=duration,
@@ -53,6 +53,7 @@ def fleet_of(vehicles: Sequence[Vehicle], penalty: Vec, objective: Sequence[str]
         timed=timed,
         on_total=on_total,
         on_finish=on_finish,
+        counted=VEHICLES in objective,
     )
 
 

@@ -63,7 +63,7 @@ class Gossip:
             best = yield from self._spread(best)
             value, pi, used, reward = yield from self._agree(best)
             news = yield from improve(self.bound, self._member, self.pool, pi, settings.batch, reward)
-            if not news or value - self.bound.value <= settings.tolerance * max(1.0, value):
+            if not news or value - self.bound.value <= self._member.tolerance(value):
                 break
             for robot, column in self.pool.items():
                 self.master.add(robot, [column])

@@ -1,7 +1,7 @@
 """A pickup-and-delivery instance, and the part of it that one robot sees."""
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
@@ -14,7 +14,7 @@ from crazychoir.errors import ConfigError, InstanceError
 from crazychoir.routing.instance_file import Fields, read
 from crazychoir.routing.plan import Plan, Route
 from crazychoir.routing.servable import require_servable
-from crazychoir.routing.vehicle import MAKESPAN, TOTAL, Vehicle
+from crazychoir.routing.vehicle import MAKESPAN, TOTAL, VEHICLES, Vehicle
 from crazychoir.types import Mat, Vec
 
 MOST_WEIGHT = 1e6
@@ -22,6 +22,9 @@ MOST_WEIGHT = 1e6
 PUBLIC = ("robot", "robots", "tasks", "objective")
 """Fields of a LocalProblem that all robots have in common, or that names it."""
 OBJECTIVES = ((TOTAL,), (MAKESPAN,), (TOTAL, MAKESPAN), (MAKESPAN, TOTAL))
+"""What any team may minimise."""
+VEHICLES_FIRST = (VEHICLES, TOTAL)
+"""What a team of robots may minimise whose fixed costs are alike, and that serves all tasks."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +90,8 @@ class LocalProblem:
     task is aboard another robot it is False;  end: (d,) m, home if None;  open_tour: whether it ends where it likes;
     distance: (2M + 1, 2M + 1) m, own pickups, deliveries, home, Euclidean if None;  speed: m/s;
     window: s, when it may leave home, and must be back;  initial_load: part of the capacity in use all the time;
-    fixed: cost of leaving home;  trips: at most;  objective: what the team minimises, in order.
+    fixed: cost of leaving home, the `vehicle_weight` of the instance where vehicles are counted first;
+    trips: at most;  objective: what the team minimises, in order.
     In flight:
     start: (d,) m, where it is or will be at start_time;  aboard: (M,) bool, tasks whose goods it carries;
     left: m, what is left of the limit of its present trip.
@@ -183,7 +187,8 @@ class Instance:
     distance: (N + 2M, N + 2M) m, rows homes, pickups, deliveries, or (N, N + 2M, N + 2M), one a robot; None: Euclidean;
     window: (N, 2) s, when robot i may leave home, and must be back;  recharge: most trips of a robot, each with the
     whole route_length_limit;  fixed_cost: of each robot that leaves home;  objective: what is minimised, in order:
-    "total" as above, or "makespan", the time in s when the last robot is done, instead of the sum of lengths.
+    "total" as above, or "makespan", the time in s when the last robot is done, instead of the sum of lengths; or
+    "vehicles", the number of robots that leave home, before the total.
     """
 
     home: Mat
@@ -212,11 +217,12 @@ class Instance:
     @classmethod
     def load(cls, path: str | Path) -> "Instance":
         """Read a JSON file, or one of Li and Lim; raise InstanceError naming file, key and index of what is wrong."""
-        return cls.parse(read(path), str(path))
+        raw, names = read(path)
+        return cls.parse(raw, str(path), names)
 
     @classmethod
-    def parse(cls, raw: dict[str, Any], where: str = "instance") -> "Instance":
-        """From the JSON object `raw`; `where` is what errors call it."""
+    def parse(cls, raw: dict[str, Any], where: str = "instance", names: Sequence[str] = ()) -> "Instance":
+        """From the JSON object `raw`; `where` is what errors call it, `names` what they call its tasks."""
         fields = Fields(raw, where)
         points = {key: fields.points(key) for key in ("home", "pickup", "delivery")}
         load, capacity = fields.amounts("load"), fields.amounts("capacity")
@@ -241,12 +247,13 @@ class Instance:
             initial_load=fields.part_of("initial_load", capacity),
             fixed_cost=fields.cost("fixed_cost"),
             recharge=fields.trips("recharge"),
-            objective=fields.objective("objective", OBJECTIVES),
+            objective=fields.objective("objective", (*OBJECTIVES, VEHICLES_FIRST)),
         )
         instance = replace(instance, tasks=replace(instance.tasks, span=instance._span()))
         instance._require_few_priorities()
+        instance._require_countable()
         vehicles = [instance.local(same[0]).vehicle for same in instance.kinds()]
-        require_servable(vehicles, instance.tasks.penalty, where)
+        require_servable(vehicles, instance.tasks.penalty, where, names)
         return instance
 
     @property
@@ -270,10 +277,29 @@ class Instance:
             speed=float(self.speed[i]),
             window=(float(self.window[i, 0]), float(self.window[i, 1])),
             initial_load=float(self.initial_load[i]),
-            fixed=self.fixed_cost,
+            fixed=self.vehicle_weight if VEHICLES in self.objective else self.fixed_cost,
             trips=self.recharge,
             objective=self.objective,
         )
+
+    @cached_property
+    def vehicle_weight(self) -> float:
+        """m, what a vehicle costs in the linear programs, where vehicles are counted first.
+
+            W >= 2 T,    T = 3M times the longest way, so that  T_a <= T  for the total T_a of every plan a
+            n_a < n_b  =>  W n_a + T_a < W n_b + T_b,      and  W n_a + T_a >= V  =>  n_a >= V / W - 1/2
+
+        A plan has 2M stops and at most M trips, as each trip serves a task, so it has at most 3M ways. W is a power of
+        two: adding it rounds little. Plans are not compared by W, but by their vehicles and then by their totals.
+        """
+        if self.distance is not None:
+            longest = float(self.distance.max())
+        else:
+            ends = [] if self.end is None else [self.end]
+            points = np.vstack([self.home, *ends, self.tasks.pickup, self.tasks.delivery])
+            longest = float(np.linalg.norm(np.ptp(points, axis=0)))
+        total = 3 * len(self.tasks) * longest
+        return 2.0 ** math.ceil(math.log2(2.0 * total)) if total > 0.0 else 1.0
 
     def plan(self, routes: Iterable[Route]) -> Plan:
         """The plan of these routes, with what they leave undone."""
@@ -326,9 +352,22 @@ class Instance:
         """More than any plan without refusals costs: so many legs, each as long as the longest."""
         legs = 3 * len(self.tasks) + 2 * self.robots
         vehicles = [self.local(same[0]).vehicle for same in self.kinds()]
-        if self.objective[0] == TOTAL:
+        if self.objective[0] != MAKESPAN:
             return legs * max(float(v.distance.max()) for v in vehicles) + self.robots * self.fixed_cost
         return legs * max(float(v.duration.max()) + float(v.earliest.max()) for v in vehicles)
+
+    def _require_countable(self) -> None:
+        """InstanceError for what says nothing, or the opposite, where vehicles are counted first."""
+        if VEHICLES not in self.objective:
+            return
+        if np.isfinite(self.tasks.penalty).any():
+            found = f"the objective {list(self.objective)} beside tasks that may be refused"
+            do = "Without any task there would be no vehicle: delete penalty, or take another objective."
+            raise InstanceError(f"{self.name}: penalty", found, "null for every task", do)
+        if self.fixed_cost > 0.0:
+            found = f"{self.fixed_cost:g} beside the objective {list(self.objective)}"
+            do = "The number of vehicles is minimised before all lengths: delete fixed_cost, or take another objective."
+            raise InstanceError(f"{self.name}: fixed_cost", found, "0, or no such key", do)
 
     def _require_few_priorities(self) -> None:
         refusal = self.tasks.refusal[np.isfinite(self.tasks.refusal)]

@@ -12,6 +12,8 @@ import numpy.typing as npt
 
 from crazychoir.errors import InstanceError
 from crazychoir.routing.li_lim import is_li_lim, parse_li_lim
+from crazychoir.routing.sizes import FARTHEST, LATEST, MOST, SLOWEST
+from crazychoir.text_files import read_text
 from crazychoir.types import Mat, Vec
 
 REQUIRED = ("home", "pickup", "delivery", "load", "capacity")
@@ -27,32 +29,29 @@ ANNOTATIONS = (
 )  # fmt: skip
 """Keys that describe an instance without being part of it: accepted and ignored."""
 LIKE_THIS = "Mend the file; agents/data/lab6.json is an instance (swarm files alone are TOML)."
-FARTHEST, MOST = 1e5, 1e6
-"""m of a coordinate; units of load: beyond them the rounding of a sum exceeds the slack of limits."""
-SLOWEST, LATEST = 1e-3, 1e7
-"""m/s of a speed, s of a time."""
 MOST_TRIPS, MOST_LEVEL = 1000, 1000
 LIKE = {"pickup": "load", "delivery": "load", "home": "home", "capacity": "home", "load": "load"}
 """The key whose length a list must have."""
 
 
-def read(path: str | Path) -> dict[str, Any]:
-    """The JSON object in the file `path`, or what a file of Li and Lim says as one."""
+def read(path: str | Path) -> tuple[dict[str, Any], list[str]]:
+    """Return the JSON object in the file `path`, or what a file of Li and Lim says as one; and what that file calls
+    each task, nothing for JSON.
+    """
+    allowed = "one JSON object, or a file of Li and Lim"
+    text = read_text(path, allowed, kind=InstanceError, do="Check the path.")
+    if is_li_lim(text):
+        return parse_li_lim(text, str(path))
     try:
-        text = Path(path).read_text(encoding="utf-8")
-        if is_li_lim(text):
-            return parse_li_lim(text, str(path))
         raw = json.loads(text, object_pairs_hook=lambda p: _unique(p, str(path)))
-    except OSError as error:
-        raise InstanceError(str(path), error.strerror or "no file", "a readable JSON file", "Check the path.") from None
     except (ValueError, RecursionError) as error:
         if isinstance(error, InstanceError):
             raise
-        allowed = "one JSON object, or a file of Li and Lim"
-        raise InstanceError(str(path), f"no JSON ({error})", allowed, LIKE_THIS) from None
+        found = f"no JSON ({error})" if text.strip() else "an empty file"
+        raise InstanceError(str(path), found, allowed, LIKE_THIS) from None
     if not isinstance(raw, dict):
         raise InstanceError(str(path), type(raw).__name__, "one JSON object {...}", "Put the keys into braces.")
-    return raw
+    return raw, []
 
 
 def _unique(pairs: list[tuple[str, Any]], where: str) -> dict[str, Any]:

@@ -5,8 +5,23 @@ from dataclasses import dataclass
 from typing import Any
 
 from crazychoir.errors import InstanceError
+from crazychoir.routing.sizes import FARTHEST, LATEST, MOST, SLOWEST
+from crazychoir.routing.vehicle import TOTAL, VEHICLES
 
-COLUMNS = 9
+COLUMNS = ("customer", "x", "y", "demand", "ready time", "due time", "service time", "pickup", "delivery")
+RANGES = (
+    (0, MOST),
+    (-FARTHEST, FARTHEST),
+    (-FARTHEST, FARTHEST),
+    (-MOST, MOST),
+    (0, LATEST),
+    (0, LATEST),
+    (0, LATEST),
+    (0, MOST),
+    (0, MOST),
+)
+"""The least and the largest number of each column."""
+WHOLE = ("customer", "pickup", "delivery")
 MOST_VEHICLES = 1000
 
 
@@ -26,23 +41,23 @@ class _Row:
 
 
 def is_li_lim(text: str) -> bool:
-    """Whether the first line is three numbers and nothing else."""
-    words = text.split("\n", 1)[0].split()
+    """Whether the first line that is not blank is three numbers and nothing else."""
+    words = text.lstrip().split("\n", 1)[0].split()
     return len(words) == 3 and all(_is_number(word) for word in words)
 
 
-def parse_li_lim(text: str, where: str) -> dict[str, Any]:
-    """As the JSON object of an instance: tasks in the order of their pickups' numbers, double-precision distances.
+def parse_li_lim(text: str, where: str) -> tuple[dict[str, Any], list[str]]:
+    """Return the JSON object of an instance, with double-precision distances, and the name of each task.
 
         line 1: vehicles, capacity, speed
         others: customer, x, y, demand, ready, due, service, pickup, delivery;   customer 0 is the depot
 
-    The benchmark counts vehicles first and lengths after them, so `fixed_cost` is a power of ten above the sum of
-    the tours for each task alone, which no plan worth having exceeds.
+    Tasks are in the order of their pickups. The benchmark counts vehicles first and lengths after them: so does the
+    objective. It does not use the speed: 0 means 1, so that times are lengths.
     Raises InstanceError with the line. Source: Li & Lim 2001, ICTAI, pp. 160-167; format of SINTEF's benchmark pages.
     """
     lines = [(n, line.split()) for n, line in enumerate(text.splitlines(), 1) if line.strip()]
-    count, capacity, speed = _fleet([float(word) for word in lines[0][1]], f"{where}: line 1")
+    count, capacity, speed = _fleet([float(word) for word in lines[0][1]], f"{where}: line {lines[0][0]}")
     rows = [_row(words, f"{where}: line {n}") for n, words in lines[1:]]
     by_number = {row.customer: row for row in rows}
     if 0 not in by_number or len(by_number) != len(rows):
@@ -50,7 +65,6 @@ def parse_li_lim(text: str, where: str) -> dict[str, Any]:
     pairs = [_pair(row, by_number, where) for row in rows if row.customer and row.delivery]
     _require_all_in(pairs, rows, where)
     depot = by_number[0]
-    alone = sum(_length(depot, p) + _length(p, d) + _length(d, depot) for p, d in pairs)
     return {
         "home": [[depot.x, depot.y]] * count,
         "capacity": [capacity] * count,
@@ -64,8 +78,8 @@ def parse_li_lim(text: str, where: str) -> dict[str, Any]:
             "delivery": [[d.ready, d.due] for _, d in pairs],
             "home": [[depot.ready, depot.due]] * count,
         },
-        "fixed_cost": 10.0 ** math.ceil(math.log10(max(alone, 1.0))),
-    }
+        "objective": [VEHICLES, TOTAL],
+    }, [f"customer {p.customer} and its delivery {d.customer}" for p, d in pairs]
 
 
 def _fleet(numbers: list[float], where: str) -> tuple[int, float, float]:
@@ -73,10 +87,11 @@ def _fleet(numbers: list[float], where: str) -> tuple[int, float, float]:
     vehicles, capacity, speed = numbers
     if not (vehicles.is_integer() and 1 <= vehicles <= MOST_VEHICLES):
         raise InstanceError(where, f"{vehicles:g} vehicles", f"a whole number from 1 to {MOST_VEHICLES}", "Mend it.")
-    if capacity < 0.0 or speed <= 0.0:
+    if not (0.0 <= capacity <= MOST and (speed == 0.0 or SLOWEST <= speed <= FARTHEST)):
         found = f"capacity {capacity:g}, speed {speed:g}"
-        raise InstanceError(where, found, "a capacity of 0 or more, a speed above 0", "Mend the line.")
-    return int(vehicles), capacity, speed
+        allowed = f"a capacity from 0 to {MOST:g}, a speed from {SLOWEST:g} to {FARTHEST:g}, or 0, which means 1"
+        raise InstanceError(where, found, allowed, "Mend the line.")
+    return int(vehicles), capacity, speed or 1.0
 
 
 def _require_all_in(pairs: list[tuple[_Row, _Row]], rows: list[_Row], where: str) -> None:
@@ -92,9 +107,20 @@ def _require_all_in(pairs: list[tuple[_Row, _Row]], rows: list[_Row], where: str
 
 
 def _row(words: list[str], where: str) -> _Row:
-    if len(words) != COLUMNS or not all(_is_number(word) for word in words):
-        raise InstanceError(where, " ".join(words), f"{COLUMNS} numbers a customer", "Mend the line.")
-    customer, x, y, demand, ready, due, service, pickup, delivery = (float(word) for word in words)
+    if len(words) != len(COLUMNS) or not all(_is_number(word) for word in words):
+        raise InstanceError(where, " ".join(words), f"{len(COLUMNS)} numbers a customer", "Mend the line.")
+    numbers = [float(word) for word in words]
+    for name, number, (least, most) in zip(COLUMNS, numbers, RANGES, strict=True):
+        if not least <= number <= most or (name in WHOLE and not number.is_integer()):
+            whole = "whole number" if name in WHOLE else "number"
+            found = f"{name} {number:.9g}"
+            raise InstanceError(where, found, f"a {whole} from {least:g} to {most:g}", "Mend the line.")
+    customer, x, y, demand, ready, due, service, pickup, delivery = numbers
+    if due < ready:
+        raise InstanceError(where, f"due time {due:g}", f"at least {ready:g}, the ready time", "Mend one of the two.")
+    if delivery and demand < 0.0:
+        found = f"demand {demand:g} of a pickup"
+        raise InstanceError(where, found, "0 or more; its delivery has less than 0", "Mend the line.")
     return _Row(int(customer), x, y, demand, ready, due, service, int(pickup), int(delivery))
 
 
@@ -105,10 +131,6 @@ def _pair(pickup: _Row, rows: dict[int, _Row], where: str) -> tuple[_Row, _Row]:
         allowed = "a customer that names it as its pickup, with the demand that it loads"
         raise InstanceError(f"{where}: customer {pickup.customer}", found, allowed, "Mend one of the two lines.")
     return pickup, delivery
-
-
-def _length(a: _Row, b: _Row) -> float:
-    return math.hypot(a.x - b.x, a.y - b.y)
 
 
 def _is_number(word: str) -> bool:

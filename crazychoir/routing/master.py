@@ -19,6 +19,8 @@ NONE = (STATUS.kInfeasible, STATUS.kUnboundedOrInfeasible, STATUS.kModelEmpty)
 REACHED = (STATUS.kOptimal, *NONE, STATUS.kSolutionLimit, STATUS.kIterationLimit, STATUS.kObjectiveBound,
            STATUS.kObjectiveTarget)  # fmt: skip
 """Ends of a search that is not broken: an answer, or a limit, which for nodes is called kSolutionLimit."""
+ROUNDED = 1e-6
+"""Of a number of columns: as much above a whole number is that number."""
 ROUNDING = 1e-9
 """m: of the length of one route, added in another order."""
 Key = tuple[int, tuple[int, ...]]
@@ -193,11 +195,12 @@ class Master:
 
 def partition(
     columns: list[tuple[int, Column]], tasks: int, seed: int, nodes: int, known: Routes | None = None,
-    alike: Mapping[int, Sequence[int]] | None = None,
+    alike: Mapping[int, Sequence[int]] | None = None, most: int | None = None,
 ) -> Partition:  # fmt: skip
     """The cheapest choice of columns that serves each task exactly once.
 
-        min  sum length_c x_c   s.t.  sum_{c serves j} x_c = 1,  sum_{c of i} x_c <= K_i,  x binary
+        min  sum length_c x_c
+        s.t. sum_{c serves j} x_c = 1,  sum_{c of i} x_c <= K_i,  sum_c x_c <= most if it is given,  x binary
 
     Stops after `nodes` branch-and-bound nodes, never by time. known: a choice to start from;  alike: the K_i robots
     that a column of i is one of, i among them: i alone where it is not named.
@@ -208,9 +211,9 @@ def partition(
     start = None
     if known is not None:
         start = np.array([float(any(known.get(i) == c.tasks for i in same[robot])) for robot, c in columns])
-    highs = _searched(_model(columns, tasks, seed, number), nodes, start)
+    highs = _searched(_model(columns, tasks, seed, number, most), nodes, start)
     if highs.getModelStatus() not in REACHED:  # HiGHS 1.x presolves some infeasible ones to an answer that it rejects
-        highs = _model(columns, tasks, seed, number)
+        highs = _model(columns, tasks, seed, number, most)
         highs.setOptionValue("presolve", "off")
         highs = _searched(highs, nodes, None)
     status, info = highs.getModelStatus(), highs.getInfo()
@@ -221,6 +224,39 @@ def partition(
     chosen = [c for c, x in zip(columns, highs.getSolution().col_value, strict=True) if x > 0.5]
     cost = sum(column.length for _, column in chosen)
     return Partition(cost, _shared_out(chosen, same), min(cost, info.mip_dual_bound))
+
+
+def fewest(
+    columns: list[tuple[int, Column]], tasks: int, seed: int, nodes: int, weight: float, least: int,
+    known: Routes | None = None, alike: Mapping[int, Sequence[int]] | None = None,
+) -> Partition:  # fmt: skip
+    """The choice of the fewest columns, of those the shortest, that serves each task exactly once.
+
+        n* = min sum_c x_c,    then  min sum (length_c - weight) x_c  s.t.  sum_c x_c <= n*
+
+    Neither program has a large number in it. weight: m, the part of each length that counts the vehicle, more than
+    what any plan costs without it;  least: no plan has fewer columns;  the rest as in `partition`. The cost and the
+    bound of the answer are with the weight.
+    """
+    count = None if known is None else len(known)
+    if count is None or count > least:
+        counted = [(robot, Column(1.0, column.tasks)) for robot, column in columns]
+        few = partition(counted, tasks, seed, nodes, known, alike)
+        if few.cost == np.inf:
+            return few
+        known = few.routes
+        count = len(known)
+        least = max(least, math.ceil(few.bound - ROUNDED)) if few.bound > -np.inf else least
+    light = [(robot, Column(column.length - weight, column.tasks)) for robot, column in columns]
+    found = partition(light, tasks, seed, nodes, known, alike, count)
+    if found.cost == np.inf:
+        return Partition(np.inf, {}, np.inf if found.bound == np.inf else -np.inf)
+    proven = found.bound if least >= len(found.routes) else 0.0
+    return Partition(
+        cost=weight * len(found.routes) + found.cost,
+        routes=found.routes,
+        bound=weight * min(least, len(found.routes)) + proven,
+    )
 
 
 def _searched(highs: highspy.Highs, nodes: int, start: Vec | None) -> highspy.Highs:
@@ -242,8 +278,10 @@ def _shared_out(chosen: list[tuple[int, Column]], same: Mapping[int, Sequence[in
     return {next(free[robot]): column.tasks for robot, column in chosen}
 
 
-def _model(columns: list[tuple[int, Column]], tasks: int, seed: int, number: Mapping[int, int]) -> highspy.Highs:
-    """Rows: tasks = 1, then the robots in use <= number; columns in the given order, 0 <= x <= 1."""
+def _model(
+    columns: list[tuple[int, Column]], tasks: int, seed: int, number: Mapping[int, int], most: int | None
+) -> highspy.Highs:
+    """Rows: tasks = 1, robots in use <= number, all columns <= most; columns in the given order, 0 <= x <= 1."""
     highs, robots = quiet_highs(seed), sorted(number)
     row_of = {robot: tasks + r for r, robot in enumerate(robots)}
     empty = np.array([], np.int32), np.array([])
@@ -251,7 +289,11 @@ def _model(columns: list[tuple[int, Column]], tasks: int, seed: int, number: Map
         highs.addRow(1.0, 1.0, 0, *empty)
     for robot in robots:
         highs.addRow(-highspy.kHighsInf, float(number[robot]), 0, *empty)
-    rows = [[*column.tasks, row_of[robot]] for robot, column in columns]
+    last = []
+    if most is not None:
+        last = [tasks + len(robots)]
+        highs.addRow(-highspy.kHighsInf, float(most), 0, *empty)
+    rows = [[*column.tasks, row_of[robot], *last] for robot, column in columns]
     starts = np.cumsum([0, *(len(r) for r in rows)])[:-1].astype(np.int32)
     index = np.array([r for column in rows for r in column], dtype=np.int32)
     n, cost = len(columns), np.array([column.length for _, column in columns])

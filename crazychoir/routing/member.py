@@ -1,5 +1,6 @@
 """One robot as a member of its team: its place in the graph, its own problem, and how far it is."""
 
+import math
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 
@@ -8,6 +9,7 @@ import numpy as np
 from crazychoir.routing.instance import LocalProblem
 from crazychoir.routing.plan import sha256
 from crazychoir.routing.pricing import MOST_LABELS, RouteTable
+from crazychoir.routing.vehicle import VEHICLES
 from crazychoir.types import Vec
 
 
@@ -114,6 +116,26 @@ class Member:
     def __post_init__(self) -> None:
         self.alike = self.alike or {i: (i,) for i in range(self.place.robots)}
         self.reach = self.reach or reach(self.local)
+
+    @property
+    def vehicle_weight(self) -> float:
+        """m, what a vehicle costs beside its route, where vehicles are counted first; 0 elsewhere.
+
+        It is in the lengths of columns and in bounds; see Instance.vehicle_weight.
+        """
+        return self.local.fixed if VEHICLES in self.local.objective else 0.0
+
+    def tolerance(self, value: float) -> float:
+        """m, below which values of the relaxations differ by rounding: relative, of the lengths in the value alone."""
+        lengths = math.remainder(value, self.vehicle_weight) if self.vehicle_weight else value
+        return self.settings.tolerance * max(1.0, abs(lengths))
+
+    def least_vehicles(self, bound: float) -> int:
+        """How many vehicles leave in every plan, by a bound of it, where vehicles are counted first.
+
+            W n + T >= bound,   T <= W / 2    =>    n >= bound / W - 1/2
+        """
+        return max(0, math.ceil(bound / self.vehicle_weight - 0.5)) if bound > -math.inf else 0
 
     @property
     def speaks(self) -> bool:

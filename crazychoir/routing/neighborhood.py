@@ -10,7 +10,7 @@ from crazychoir.routing.instance import LocalProblem
 from crazychoir.routing.introduction import restricted
 from crazychoir.routing.labels import Ints
 from crazychoir.routing.search import search
-from crazychoir.routing.vehicle import MAKESPAN
+from crazychoir.routing.vehicle import MAKESPAN, VEHICLES
 from crazychoir.types import Vec
 
 
@@ -50,14 +50,18 @@ def most_saved(robots: Mapping[int, LocalProblem], reach: float) -> float:
 
 
 def flown(local: LocalProblem, stops: Sequence[int]) -> tuple[float, float]:
-    """m and s: distance with the fixed cost, and when it is done, of a route; only what it touches is looked at."""
+    """m and s: distance with the fixed cost, and when it is done, of a route; only what it touches is looked at.
+
+    Where vehicles are counted first, the distance alone.
+    """
     if not len(stops):
         return 0.0, 0.0
     m = len(local.tasks)
     chosen = np.array(tasks_of(stops, m), dtype=np.int64)
     inner, vehicle = _inner(chosen, m), restricted(local, chosen).vehicle
     route = [inner[s] for s in stops]
-    return vehicle.length(route) + vehicle.fixed, vehicle.finish(route)
+    fixed = 0.0 if VEHICLES in local.objective else vehicle.fixed
+    return vehicle.length(route) + fixed, vehicle.finish(route)
 
 
 def renamed(stops: Sequence[int], chosen: Ints, m: int) -> list[int]:

@@ -20,7 +20,7 @@ from crazychoir.routing.pricing import shortest_route
 from crazychoir.routing.primal_decomposition import PriceRounds
 from crazychoir.routing.proof import Assignment
 from crazychoir.routing.resource_recovery import ResourceRecovery
-from crazychoir.routing.vehicle import MAKESPAN, TOTAL
+from crazychoir.routing.vehicle import MAKESPAN
 
 CONFIRMED = ("route lengths or times", "task sets and hashes of routes")
 """What the confirmation of a plan tells of each robot, whatever the method."""
@@ -141,7 +141,8 @@ class PickupDelivery(Program[Solution]):
         vehicle, objective = member.local.vehicle, member.local.objective
         finish = vehicle.finish(nodes) if MAKESPAN in objective else None
         route = Route.from_nodes(place.robot, nodes, len(member.local.tasks), length, finish)
-        amount = (length + vehicle.fixed if nodes else 0.0) if objective[0] == TOTAL else finish
+        fixed = 0.0 if member.vehicle_weight else vehicle.fixed
+        amount = finish if objective[0] == MAKESPAN else length + fixed if nodes else 0.0
         known = yield from flood(place.robot, [amount, route.digest if nodes else "", route.tasks], place.diameter)
         amounts = [float(value) for value, _, _ in known.values()]
         served = [j for _, _, tasks in known.values() for j in tasks]
@@ -151,13 +152,14 @@ class PickupDelivery(Program[Solution]):
         if twice or penalties == math.inf:
             what = f"task(s) {twice} are served twice" if twice else "a task that must be served is left out"
             raise SolverError(f"robot {place.robot}: confirmation", f"different plans at the robots: {what}")
-        cost = (sum(amounts, 0.0) if objective[0] == TOTAL else max(amounts)) + penalties
+        cost = (max(amounts) if objective[0] == MAKESPAN else sum(amounts, 0.0)) + penalties
+        vehicles = sum(1 for _, text, _ in known.values() if text)
         digest = digest_of({i: text for i, (_, text, _) in known.items() if text})
         heard = yield from flood(place.robot, digest, place.diameter)
         if any(other != digest for other in heard.values()):
             raise SolverError(f"robot {place.robot}: confirmation", f"different plans at the robots: {heard}")
         member.report(phase="done", cost=cost)
-        bound = self._bound(assignment, cost)
+        bound, vehicles_bound = self._bound(assignment, cost, vehicles)
         return Solution(
             bytes_by_kind=dict(member.bytes_by_kind),
             cost=cost,
@@ -170,21 +172,29 @@ class PickupDelivery(Program[Solution]):
             rounds=self.k,
             plan_digest=digest,
             routes=(route,) if nodes else (),
+            vehicles_bound=vehicles_bound,
         )
 
-    def _bound(self, assignment: Assignment, cost: float) -> float | None:
-        """What is proven of the cost: nothing where prices add up what counts otherwise.
+    def _bound(self, assignment: Assignment, cost: float, vehicles: int) -> tuple[float | None, int | None]:
+        """What is proven of the cost: nothing where prices add up what counts otherwise; and of the number of vehicles,
+        where they are counted first. The bound of the cost is then that of plans with so few vehicles, and there is
+        none for a plan that may have more.
 
         A sum of finishing times is no makespan, and refusals weighed by priority are no cost. Only rounding is clipped:
         a bound above the cost of a plan is none, and neither is any other of its kind; all robots see it alike.
         """
         local, tolerance = self._member.local, ROUNDING * self._member.settings.tolerance
         if assignment.lower_bound is None or local.objective[0] == MAKESPAN or (local.tasks.priority > 0).any():
-            return None
-        if assignment.lower_bound > cost + tolerance * max(1.0, abs(cost)):
-            found = f"bound {assignment.lower_bound:.9g} above the cost {cost:.9g} of the plan: a pricing was not exact"
+            return None, None
+        weight = self._member.vehicle_weight
+        bound = assignment.lower_bound - weight * vehicles
+        if bound > cost + tolerance * max(1.0, abs(cost)):
+            found = f"bound {bound:.9g} above the cost {cost:.9g} of the plan: a pricing was not exact"
             raise SolverError(f"robot {local.robot}: {self._method}", found)
-        return min(assignment.lower_bound, cost)
+        if not weight:
+            return min(bound, cost), None
+        least = min(vehicles, self._member.least_vehicles(assignment.lower_bound))
+        return (min(max(bound, 0.0), cost) if least == vehicles else None), least
 
     def _own_route(self, assignment: Assignment) -> tuple[list[int], float]:
         """Stops and length in m of this robot's route."""

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from crazychoir.optimization.picture import COLOURS, DASHES, INK
+from crazychoir.output_files import save_figure
 from crazychoir.routing.instance import Instance
 from crazychoir.routing.plan import Plan, Route
 from crazychoir.routing.schedule import Trip, times_matter, trips
@@ -47,7 +48,7 @@ def draw_routes(instance: Instance, plan: Plan, path: str | Path) -> None:
     axes.spines[["top", "right"]].set_visible(False)
     axes.set_title(_title(instance, plan), color=INK, fontsize=10)
     figure.legend(loc="outside right upper", frameon=False, fontsize=8, handlelength=3.2)
-    figure.savefig(path, bbox_inches="tight")
+    save_figure(figure, path, bbox_inches="tight")
 
 
 def _title(instance: Instance, plan: Plan) -> str:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
-from crazychoir.routing.vehicle import TOTAL
+from crazychoir.routing.vehicle import MAKESPAN, TOTAL, VEHICLES
 
 Kind = Literal["pickup", "delivery", "recharge"]
 NOTHING = -1
@@ -93,13 +93,14 @@ class Plan:
     @property
     def values(self) -> tuple[float, ...]:
         """What is minimised, in order: the objectives, the penalties added to the first."""
-        first, *rest = (self.total if name == TOTAL else self.makespan for name in self.objective)
+        value = {TOTAL: self.total, MAKESPAN: self.makespan, VEHICLES: float(len(self.routes))}
+        first, *rest = (value[name] for name in self.objective)
         return (first + self.penalties, *rest)
 
     @property
     def cost(self) -> float:
-        """The first objective, with the penalties."""
-        return self.values[0]
+        """The first objective that is in m or s, with the penalties: where vehicles come first, the total."""
+        return self.values[1] if self.objective[0] == VEHICLES else self.values[0]
 
     @property
     def digest(self) -> str:
@@ -133,7 +134,9 @@ class Solution:
     is the bound, and `resource` and `resource-argmax` prove weaker ones than `columns`;  bound_relaxation: what
     routes a bound that is not exact allows beside those that there are: "ng-route", whose tasks may come again;
     disclosed: what the robots told each other;  rounds: of communication;  routes: those that this robot knows;
-    bytes_by_kind: payloads that it sent, by what they were about, without headers and without what was sent again.
+    bytes_by_kind: payloads that it sent, by what they were about, without headers and without what was sent again;
+    vehicles_bound: where vehicles are counted first, no plan needs fewer (None: unknown). `lower_bound` then holds for
+    the plans with that number of vehicles, and is None if this plan has more.
     """
 
     cost: float
@@ -147,6 +150,7 @@ class Solution:
     routes: tuple[Route, ...]
     bytes_by_kind: dict[str, int] = field(default_factory=dict)
     bound_relaxation: str | None = None
+    vehicles_bound: int | None = None
 
     @property
     def plan(self) -> Plan:

@@ -11,7 +11,7 @@ from crazychoir.optimization.agreement import best_offer, flood
 from crazychoir.optimization.program import Exchange
 from crazychoir.routing.bound import Bound
 from crazychoir.routing.labels import Ints
-from crazychoir.routing.master import Pool, Routes, partition
+from crazychoir.routing.master import Pool, Routes, fewest, partition
 from crazychoir.routing.member import Member
 from crazychoir.routing.packing import packed, unpacked
 from crazychoir.routing.plan import sha256
@@ -57,7 +57,7 @@ class Proof:
     def __init__(self, member: Member, pool: Pool, bound: Bound, best: Offer | None = None) -> None:
         self._member, self._pool, self._bound, self.best = member, pool, bound, best
         self._i, self._diameter = member.place.robot, member.place.diameter
-        self._tolerance = member.settings.tolerance * max(1.0, abs(bound.value))
+        self._tolerance = member.tolerance(bound.value)
         self._none, self._exhausted = False, False
         self.proven = bound.value
 
@@ -151,7 +151,7 @@ class Proof:
         cost, robot, routes, searched, digest = best
         if sha256(routes) != digest:
             raise SolverError(f"robot {self._i}: the plan of robot {robot}", "damaged: its hash differs")
-        self._member.report(cost=float(cost))
+        self._member.report(cost=float(cost) - self._member.vehicle_weight * len(routes))
         return Offer(float(cost), {int(i): tuple(int(j) for j in tasks) for i, tasks in routes}, float(searched))
 
     def _search(self, gap: float) -> list[Any] | None:
@@ -167,7 +167,12 @@ class Proof:
         useful += refusals
         known = None if self.best is None else self._with_refusals(self.best.routes, refusals)
         nodes = settings.proof_nodes if settings.prove else settings.nodes
-        found = partition(useful, len(self._member.local.tasks), self._i, nodes, known, self._member.alike)
+        weight, tasks = self._member.vehicle_weight, len(self._member.local.tasks)
+        if weight:
+            least = self._member.least_vehicles(self._bound.value)
+            found = fewest(useful, tasks, self._i, nodes, weight, least, known, self._member.alike)
+        else:
+            found = partition(useful, tasks, self._i, nodes, known, self._member.alike)
         if found.cost == np.inf and found.bound < np.inf:
             return None
         robots = self._member.place.robots

@@ -60,9 +60,9 @@ def times_matter(instance: Instance) -> bool:
 def outcome(instance: Instance, routes: Iterable[Route]) -> dict[str, Any]:
     """What people ask of a plan, as a JSON object.
 
-    total_m: all tours, with fixed costs;  makespan_s: until the last robot is done;  refused: tasks left out that may
-    be, each with its penalty;  penalties: their sum;  timed: `times_matter`;  trips: of all robots;  violations: what
-    is wrong with the plan, a sentence each.
+    vehicles: robots that leave home;  total_m: all tours, with fixed costs;  makespan_s: until the last robot is done;
+    refused: tasks left out that may be, each with its penalty;  penalties: their sum;  timed: `times_matter`;
+    trips: of all robots;  violations: what is wrong with the plan, a sentence each.
     """
     plan = instance.plan(routes)
     flown = [trip for route in plan.routes for trip in trips(instance, route)]
@@ -70,6 +70,7 @@ def outcome(instance: Instance, routes: Iterable[Route]) -> dict[str, Any]:
     penalty = instance.tasks.penalty
     refused = [j for j in range(len(penalty)) if j not in served and math.isfinite(penalty[j])]
     return {
+        "vehicles": len(plan.routes),
         "total_m": plan.total,
         "makespan_s": max((trip.end for trip in flown), default=0.0),
         "refused": [{"task": j, "penalty": float(penalty[j]), "priority": int(instance.tasks.priority[j])}

@@ -100,7 +100,7 @@ class Search:
             fleet_steps = steps if fleet.fixed.min() > fleet.traits[:, 1].sum() else 0
         if fleet_steps:
             tours = self._anneal(tours, pool, random, shut, fleet_steps, FLEET_HOT, average, fewer=True)
-            shut |= tours.stops == 0
+            shut |= self._needless(tours)
         for _ in range(rounds):
             tours = self._anneal(tours, pool, random, shut, steps // rounds, hot, average)
             if rounds > 1 and not fleet.on_finish:
@@ -118,6 +118,16 @@ class Search:
             fleet = fleet._replace(penalty=dear)
         anneal(fleet, tours, step, memory, best, pool, random, absence, steps, scaled, average, fewer)
         return best.tours(self._fleet)
+
+    def _needless(self, tours: Tours) -> Bools:
+        """(K,) whether a vehicle without stops stays at home for good.
+
+        Where vehicles are counted first, one of another kind than all that leave may still take the place of one.
+        """
+        stays = np.asarray(tours.stops == 0)
+        if not self._fleet.counted:
+            return stays
+        return np.asarray(stays & np.isin(self._fleet.twin, self._fleet.twin[~stays]))
 
     def _found(self, tours: Tours, pool: Pool) -> Found:
         penalty, end = self._fleet.penalty, 2 * len(tours.at) + 1

@@ -9,16 +9,20 @@ from crazychoir.routing.vehicle import SLACK, Vehicle
 from crazychoir.types import Vec
 
 
-def require_servable(vehicles: Sequence[Vehicle], penalty: Vec, where: str) -> None:
+def require_servable(vehicles: Sequence[Vehicle], penalty: Vec, where: str, names: Sequence[str] = ()) -> None:
     """Raise InstanceError for a good that must be served and that no robot can bring home.
 
-    penalty: (M,), inf where the task must be served;  where: what the error calls the instance.
+    penalty: (M,), inf where the task must be served;  where: what the error calls the instance;
+    names: what the file calls the tasks, where it has none of the keys of JSON.
     """
     served = np.isfinite(penalty)
     for vehicle in vehicles:
         served[vehicle.servable] = True
     for j in np.flatnonzero(~served):
         found, allowed, do = _why(vehicles, int(j))
+        if names:
+            where, do = f"{where}: {names[int(j)]}", "Look at these lines, and at the first one."
+            raise InstanceError(where, found, allowed, do)
         raise InstanceError(f"{where}: task {j}", found, allowed, do)
 
 

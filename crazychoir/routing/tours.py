@@ -29,7 +29,8 @@ class Fleet(NamedTuple):
     near: (2M, 2M) all stops by their distance from one;
     traits: (M, 5) by which tasks are ordered: load, length alone, width, opening and closing of its windows;
     timed: whether anything depends on time;
-    on_total, on_finish: weights of the sum of distances and of the last finish in what is minimised.
+    on_total, on_finish: weights of the sum of distances and of the last finish in what is minimised;
+    counted: whether the number of vehicles that leave is minimised before that.
     """
 
     distance: Box
@@ -54,6 +55,7 @@ class Fleet(NamedTuple):
     timed: bool
     on_total: float
     on_finish: float
+    counted: bool
 
 
 class Tours(NamedTuple):

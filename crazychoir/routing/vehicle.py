@@ -13,6 +13,8 @@ from crazychoir.types import Mat, Vec
 
 TOTAL, MAKESPAN = "total", "makespan"
 """What a team minimises: the sum of costs in m, or the time in s when the last robot is done."""
+VEHICLES = "vehicles"
+"""What a team minimises before the total: the number of robots that leave home."""
 SLACK = 1e-9
 """Loads, lengths and times may exceed their limits by this much: rounding of a sum, not a licence."""
 

@@ -23,6 +23,7 @@ from crazychoir.swarm.radios import body_name, dongles, is_reached, reached, see
 from crazychoir.swarm.reading import parse, read, require_plain
 from crazychoir.swarm.tables import AGREED, OF_BODIES, OWN_TO_A_HOST, Control, Drone, Sender, Swarm, Table
 from crazychoir.swarm.uris import canonical
+from crazychoir.text_files import read_text
 
 LOCAL = "127.0.0.1"
 WORLD = -1
@@ -50,12 +51,8 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
     @classmethod
     def load(cls, path: str | Path) -> Self:
         """Read a .toml or .json file. A mission that is a path, and FILES, are relative to the file's folder."""
-        try:
-            text = Path(path).read_text(encoding="utf-8-sig")
-        except (OSError, UnicodeDecodeError) as error:
-            reason = error.strerror if isinstance(error, OSError) else "bytes that are not UTF-8"
-            do = 'The least is name = "lab" and a table [[drones]] with id = 0 and home = [0, 0, 0] for each drone.'
-            raise ConfigError(str(path), str(reason), "a swarm file, TOML or JSON", do) from error
+        do = 'The least is name = "lab" and a table [[drones]] with id = 0 and home = [0, 0, 0] for each drone.'
+        text = read_text(path, "a swarm file, TOML or JSON", do=do)
         config = cls.loads(text, str(path))
         folder = Path(path).parent
         return config._with_mission_from(folder)._with_files_from(folder)._with_shapes_from(folder)._with_keys(folder)

@@ -8,7 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from crazychoir.errors import ConfigError
+from crazychoir.output_files import written_file
 from crazychoir.swarm.reading import show
+from crazychoir.text_files import BYTE_ORDER_MARK, read_text
 
 HEADER = re.compile(r"\s*\[")
 DRONES = re.compile(r"\s*\[\[\s*drones\s*\]\]\s*(#.*)?")
@@ -39,11 +41,11 @@ def with_keys(text: str, changes: Mapping[int, Mapping[str, object]], where: str
 
 def write_keys(path: Path, changes: Mapping[int, Mapping[str, object]]) -> None:
     """The same in a file."""
-    try:
-        text = path.read_bytes().decode()
-        path.write_bytes(with_keys(text, changes, str(path)).encode())
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(str(path), str(error), "a swarm file that can be written") from error
+    text = read_text(path, "a swarm file that can be written", exact=True)
+    mark = BYTE_ORDER_MARK if text.startswith(BYTE_ORDER_MARK) else ""
+    changed = with_keys(text.removeprefix(mark), changes, str(path))
+    with written_file(path, "swarm file") as place:
+        place.write_bytes((mark + changed).encode())
 
 
 def _with_key(lines: list[str], i: int, key: str, value: str) -> list[str]:

@@ -1,0 +1,123 @@
+"""Writing what a computation answers: places are checked before it begins, and a file is there as a whole or not."""
+
+import contextlib
+import errno
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from crazychoir.errors import ConfigError
+
+PROBE = b"\0" * 4096
+"""Written into a new place and taken away again: a full disk makes files, but does not fill them."""
+
+
+def require_writable_file(path: str | Path, option: str, endings: Sequence[str] = (), parents: bool = False) -> None:
+    """Raise ConfigError, before anything is computed, for a file that could not be written.
+
+    option: what errors call it;  endings: those that its name may have, in any case, all if there are none.
+    A missing folder is made, and the folders above it if `parents`. A file that is there may be written over.
+    """
+    path = Path(path)
+    if endings and path.suffix.lower() not in endings:
+        raise ConfigError(option, str(path), f"a name that ends in {', '.join(endings)}")
+    if os.path.isdir(path):
+        raise ConfigError(option, f"{path}, a folder", "the name of a file", f"Add a name to it: {path / 'NAME'}.")
+    try:
+        _make_folder(path.parent, parents)
+        place = Path(os.path.realpath(path))
+        if place.exists():
+            _open_to_write(place)
+        else:
+            _probe(place)
+    except (OSError, ValueError) as error:
+        raise _cannot(option, path, error, "a name in a folder that is there or can be made in one") from error
+
+
+def require_writable_folder(path: str | Path, option: str) -> None:
+    """Raise ConfigError, before anything is computed, for a folder that files could not be written into; make it."""
+    path = Path(path)
+    try:
+        _make_folder(path, parents=True)
+        _probe(path / "probe")
+    except (OSError, ValueError) as error:
+        raise _cannot(option, path, error, "a folder that is there or can be made, and written into") from error
+
+
+def require_different(paths: Mapping[str, Path | None]) -> None:
+    """Raise ConfigError where two options name the same file. paths: by option."""
+    seen: dict[Path, str] = {}
+    for option, path in paths.items():
+        if path is None:
+            continue
+        place = Path(os.path.realpath(path))
+        if place in seen:
+            raise ConfigError(option, str(path), f"another file than that of {seen[place]}", "Name two files.")
+        seen[place] = option
+
+
+@contextlib.contextmanager
+def written_file(path: str | Path, what: str) -> Iterator[Path]:
+    """Yield where to write; the file takes its place when the block ends, unless something is raised in it.
+
+    So a disk that fills spoils nothing that was there, and leaves no half of a file. A link is followed; a device, and
+    a file in a folder that takes no new one, are written as they are.
+    what: what errors call it. The place has the suffix of `path`, but for a device. Raises ConfigError for an OSError.
+    """
+    path = Path(path)
+    place = Path(os.path.realpath(path))
+    beside = place.with_name(f".{os.getpid()}.{path.stem[:64]}.new{path.suffix}")
+    direct = place.exists() and (not place.is_file() or not os.access(place.parent, os.W_OK))
+    try:
+        if place.is_dir():
+            raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(place))
+        if direct:
+            yield place
+            return
+        if place.exists():
+            _open_to_write(place)  # a file that its owner has protected stays
+        yield beside
+        if place.exists():
+            shutil.copymode(place, beside)
+        beside.replace(place)
+    except OSError as error:
+        raise _cannot(what, path, error, "a file that can be written") from error
+    finally:
+        with contextlib.suppress(OSError):
+            beside.unlink(missing_ok=True)
+
+
+def save_figure(figure: Any, path: str | Path, **options: Any) -> None:
+    """Write a figure of matplotlib, of the kind that the suffix says; raises ConfigError where it cannot be."""
+    kind = Path(path).suffix.removeprefix(".").lower() or None
+    with written_file(path, "picture") as place:
+        figure.savefig(place, format=kind, **options)
+
+
+def _make_folder(folder: Path, parents: bool) -> None:
+    if not folder.is_dir():
+        folder.mkdir(parents=parents, exist_ok=True)
+
+
+def _open_to_write(path: Path) -> None:
+    """Open a file that is there, without a change."""
+    os.close(os.open(path, os.O_WRONLY | os.O_NONBLOCK | os.O_CLOEXEC))
+
+
+def _probe(path: Path) -> None:
+    """Make and fill a file beside `path`, and take it away; the name itself is looked up, as it may be too long."""
+    with contextlib.suppress(FileNotFoundError):
+        path.lstat()
+    with tempfile.TemporaryFile(dir=path.parent, buffering=0) as file:
+        if file.write(PROBE) < len(PROBE):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
+
+
+def _cannot(option: str, path: Path, error: Exception, allowed: str) -> ConfigError:
+    why = getattr(error, "strerror", None) or str(error)
+    named = getattr(error, "filename", None)
+    there = f"{named}: " if isinstance(named, str) and Path(named) == path.parent else ""
+    return ConfigError(option, str(path), allowed, f"{there}{why}.")

@@ -1,0 +1,6 @@
+"""How large the numbers of an instance may be: beyond, the rounding of a sum exceeds the slack of limits."""
+
+FARTHEST = 1e5  # m, of a coordinate; m/s, of a speed
+MOST = 1e6  # units of load
+SLOWEST = 1e-3  # m/s
+LATEST = 1e7  # s

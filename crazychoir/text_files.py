@@ -1,0 +1,63 @@
+"""Reading the text files that a user hands in: swarm files, instances, tables, drawings."""
+
+from pathlib import Path
+
+from crazychoir.errors import ConfigError
+
+BYTE_ORDER_MARK = "\ufeff"
+UTF_8 = b"\xef\xbb\xbf"
+WIDE_MARKS = (
+    (b"\xff\xfe\x00\x00", "UTF-32"),
+    (b"\x00\x00\xfe\xff", "UTF-32"),
+    (b"\xff\xfe", "UTF-16"),
+    (b"\xfe\xff", "UTF-16"),
+)
+"""The first bytes of texts in other encodings, the longer ones first."""
+AS_UTF_8 = "Save it as UTF-8: with an editor, or by `iconv -f ENCODING -t UTF-8 FILE > NEW_FILE`."
+
+
+def read_text(
+    path: str | Path, allowed: str, *, kind: type[ConfigError] = ConfigError, do: str = "", exact: bool = False
+) -> str:
+    """Return the text of a file in UTF-8; a byte-order mark is left out, and every line ends in a line feed.
+
+    allowed: what the file may be, for the error;  do: what to do about a file that cannot be opened;
+    exact: keep the mark and the ends of the lines, for a text that is written back.
+    Raises `kind`, a ConfigError, for a file that cannot be read or has another encoding.
+    """
+    try:
+        data = Path(path).read_bytes()
+    except (OSError, ValueError) as error:  # ValueError: a zero byte in the name
+        reason = getattr(error, "strerror", None) or str(error)
+        raise kind(str(path), reason, allowed, do) from error
+    return decode_text(data, str(path), allowed, kind=kind, exact=exact)
+
+
+def decode_text(
+    data: bytes, where: str, allowed: str, *, kind: type[ConfigError] = ConfigError, exact: bool = False
+) -> str:
+    """Return the bytes of a file as text; `where` is what errors call it. The rest is as in `read_text`."""
+    for mark, encoding in WIDE_MARKS:
+        if data.startswith(mark):
+            found = f"a text in {encoding}, by its first bytes {mark.hex(' ')}"
+            raise kind(where, found, f"{allowed}, in UTF-8", AS_UTF_8.replace("ENCODING", encoding))
+    zero = data.find(b"\0")
+    if zero >= 0:
+        found = f"a zero byte at {_place(data, zero)}: UTF-16 without a byte-order mark, or no text"
+        raise kind(where, found, f"{allowed}, in UTF-8", AS_UTF_8)
+    try:
+        text = data.decode()
+    except UnicodeDecodeError as error:
+        found = f"bytes that are not UTF-8: {data[error.start]:#04x} at {_place(data, error.start)}"
+        raise kind(where, found, f"{allowed}, in UTF-8", AS_UTF_8) from error
+    if exact:
+        return text
+    return text.lstrip(BYTE_ORDER_MARK).replace("\r\n", "\n").replace("\r", "\n")
+
+
+def _place(data: bytes, position: int) -> str:
+    """The line and the column of a byte, both from 1; columns count characters."""
+    before = data[:position].removeprefix(UTF_8).replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+    line = before.count(b"\n") + 1
+    column = len(before[before.rfind(b"\n") + 1 :].decode(errors="replace")) + 1
+    return f"line {line}, column {column} (byte {position})"
