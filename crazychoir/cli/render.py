@@ -96,7 +96,9 @@ def _check(picture: Path | None, video: Path | None) -> None:
     if picture is None and video is None:
         raise ConfigError("crazychoir render", "nothing to draw", "--picture FILE.png, --video FILE.mp4, or both")
     if picture is not None:
-        require_writable_file(picture, "--picture", (".png",), parents=True)
+        if picture.suffix.lower() != ".png":
+            raise ConfigError("--picture", picture.name, "a file that ends in .png")
+        require_writable_file(picture, "--picture", parents=True)
 
 
 def _moment(at: float | None, times: Any) -> float:
