@@ -14,9 +14,6 @@ from crazychoir.output_files import require_writable_file, written_file
 if TYPE_CHECKING:
     from crazychoir.recording.video import Image
 
-SMALLEST = 16  # pixels
-LARGEST = 8192  # pixels
-
 
 def render(
     file: Annotated[Path, typer.Argument(help="Recording of `crazychoir run --record`, of any world.")],
@@ -86,10 +83,9 @@ def render(
 
 def _size(text: str) -> tuple[int, int]:
     found = re.fullmatch(r"\s*([0-9]{1,5})\s*[xX×]\s*([0-9]{1,5})\s*", text)
-    sides = (0, 0) if found is None else (int(found[1]), int(found[2]))
-    if not all(SMALLEST <= side <= LARGEST for side in sides):
-        raise ConfigError("--size", text, f"width x height in pixels, {SMALLEST} to {LARGEST} each, as 960x540")
-    return sides
+    if found is None:
+        raise ConfigError("--size", text, "width x height in pixels, as 960x540")
+    return int(found[1]), int(found[2])
 
 
 def _check(picture: Path | None, video: Path | None) -> None:

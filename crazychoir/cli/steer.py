@@ -10,7 +10,6 @@ from crazychoir.cli.look import JsonOption, SwarmOption, looking
 from crazychoir.cli.orders import conclude, numbers
 from crazychoir.cli.show import STDERR, fail
 from crazychoir.errors import ConfigError
-from crazychoir.text_files import read_text
 
 if TYPE_CHECKING:
     from crazychoir.cli.window import Answers, Window
@@ -58,7 +57,7 @@ def fly(
     as_json: JsonOption = False,
 ) -> None:
     """Fly along a drawing: drones that wait for their start, or are held; leaders in their formation, side by side."""
-    from crazychoir.guidance.sketch import HAND, loaded, messages, planned
+    from crazychoir.guidance.sketch import HAND, loaded_file, messages, planned
     from crazychoir.planning.drawing import Pen
 
     step, chosen = _metres("--offset", offset), tuple(numbers(drones) or ())
@@ -71,17 +70,13 @@ def fly(
         config = window.config
         level = config.flight.ground + config.flight.takeoff_height if height is None else height
         pen = Pen(height=level, smoothing=HAND)
-        plan = planned(loaded(_text(file), str(file)), pen, config, v_max=speed, slower=slower)
+        plan = planned(loaded_file(file), pen, config, v_max=speed, slower=slower)
         told.update(messages(plan.path, chosen, step, config))
         spent += plan.path.duration
         STDERR.print(f"{plan.path.duration:.1f} s, at most {plan.speed:.2f} m/s, {plan.acceleration:.2f} m/s2")
         return await window.command("fly", told, spent)
 
     conclude(looking(swarm, work, as_json), as_json)
-
-
-def _text(file: Path) -> str:
-    return read_text(file, "a CSV or SVG file that can be read")
 
 
 def _metres(option: str, text: str) -> tuple[float, float, float]:

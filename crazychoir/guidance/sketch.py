@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,7 @@ from crazychoir.guidance.inside import inside, require_inside
 from crazychoir.guidance.steering import MOST_PIECES, path_message
 from crazychoir.math3d import Mat
 from crazychoir.planning.drawing import Pen, drawing
-from crazychoir.planning.drawing_file import parse_drawing
+from crazychoir.planning.drawing_file import DrawingFile, parse_drawing, read_drawing
 from crazychoir.planning.feasibility import Limits, check, peaks, references
 from crazychoir.planning.piecewise import Piecewise
 from crazychoir.planning.stroke import csv_of, thinned
@@ -114,9 +115,7 @@ def _length(places: Mat) -> float:
     return float(np.linalg.norm(np.diff(places, axis=0), axis=1).sum())
 
 
-def places(
-    p: Sequence[float], offset: Offset, drones: Sequence[int], config: SwarmConfig
-) -> dict[int, list[float]]:
+def places(p: Sequence[float], offset: Offset, drones: Sequence[int], config: SwarmConfig) -> dict[int, list[float]]:
     """Where each goes: the k-th k times `offset` from p, m, world; ConfigError where two would be too near."""
     _check_apart(drones, offset, config)
     return _beside(p, offset, drones)
@@ -164,18 +163,25 @@ def _near(offset: Offset, collision: Collision) -> bool:
     return math.hypot(math.hypot(x, y) / (2.0 * a + collision.margin), z / (2.0 * c)) < 1.0
 
 
-def loaded(text: str, name: str) -> list[list[list[float]]]:
-    """The strokes of a CSV or SVG text, rows t s, x, y m, thinned; raises ConfigError."""
-    return loaded_with_words(text, name)[0]
-
-
 def loaded_with_words(text: str, name: str) -> tuple[list[list[list[float]]], list[str]]:
-    """Return the strokes of `loaded`, and remarks on what is not flown of the drawing."""
+    """Return the strokes of a CSV or SVG text, rows t s, x, y m, thinned, and remarks on what is not flown.
+
+    Errors: ConfigError.
+    """
     drawn = parse_drawing(text, name)
+    return _thinned(drawn), drawn.words
+
+
+def loaded_file(path: Path) -> list[list[list[float]]]:
+    """Return the strokes of a CSV or SVG file, in any encoding that it may have. Errors: ConfigError."""
+    return _thinned(read_drawing(path))
+
+
+def _thinned(drawn: DrawingFile) -> list[list[list[float]]]:
     strokes = [_timed(stroke) for stroke in drawn.strokes]
     length = sum(float(np.linalg.norm(np.diff(stroke[:, 1:], axis=0), axis=1).sum()) for stroke in strokes)
     step = max(STEP, length / max(LOADED - 2 * len(strokes), 1))
-    return [stroke[thinned(stroke[:, 1:], step)].round(4).tolist() for stroke in strokes], drawn.words
+    return [stroke[thinned(stroke[:, 1:], step)].round(4).tolist() for stroke in strokes]
 
 
 def saved(strokes: list[Mat], kind: str) -> str:

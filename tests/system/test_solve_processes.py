@@ -46,7 +46,7 @@ def test_options_that_cannot_be_are_refused_before_anything_starts(demo):
         team.solve_in_processes(problem, 7)
     with pytest.raises(ConfigError, match="magic"):
         team.solve_in_processes(problem, 2, method="magic")
-    call("crazychoir", "solve", demo, "--processes", 2, "--loss", 1.5).refuses("loss", "less than 1")
+    call("crazychoir", "solve", demo, "--processes", 2, "--loss", 1.5).refuses("--loss", "a probability, 0 to 1")
 
 
 def test_an_error_of_a_robot_names_it_and_ends_all(demo, monkeypatch):
