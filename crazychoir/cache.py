@@ -86,7 +86,8 @@ class Kept(NullCache):
             raise Untold(self._law.__qualname__)
         self._busy = True
         try:
-            content = repr((VERSIONS, self._options, _function(self._law)))
+            # Machine code names the modules of its pieces: it cannot be loaded where a module has moved.
+            content = repr((VERSIONS, self._options, self._law.__module__, _function(self._law)))
         finally:
             self._busy = False
         return blake2b(content.encode(), digest_size=16).hexdigest()

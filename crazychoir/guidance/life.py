@@ -35,6 +35,7 @@ LANDED = "landed on command"
 SENT_HOME = "sent home on command"
 ENDS_ON_COMMAND = (LANDED, SENT_HOME)
 """Why a mission is over that its operator has ended: it has not failed."""
+NO_REASON = "its mission returned success = False, without a reason"
 ENDED = "ended"
 """The key of a result that says how an operator has ended the mission; absent from all others."""
 
@@ -303,7 +304,7 @@ def ended_by_operator(words: str) -> Result:
 def failure(reason: str, result: Result | None = None) -> Result:
     """The result of a mission that has failed, with what is known else; its reason is never empty."""
     told = {key: value for key, value in (result or {}).items() if key != ENDED}
-    return {**told, "success": False, "reason": spoken(reason, "it has failed, and does not say why")}
+    return {**told, "success": False, "reason": spoken(reason, NO_REASON)}
 
 
 def _is_expected(error: BaseException) -> bool:

@@ -13,7 +13,7 @@ from crazychoir.bus.commands import Commander
 from crazychoir.errors import spoken
 from crazychoir.guidance.drone import WAITING
 from crazychoir.guidance.feedback import idle
-from crazychoir.guidance.life import ENDED
+from crazychoir.guidance.life import ENDED, NO_REASON
 from crazychoir.guidance.mission import Mission, has
 from crazychoir.launch.network import attached, observer
 from crazychoir.launch.processes import WORLD_OWNER, Owner, run_children
@@ -35,7 +35,6 @@ HELD = {
     "apart": "at its end the {}",
 }
 """What has kept a drone from where it wanted to be, by the key of its result."""
-NO_REASON = "its mission returned success = False, without a reason"
 NO_RESULT = "its process has ended without a result; the log says how"
 NOBODY_MOVED = "the law returned None in every step of every drone: all hovered, nobody moved"
 Results = dict[int, dict[str, Any]]

@@ -7,7 +7,7 @@ from crazychoir.dashboard.asks import Draw, read
 from crazychoir.dashboard.gate import MOST_BODY
 from crazychoir.errors import ConfigError
 from crazychoir.guidance import sketch
-from crazychoir.guidance.sketch import LOADED, MOST_ROWS, loaded, messages, planned, saved, shifted
+from crazychoir.guidance.sketch import LOADED, MOST_ROWS, loaded_with_words, messages, planned, saved, shifted
 from crazychoir.planning.drawing import Pen
 from crazychoir.planning.feasibility import Limits, keeps
 from crazychoir.planning.piecewise import Piecewise
@@ -131,7 +131,7 @@ def test_drones_that_would_fly_into_each_other_are_not_sent(offset, good):
 def test_strokes_are_saved_and_loaded():
     drawn = [np.array(WAVE), np.array(DOWN)]
     for kind, timed in (("csv", True), ("svg", False)):
-        read = loaded(saved(drawn, kind), f"Word.{kind.upper()}")
+        read, _ = loaded_with_words(saved(drawn, kind), f"Word.{kind.upper()}")
         for stroke, again in zip(drawn, read, strict=True):
             columns = slice(0 if timed else 1, 3)
             assert np.array(again)[:, columns] == pytest.approx(stroke[:, columns], abs=2e-4)
@@ -146,12 +146,12 @@ def circles(n, metres, count):
 
 @pytest.mark.parametrize("kind", ["csv", "svg"])
 def test_what_is_loaded_is_thinned_to_what_a_page_may_have_planned(kind):
-    (stroke,) = loaded(saved([circles(6000, 3.0, 1)], kind), f"a.{kind}")
+    (stroke,), _ = loaded_with_words(saved([circles(6000, 3.0, 1)], kind), f"a.{kind}")
     places = np.array(stroke)[:, 1:]
     assert 1000 < len(places) <= 1501, "2 mm apart"
     assert places[[0, -1]] == pytest.approx(np.array([[3.0 / 6.28, 0.0]] * 2), abs=1e-4)
     far = [circles(7000, 500.0, 20) + np.array([0.0, 0.0, 1e-3 * k]) for k in range(2 if kind == "csv" else 1)]
-    strokes = loaded(saved(far, kind), f"a.{kind}")
+    strokes, _ = loaded_with_words(saved(far, kind), f"a.{kind}")
     assert 2500 < sum(map(len, strokes)) <= LOADED
     asked = json.dumps({"ask": "draw", "strokes": strokes})
     assert len(asked) < MOST_BODY
@@ -160,7 +160,7 @@ def test_what_is_loaded_is_thinned_to_what_a_page_may_have_planned(kind):
 
 def test_a_file_of_very_many_strokes_keeps_both_ends_of_each():
     drawn = [np.array([[0.0, 0.01 * k, 0.0], [0.1, 0.01 * k, 0.1], [0.2, 0.01 * k, 0.2]]) for k in range(3000)]
-    strokes = loaded(saved(drawn, "csv"), "a.csv")
+    strokes, _ = loaded_with_words(saved(drawn, "csv"), "a.csv")
     assert [len(stroke) for stroke in strokes] == [2] * 3000
 
 
@@ -171,7 +171,7 @@ def test_a_file_of_very_many_strokes_keeps_both_ends_of_each():
 )  # fmt: skip
 def test_files_that_are_none_are_refused_by_name(name, text, words):
     with pytest.raises(ConfigError, match=words) as raised:
-        loaded(text, name)
+        loaded_with_words(text, name)
     assert name in str(raised.value)
 
 

@@ -31,7 +31,8 @@ def swarm(n=1, **tables):
     drones = [
         {"id": 3 + k, "home": [float(k), 0.0, 0.0], "uri": MUJOCO, "platform": names[k % len(names)]} for k in range(n)
     ]
-    return SwarmConfig.of({"name": "a", "drones": drones, **tables})
+    fence = {"min": [-5.0, -5.0, 0.0], "max": [5.0, 5.0, 3.0]}
+    return SwarmConfig.of({"name": "a", "drones": drones, "fence": fence, **tables})
 
 
 def in_mujoco(n=1, **tables):
