@@ -398,3 +398,12 @@ def test_children_of_a_run_share_a_temporary_folder_only_where_there_is_no_other
     with cache.shared_by_children(tmp_path):
         assert os.environ["NUMBA_CACHE_DIR"] == str(tmp_path / "laws")
     assert "NUMBA_CACHE_DIR" not in os.environ
+
+
+def test_a_law_whose_module_has_moved_has_another_digest():
+    def law(x: float) -> float:
+        return 2.0 * x
+
+    before = cache.Kept(law).digest
+    law.__module__ = "elsewhere"
+    assert cache.Kept(law).digest != before
